@@ -6,15 +6,20 @@ Every log is simulated with known truth, see identify_random.py.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 
 from fraclink import Experiment, identify, prbs
-from fraclink.extend import Beam, KelvinVoigt, PowerLaw, simulate_log
+from fraclink.extend import Beam, KelvinVoigt, PowerLaw
 from harness import line, sizes
 from identify_logs import TRUTH, clean_log
 from identify_random import COLOURS, PERIOD, coloured, random_log
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from reproduce.twin_logs import simulate_log
 
 STRUCTURES = ("D-IOM", "UD-FOM")
 
@@ -158,12 +163,10 @@ def second_mode(masses: int) -> None:
                     modes = beam.modes(2).frequencies
                     for damping in (
                         PowerLaw(1.92),
-                        KelvinVoigt.from_ratio(0.02, frequency=float(modes[0])),
+                        KelvinVoigt(0.04 / float(modes[0])),
                     ):
                         clean = [
-                            simulate_log(
-                                beam, damping, bits, motor_loop_pole=pole, modes=n
-                            )
+                            simulate_log(beam, damping, bits, pole=pole, modes=n)
                             for n in (1, 2)
                         ]
                         torque = clean[1].torque

@@ -424,19 +424,14 @@ def watching(count: int, windows: int) -> None:
     """Changes of the arm after its tuning, each seen in 20 s of moves, and alarms
     without a change.
     """
-    sensors, motor = PAPER_TWIN.sensors, PAPER_TWIN.motor
+    motor = PAPER_TWIN.motor
     changed = {
         "natural_frequency": (
             PAPER_TWIN.with_payload(0.030 / 1.1**2),
             PAPER_TWIN.with_payload(0.030 / 0.9**2),
         ),
-        "gauge_delay": (
-            replace(PAPER_TWIN, sensors=replace(sensors, gauge_delay=0.005)),
-        ),
-        "gauge_gain": tuple(
-            replace(PAPER_TWIN, sensors=replace(sensors, gauge_gain=g))
-            for g in (0.9, 1.1)
-        ),
+        "gauge_delay": (replace(PAPER_TWIN, gauge_delay=0.005),),
+        "gauge_gain": tuple(replace(PAPER_TWIN, gauge_gain=g) for g in (0.9, 1.1)),
         "friction": (
             replace(
                 PAPER_TWIN,

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
+from fraclink._arm.rig import Encoder, Gauge
 from fraclink._identify import compare_structures, identify_payloads
 from fraclink._identify.payloads import JointFit
 from fraclink._reading.reading import bundled_log, read_log
-from fraclink._simulate import Beam, PowerLaw, Sensors, TwinLog, simulate_log
+from fraclink.extend import Beam, PowerLaw
 from reproduce import designs
+from reproduce.twin_logs import TwinLog, simulate_log
 
 __all__ = ["PAYLOADS", "Fitted", "alone", "joint", "pulse_log", "twin_fits"]
 
@@ -62,20 +64,14 @@ def pulse_log() -> TwinLog:
     beam = Beam(length, c * length / 3.0, 0.00735, rig.payloads.nominal)
     clean = simulate_log(beam, PowerLaw(designs.ORDER), reference, period=rig.period)
     noise = float(f"{np.std(clean.torque) * _LEFT_OF**0.5:.2g}")
-    sensors = Sensors(
-        counts_per_revolution=20_000,
-        gauge_noise=noise,
-        gauge_offset=0.02,
-        gauge_quantum=5.0 / 4096,
-        gauge_limit=2.5,
-        gauge_delay=0.002,
-    )
     return simulate_log(
         beam,
         PowerLaw(designs.ORDER),
         reference,
         period=rig.period,
-        sensors=sensors,
+        encoder=Encoder(counts_per_revolution=20_000),
+        gauge=Gauge(noise=noise, offset=0.02, quantum=5.0 / 4096, limit=2.5),
+        gauge_delay=0.002,
         seed=130,
     )
 

@@ -119,9 +119,8 @@ class Engine:
         inputs[:, REFERENCE], _, inputs[:, ACCELERATION] = sampled(
             reference, law.period, count
         )
-        inputs[:, GAUGE_ERROR] = (
-            twin.sensors.gauge_offset
-            + twin.sensors.gauge_noise * twin_noise(seed, count)
+        inputs[:, GAUGE_ERROR] = twin.gauge.offset + twin.gauge.noise * twin_noise(
+            seed, count
         )
         inputs[:, PAYLOAD] = told
         self.write(self.call("block"), law.block)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 import fraclink as fl
+from fraclink._arm.beam import residual_inertia
 from fraclink._simulate import Plant
 
 Real = NDArray[np.float64]
@@ -85,3 +86,21 @@ def spectral_radius(plant: StateSpace, correction: StateSpace) -> float:
     )
     assert closed.shape[0] == n + len(k.b)
     return float(np.abs(np.linalg.eigvals(closed)).max())
+
+
+def energy_matrix(plant: Plant, hub_inertia: float) -> Real:
+    """Return E with xᵀ E x = kinetic plus stored energy of hub and link [J]."""
+    modes, chain, n = plant.modes, plant.chain, plant.order
+    energy = np.zeros((n, n))
+    energy[1, 1] = 0.5 * (hub_inertia + residual_inertia(plant.beam, modes))
+    for i, (omega, load) in enumerate(
+        zip(modes.frequencies, modes.participation, strict=True)
+    ):
+        at = plant.mode_slice(i).start
+        bend = np.zeros(n)
+        bend[at], bend[0] = 1.0, -load
+        energy[at + 1, at + 1] += 0.5
+        energy += 0.5 * omega**2 * chain.spring * np.outer(bend, bend)
+        own = range(at + 2, at + 2 + chain.rates.size)
+        energy[own, own] += 0.5 * omega**2 * chain.weights
+    return energy

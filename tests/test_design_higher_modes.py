@@ -18,6 +18,7 @@ from fraclink._simulate import assemble
 from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError
 from fraclink.extend import Beam, KelvinVoigt, PowerLaw, mode_gains
+from reproduce.twin_logs import on_servo
 from state_space import of_law, of_plant, spectral_radius
 
 RIG = Rig.named("paper-2023-geared")
@@ -42,7 +43,8 @@ def on_the_twin(
     """
     stiffness, rig = design.model.stiffness, design.rig
     beam = Beam.from_rig(rig, payload=payload)
-    plant = assemble(beam, damping, drive="servo", motor_loop_pole=rig.motor_loop.pole)
+    free = assemble(beam, damping, hub_inertia=1.0)
+    plant = on_servo(free, rig.motor_loop.pole)
     seen = of_plant(
         plant, plant.outputs[0] - plant.outputs[3] / stiffness, rig.period, 1
     )

@@ -60,9 +60,7 @@ def law(rig: fl.Rig) -> Law:
 @pytest.fixture(scope="module")
 def twin(rig: fl.Rig) -> Twin:
     arm = Twin.from_rig(rig, link_mass=0.00735)
-    return replace(
-        arm, sensors=replace(arm.sensors, gauge_noise=0.0, gauge_offset=0.02)
-    )
+    return replace(arm, gauge=replace(arm.gauge, noise=0.0, offset=0.02))
 
 
 @pytest.fixture

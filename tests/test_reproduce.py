@@ -106,8 +106,8 @@ def test_every_verdict_follows_from_the_numbers(item: Number) -> None:
 
 def test_the_pulse_is_the_papers_on_the_arm_of_the_bundled_logs() -> None:
     log = logs.pulse_log()
-    assert np.max(log.true_motor_angle) == pytest.approx(1.0, abs=1e-3)
-    assert np.sum(log.true_motor_angle > 0.5) * 0.004 == pytest.approx(7.0, abs=0.05)
+    assert np.max(log.motor_angle) == pytest.approx(1.0, abs=1e-3)
+    assert np.sum(log.motor_angle > 0.5) * 0.004 == pytest.approx(7.0, abs=0.05)
     assert np.max(np.abs(log.torque)) < 2.5  # the converter's range: nothing is clipped
     text = (ROOT / "src/fraclink/data/logs/pulse_30g.csv").read_text("utf-8")
     bundled = dict(re.findall(r"^# (\w+): (.*)$", text, flags=re.MULTILINE))

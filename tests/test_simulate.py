@@ -511,7 +511,7 @@ def test_the_model_brings_its_gauge_and_its_second_mode() -> None:
     )
     assert not late.verdict  # a delay that was measured and is not in the design
     twin = fl.Twin.from_rig(EXACT, model=found)
-    assert (twin.sensors.gauge_delay, twin.sensors.gauge_gain) == (0.012, 1.1)
+    assert (twin.gauge_delay, twin.gauge_gain) == (0.012, 1.1)
 
 
 def test_the_second_mode_is_its_transfer_function() -> None:

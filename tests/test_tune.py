@@ -440,8 +440,8 @@ TWIN = fl.Twin.from_rig(RIG)
 CHANGED = {
     "": TWIN,
     "natural_frequency": TWIN.with_payload(0.030 / 1.1**2),
-    "gauge_gain": replace(TWIN, sensors=replace(TWIN.sensors, gauge_gain=0.9)),
-    "gauge_delay": replace(TWIN, sensors=replace(TWIN.sensors, gauge_delay=0.005)),
+    "gauge_gain": replace(TWIN, gauge_gain=0.9),
+    "gauge_delay": replace(TWIN, gauge_delay=0.005),
     "motor_gain": replace(
         TWIN,
         motor=replace(TWIN.motor, torque_constant=0.75 * TWIN.motor.torque_constant),

@@ -424,8 +424,7 @@ def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
     twin = fl.Twin.from_rig(replace(RIG, motor=replace(RIG.motor, **light)))
     motors = []
     for delay in (0.0, 0.030):
-        sensors = replace(twin.sensors, gauge_delay=delay)
-        own = SimulatedArm(replace(twin, sensors=sensors), PERIOD, seed=3)
+        own = SimulatedArm(replace(twin, gauge_delay=delay), PERIOD, seed=3)
         guard = guarded(own.callback)
         wiring = check_wiring(guard, None)
         first = tune_motor(guard, wiring)

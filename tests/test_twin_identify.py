@@ -13,8 +13,8 @@ from fraclink.extend import (
     FractionalKelvinVoigt,
     KelvinVoigt,
     PowerLaw,
-    simulate_log,
 )
+from reproduce.twin_logs import simulate_log
 
 PERIOD, RATIO, SEEDS = 0.004, 0.0654, 8
 MASSLESS = Beam(0.65, 0.338, 0.0, 0.030)
@@ -25,7 +25,7 @@ def _material(name: str, omega: float):
     if name == "UD-FOM":
         return PowerLaw(1.92)
     if name == "D-IOM":
-        return KelvinVoigt.from_ratio(RATIO, frequency=omega)
+        return KelvinVoigt(2 * RATIO / omega)
     return FractionalKelvinVoigt(2 * RATIO / (omega**0.5 * np.sin(np.pi / 4)), 0.5)
 
 
@@ -35,7 +35,7 @@ def _chosen(
     damping = _material(material, float(beam.modes(1).frequencies[0]))
     bits = prbs(0.1, 0.24, bits=int(samples * PERIOD / 0.24) + 1, register=9, start=0.5)
     clean = simulate_log(
-        beam, damping, bits.angle(PERIOD * np.arange(samples)), motor_loop_pole=pole
+        beam, damping, bits.angle(PERIOD * np.arange(samples)), pole=pole
     )
     counts: dict[str, int] = {}
     for seed in range(SEEDS):

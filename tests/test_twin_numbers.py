@@ -65,7 +65,6 @@ def test_a_model_is_the_material_of_its_massless_link() -> None:
     assert damping_of(fractional) == FractionalKelvinVoigt(0.5 / square, 0.6)
     assert damping_of(replace(fractional, damping=0.0)) == KelvinVoigt(0.0)
     assert damping_of(LinkModel(1.56, 11.0, order=1.9)) == PowerLaw(1.9)
-    assert KelvinVoigt.from_ratio(0.1, frequency=8.0).time == pytest.approx(0.025)
     labels = [
         damping_of(fractional).label,
         KelvinVoigt(0.0125).label,

@@ -17,7 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._simulate import Beam, PowerLaw, Sensors, simulate_log
+from fraclink._arm.rig import Encoder, Gauge
+from fraclink.extend import Beam, PowerLaw
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from reproduce.twin_logs import simulate_log
 
 PERIOD, SAMPLES = 0.004, 5001
 STIFFNESS, LENGTH, LINK_MASS = 1.56, 0.65, 0.00735
@@ -64,20 +68,21 @@ def build() -> dict[str, str]:
         damping = PowerLaw(1.92)
         clean = simulate_log(beam, damping, reference, period=PERIOD)
         rms = float(np.sqrt(np.mean((clean.torque - np.mean(clean.torque)) ** 2)))
-        sensors = Sensors(
-            counts_per_revolution=20_000,
-            gauge_noise=float(f"{rms * NOISE_SHARE**0.5:.2g}"),
-            gauge_offset=0.02,
-            gauge_quantum=5.0 / 4096,
-            gauge_limit=2.5,
-            gauge_delay=0.002,
+        encoder = Encoder(counts_per_revolution=20_000)
+        gauge = Gauge(
+            noise=float(f"{rms * NOISE_SHARE**0.5:.2g}"),
+            offset=0.02,
+            quantum=5.0 / 4096,
+            limit=2.5,
         )
         log = simulate_log(
             beam,
             damping,
             reference,
             period=PERIOD,
-            sensors=sensors,
+            encoder=encoder,
+            gauge=gauge,
+            gauge_delay=0.002,
             seed=seed,
             title=f"simulated {name.split('_')[0]} test of the paper's arm with {payload * 1e3:.0f} g",
         )

@@ -34,18 +34,6 @@ Result exponential(Matrix given) {
     return result;
 }
 
-Result march(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector input, int substeps, Mutable state) {
-    const twin_step step = step_of(transition, hub, tip, outputs);
-    require(state.size() == hub.size(), "state: one value per row");
-    require(substeps >= 1, "substeps: at least 1");
-    const std::size_t rows = input.size() * static_cast<std::size_t>(substeps);
-    std::vector<double> scratch(hub.size());
-    double *data = new double[rows * TWIN_OUTPUTS];
-    Result result = matrix(data, rows, TWIN_OUTPUTS);
-    twin_march(&step, static_cast<int>(input.size()), substeps, input.data(), state.data(), scratch.data(), data);
-    return result;
-}
-
 Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Vector obstacle_values,
            nb::bytes params, bool single, Matrix input, MutableBytes law, Mutable state, Mutable gauge, Mutable voltage,
            Mutable sensed, Counters counters, nb::bytes estimator, MutableBytes estimate) {
@@ -121,7 +109,6 @@ nb::tuple drive(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vecto
 
 void bind_twin(nb::module_ &m) {
     m.def("twin_exponential", &exponential, "Return the exponential of a square matrix.");
-    m.def("twin_march", &march, "March the linear twin; `state` is updated in place.");
     m.def("twin_run", &run, "Run the law on the twin; law and the buffers behind it are updated in place.");
     m.def("twin_sense", &sense, "Encoder and gauge as the controller reads them now.");
     m.def("twin_drive", &drive, "One period of the twin under a voltage; the buffers are updated in place.");

@@ -69,21 +69,6 @@ double twin_output(const twin_step *step, int row, const double *restrict x)
     return ((part[0] + part[1]) + (part[2] + part[3])) + ((part[4] + part[5]) + (part[6] + part[7]));
 }
 
-void twin_march(const twin_step *step, int periods, int substeps, const double *input, double *state,
-                double *scratch, double *out)
-{
-    for (int k = 0; k < periods; ++k) {
-        for (int j = 0; j < substeps; ++j) {
-            advance(step, state, scratch);
-            add(step->stride, input[k], step->hub, scratch);
-            memcpy(state, scratch, sizeof(double) * (size_t)step->stride);
-            for (int row = 0; row < TWIN_OUTPUTS; ++row) {
-                *out++ = twin_output(step, row, state);
-            }
-        }
-    }
-}
-
 /* c += a b by rows; what is zero of `a`, most of an arm's matrix, costs nothing. */
 FRACLINK_CLONES
 static void add_product(int size, const double *restrict a, const double *restrict b, double *restrict c)

@@ -68,10 +68,6 @@ typedef struct {
  * step has the same bits on every machine, and in a browser: a library's would follow its BLAS. */
 void twin_exponential(int size, double *matrix, double *work);
 
-/* March the linear twin: one hub input per period, `substeps` steps each, outputs after every step. */
-void twin_march(const twin_step *step, int periods, int substeps, const double *input, double *state,
-                double *scratch, double *output);
-
 /* Columns of the inputs of one control period. */
 enum {
     TWIN_REFERENCE,

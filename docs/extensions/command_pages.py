@@ -39,7 +39,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "studio": ("margins", "how-to/use-the-studio"),
     "report": ("margins", "how-to/read-the-report"),
     "validate": ("validation", "how-to/validate-on-a-second-log"),
-    "record": ("log", "how-to/run-the-twin"),
     "assess": ("budget", "explanation/margins"),
     "compare": ("published", "how-to/compare-rivals"),
     "tune-pid": ("pid-step", "how-to/tune-a-fractional-pid"),

@@ -55,7 +55,6 @@ COMMANDS: dict[str, str] = {
     "tune-pid": "tune-pid 1/(0.8*s**2.2+0.5*s**0.9+1) --gain-crossover 2 --integral-order 1.2 "
     "--derivative-order 0.95 --out pid.json",
     "identify-structure": "identify response.csv --structure k*s**a/(s**a+w) --out structure.json",
-    "record": f"record {RIG} --link-mass 0.00735 --seed 3 --duration 8 --out log.csv",
     "design": f"design {RIG}",
     "design-json": f"design {RIG} --force --json",
     "design-geared": f"design {RIG} --model model.json --link-mass 0.00735 --out massive.json",

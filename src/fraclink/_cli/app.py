@@ -43,7 +43,6 @@ _SECTIONS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "More on logs and models": {
         "validate": ("models", "hold a model against other logs of the arm"),
-        "record": ("models", "record a log of the twin, as a rig writes it"),
     },
     "More on designs and laws": {
         "assess": ("assessments", "phase budget, margins and higher modes of a design"),

@@ -5,7 +5,7 @@ shipped; its moves.
 from __future__ import annotations
 
 from fraclink._arm.beam import Beam, BeamModes
-from fraclink._simulate.arm import Twin, TwinLog, damping_of, geared, simulate_log
+from fraclink._simulate.arm import Twin, damping_of, geared
 from fraclink._simulate.damping import (
     FractionalKelvinVoigt,
     KelvinVoigt,
@@ -19,7 +19,6 @@ from fraclink._simulate.sensors import (
     PayloadChange,
     Restart,
     SensorFault,
-    Sensors,
     TipPulse,
 )
 from fraclink._simulate.simulate import simulate
@@ -38,13 +37,10 @@ __all__ = [
     "Restart",
     "Run",
     "SensorFault",
-    "Sensors",
     "TipPulse",
     "Twin",
-    "TwinLog",
     "assemble",
     "damping_of",
     "geared",
     "simulate",
-    "simulate_log",
 ]

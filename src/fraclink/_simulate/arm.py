@@ -1,23 +1,14 @@
-"""The twin of a rig: link, motor with friction, amplifier and sensors; and the logs
-that it records.
-"""
+"""The twin of a rig: link, motor with friction, amplifier and sensors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fraclink import _kernels
 from fraclink._arm.beam import Beam
 from fraclink._arm.link import LinkModel
-from fraclink._arm.rig import Motor, Rig
-from fraclink._files import write_text
+from fraclink._arm.rig import Encoder, Gauge, Motor, Rig
 from fraclink._simulate.damping import (
     Damping,
     FractionalKelvinVoigt,
@@ -27,29 +18,18 @@ from fraclink._simulate.damping import (
 from fraclink._simulate.plant import (
     LONGEST_STEP,
     Plant,
-    StepMatrices,
     assemble,
-    substeps,
 )
-from fraclink._simulate.sensors import Sensors
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import (
-    Array,
     Between,
-    Frequency,
-    Period,
     Positive,
-    Seed,
     Time,
     checked,
 )
 
-__all__ = ["Twin", "TwinLog", "damping_of", "geared", "simulate_log"]
-
-Vector = NDArray[np.float64]
-
-MOST_SAMPLES = 2_000_000  # two hours at 4 ms
+__all__ = ["Twin", "damping_of", "geared"]
 
 # Hub inertia over the arm's below which the compensation of the coupling torque, late
 # by a period and a half, feeds the mode more than the motor loop takes from it. Seen on
@@ -130,11 +110,9 @@ class Twin:
     motor
         motor and amplifier as in the rig file; its inertia, friction and torques act at
         the gear's output as n²J, n²ν, nΓc and nK V
-    sensors
-        encoder and gauge
-    stiction
-        breakaway torque at the motor's side [N·m], >= the Coulomb torque; default 1.2
-        times that
+    encoder, gauge
+        the rig's; the gauge's reading is gauge_gain times a torque that is gauge_delay [s]
+        old, 0 to 100 periods
     voltage_delay
         control periods between reading the sensors and the voltage's effect, 0 to 100
     modes
@@ -151,17 +129,13 @@ class Twin:
     beam: Beam
     damping: Damping
     motor: Motor
-    sensors: Sensors = field(default_factory=Sensors)
-    stiction: float | None = None
+    encoder: Encoder = field(default_factory=Encoder)
+    gauge: Gauge = field(default_factory=Gauge)
+    gauge_delay: Time = 0.0
+    gauge_gain: Annotated[float, Between(-1e6, 1e6)] = 1.0
     voltage_delay: Annotated[int, Between(0, 100, "periods")] = 1
     modes: int | None = None
     step: float = LONGEST_STEP
-
-    def __post_init__(self) -> None:
-        if self.stiction is not None:
-            remedy = "a motor that slides more easily than it starts has stiction above its friction"
-            breakaway = Between(self.motor.coulomb_torque, 1e6, "N·m", remedy=remedy)
-            breakaway.check("stiction", self.stiction)
 
     @staticmethod
     @checked
@@ -174,7 +148,6 @@ class Twin:
         damping: Damping | None = None,
         gauge_delay: Time | None = None,
         gauge_gain: float | None = None,
-        stiction: float | None = None,
         modes: int | None = None,
     ) -> Twin:
         """Return the twin of a rig.
@@ -202,28 +175,19 @@ class Twin:
                 )
             _agree(rig, link)
             damping = damping_of(link)
-        gauge = rig.gauge
-        sensors = Sensors(
-            counts_per_revolution=rig.encoder.counts_per_revolution,
-            gauge_noise=gauge.noise,
-            gauge_offset=gauge.offset,
-            gauge_quantum=gauge.quantum,
-            gauge_limit=None if math.isinf(gauge.limit) else gauge.limit,
-            # A gauge that leads is the fit's way to say that the motor angle is late;
-            # no arm runs ahead.
-            gauge_delay=max(link.gauge_delay if link else 0.0, 0.0)
-            if gauge_delay is None
-            else gauge_delay,
-            gauge_gain=(link.gauge_gain if link else 1.0)
-            if gauge_gain is None
-            else gauge_gain,
+        # A gauge that leads is the fit's way to say that the motor angle is late; no arm
+        # runs ahead.
+        late, gain = (
+            (max(link.gauge_delay, 0.0), link.gauge_gain) if link else (0.0, 1.0)
         )
         return Twin(
             beam=Beam.from_rig(rig, payload=payload, link_mass=link_mass),
             damping=damping,
             motor=rig.motor,
-            sensors=sensors,
-            stiction=stiction,
+            encoder=rig.encoder,
+            gauge=rig.gauge,
+            gauge_delay=late if gauge_delay is None else gauge_delay,
+            gauge_gain=gain if gauge_gain is None else gauge_gain,
             voltage_delay=rig.motor_loop.delay_samples,
             modes=modes,
         )
@@ -242,10 +206,7 @@ class Twin:
         """Stiction at the gear's output [N·m]."""
         # 1.2: the excess of static over sliding friction of greased harmonic drives;
         # the paper gives none.
-        at_motor = (
-            1.2 * self.motor.coulomb_torque if self.stiction is None else self.stiction
-        )
-        return self.motor.gear_ratio * at_motor
+        return 1.2 * self.coulomb
 
     @property
     def hub_inertia(self) -> float:
@@ -276,7 +237,6 @@ class Twin:
         return assemble(
             self.beam,
             self.damping,
-            drive="motor",
             modes=self.modes,
             step=step,
             hub_inertia=self.hub_inertia,
@@ -292,193 +252,3 @@ class Twin:
         if isinstance(self.damping, PowerLaw):
             frequency = frequency ** (2.0 / self.damping.order)
         return 2.0 * math.pi / frequency
-
-
-# ── logs
-# ────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-@dataclass(frozen=True)
-class TwinLog:
-    """A recorded move of the twin.
-
-    time [s], motor_angle [rad] and torque [N·m] are what the sensors gave;
-    true_motor_angle, tip_angle [rad] and true_torque [N·m] what was there. `header`
-    holds the lines of the file's head.
-    """
-
-    time: Vector
-    motor_angle: Vector
-    torque: Vector
-    true_motor_angle: Vector
-    tip_angle: Vector
-    true_torque: Vector
-    header: Mapping[str, str]
-
-    def text(self) -> str:
-        """Return the file's text: ``# key: value`` lines, names with units, one row per
-        sample.
-        """
-        lines = [f"# {key}: {value}" for key, value in self.header.items()]
-        lines.append("time_s,motor_angle_rad,torque_Nm")
-        # Nine digits: a thousandth of the finest quantum, and short files.
-        rows = np.column_stack([self.time, self.motor_angle, self.torque]).tolist()
-        lines += [f"{t:.9g},{a:.9g},{g:.9g}" for t, a, g in rows]
-        return "\n".join(lines) + "\n"
-
-    def save(self, path: Path | str) -> None:
-        """Write the log as CSV, complete or not at all."""
-        write_text(path, self.text())
-
-
-@checked
-def simulate_log(
-    beam: Beam,
-    damping: Damping,
-    reference: Annotated[Vector, Array(1, finite=False, min_size=2)],
-    *,
-    period: Period = 0.004,
-    sensors: Sensors | None = None,
-    modes: int | None = None,
-    step: float = LONGEST_STEP,
-    motor_loop_pole: Frequency = 80.0,
-    seed: Seed = 0,
-    title: str = "",
-) -> TwinLog:
-    """Simulate a recorded move: the hub follows a reference, the link swings, the
-    sensors look.
-
-    Parameters
-    ----------
-    reference
-        hub reference, one value per period [rad], shape (N,): held over the period, and
-        followed through M(s) = 1/(1 + s/p)², equation (21).
-    sensors
-        imperfections; default none
-    modes
-        modes of the link; default as many of the first three as `step` resolves
-    step
-        longest exact step [s], at most 1 ms
-    seed
-        of the gauge's noise
-
-    >>> import numpy as np
-    >>> from fraclink._simulate import PowerLaw
-    >>> rod = Beam(0.65, 0.338, 0.00735, 0.030)
-    >>> log = simulate_log(rod, PowerLaw(1.92), np.full(251, 0.1))
-    >>> round(float(log.motor_angle[-1]), 6), bool(abs(log.tip_angle[-1] - 0.1) < 0.05)
-    (0.1, True)
-    """
-    if reference.size > MOST_SAMPLES:
-        raise SizeError(
-            "reference",
-            reference.size,
-            "too long",
-            allowed=f"{MOST_SAMPLES} samples",
-            remedy="simulate a shorter log",
-        )
-    # After the size: a month of samples takes a gigabyte to look through.
-    if not np.isfinite(reference).all():
-        raise FieldError(
-            "reference",
-            "NaN",
-            "not finite",
-            allowed="finite",
-            remedy="check the reference",
-        )
-    sensors = Sensors() if sensors is None else sensors
-    count = substeps(period, step)
-    fine = period / count
-    plant = assemble(
-        beam,
-        damping,
-        drive="servo",
-        modes=modes,
-        step=fine,
-        motor_loop_pole=motor_loop_pole,
-    )
-    outputs = _march(plant.discretise(fine), reference, count)
-    angle, tip, torque = outputs[:, 0], outputs[:, 2], outputs[:, 3]
-    # Delayed at the fine steps, then sampled: a delay of half a period is not to be
-    # rounded to one.
-    delayed = sensors.delayed(torque, fine)[::count]
-    generator = np.random.default_rng(seed)
-    hub = angle[::count].copy()
-    time = np.round(period * np.arange(reference.size), 9)
-    return TwinLog(
-        time=time,
-        motor_angle=sensors.encoder(hub),
-        torque=sensors.gauge(delayed, period=period, generator=generator),
-        true_motor_angle=hub,
-        tip_angle=tip[::count].copy(),
-        true_torque=torque[::count].copy(),
-        header=_header(
-            beam,
-            damping,
-            sensors,
-            plant.modes.frequencies,
-            period,
-            fine,
-            motor_loop_pole,
-            seed,
-            title,
-        ),
-    )
-
-
-def _march(matrices: StepMatrices, reference: Vector, count: int) -> Vector:
-    """Outputs at every fine step, shape ((N−1)·count + 1, 6); the twin starts at rest
-    at the first sample.
-    """
-    inputs = reference[:-1] - reference[0]
-    marched = _kernels.twin_march(*matrices.arrays, inputs, count, matrices.rest())
-    # Linear and at rest at first: marched from zero, and only the angles know where
-    # zero is.
-    result = np.vstack([np.zeros(marched.shape[1]), marched])
-    result[:, 0] += reference[0]
-    result[:, 2] += reference[0]
-    return result
-
-
-def _header(
-    beam: Beam,
-    damping: Damping,
-    sensors: Sensors,
-    frequencies: Vector,
-    period: float,
-    fine: float,
-    motor_loop_pole: float,
-    seed: int,
-    title: str,
-) -> dict[str, str]:
-    counts = sensors.counts_per_revolution
-    return {
-        **({"title": title} if title else {}),
-        "simulated": "true",
-        "source": "digital twin of fraclink, tools/make_logs.py"
-        if title
-        else "digital twin of fraclink",
-        "columns": "time_s [s], motor_angle_rad [rad], torque_Nm [N m]",
-        "period_s": f"{period:g}",
-        "payload_kg": f"{beam.payload:.3f}",
-        "link_mass_kg": f"{beam.link_mass:g}",
-        "length_m": f"{beam.length:g}",
-        "flexural_rigidity_Nm2": f"{beam.flexural_rigidity:.6g}",
-        "stiffness_Nm": f"{beam.stiffness:.6g}",
-        "damping": damping.label,
-        "modes_rad_per_s": " ".join(f"{w:.6g}" for w in frequencies),
-        "step_s": f"{fine:g}",
-        "hub": f"servo with double pole at {motor_loop_pole:g} rad/s",
-        "encoder_counts": str(counts) if counts else "none",
-        "gauge_noise_Nm": f"{sensors.gauge_noise:g}",
-        "gauge_offset_Nm": f"{sensors.gauge_offset:g}",
-        "gauge_drift_Nm_per_s": f"{sensors.gauge_drift:g}",
-        "gauge_quantum_Nm": f"{sensors.gauge_quantum:g}",
-        "gauge_delay_s": f"{sensors.gauge_delay:g}",
-        **(
-            {"gauge_gain": f"{sensors.gauge_gain:g}"}
-            if sensors.gauge_gain != 1.0
-            else {}
-        ),
-        "seed": str(seed),
-    }

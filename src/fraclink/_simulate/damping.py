@@ -26,7 +26,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fracsys.checks import Between, Fraction, Frequency, checked
+from fracsys.checks import Between, checked
 
 __all__ = [
     "Chain",
@@ -146,21 +146,14 @@ class KelvinVoigt:
     time: η [s], >= 0; 0 is the undamped link. Negative η makes energy and is refused.
     higher: η of the modes beyond the first [s], where theirs is another than a material's.
 
-    >>> KelvinVoigt.from_ratio(0.0655, frequency=10.0)
-    KelvinVoigt(time=0.0131, higher=None)
+    A mode at ω has the damping ratio ζ = η ω/2.
 
+    >>> KelvinVoigt(2 * 0.0655 / 10.0)
+    KelvinVoigt(time=0.0131, higher=None)
     """
 
     time: Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
     higher: Annotated[float | None, Between(0.0, 1e6, "s", remedy=_ENERGY)] = None
-
-    @staticmethod
-    @checked
-    def from_ratio(ratio: Fraction, *, frequency: Frequency) -> KelvinVoigt:
-        """Return the damping whose mode at `frequency` [rad/s] has the damping ratio
-        `ratio`, η = 2ζ/ω.
-        """
-        return KelvinVoigt(2.0 * ratio / frequency)
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""

@@ -7,7 +7,6 @@ many; the twin through `ArmState`, which can be stopped, tampered with and conti
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
@@ -243,10 +242,10 @@ def twin_numbers(twin: Twin, period: float) -> Real:
     """Return twin_rig of twin.h, shape (15,): motor, amplifier and sensors at a control
     period [s].
     """
-    count, sensors = substeps(period, twin.step), twin.sensors
+    count = substeps(period, twin.step)
     # In the arm's own steps and not in periods: the queue of true torques is written at
     # every step.
-    oldest, weights = delay_line(sensors.gauge_delay / (period / count))
+    oldest, weights = delay_line(twin.gauge_delay / (period / count))
     return np.array(
         [
             count,
@@ -256,10 +255,10 @@ def twin_numbers(twin: Twin, period: float) -> Real:
             twin.motor.voltage_limit,
             twin.coulomb,
             twin.breakaway,
-            sensors.angle_quantum,
-            sensors.gauge_quantum,
-            math.inf if sensors.gauge_limit is None else sensors.gauge_limit,
-            sensors.gauge_gain,
+            twin.encoder.resolution,
+            twin.gauge.quantum,
+            twin.gauge.limit,
+            twin.gauge_gain,
             *weights,
         ]
     )

@@ -92,7 +92,7 @@ def on_twin(
     law, findings = with_motor_loop(law, twin=twin)
     count = round(length / law.period) + 1
     inputs = healthy_inputs(
-        twin.sensors, reference, law.period, count, np.random.default_rng(seed)
+        twin.gauge, reference, law.period, count, np.random.default_rng(seed)
     )
     state = ArmState(
         twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE])

@@ -6,8 +6,7 @@ Hub angle θm and velocity v, then for every mode the absolute coordinate pi = q
     fi  = ωi² (e qi + d q̇i + Σj wj zj)           modal force of the material, e spring, d dashpot
     żj  = q̇i − rj zj
     p̈i  = −fi + φi(L) F                           F: a force on the tip [N]
-    hub (motor):       (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: what the modes leave out
-    hub (servo):       v̇ = p²(θ* − θm) − 2 p v               M(s) of equation (21)
+    hub:               (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: what the modes leave out
 
 Between two steps the inputs are constant and the step is the exact matrix exponential.
 """
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,10 @@ from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
 from fraclink._simulate.damping import Chain, Damping, KelvinVoigt
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Frequency, NonNegative, Period, checked
+from fracsys.checks import Between, NonNegative, Period, Positive, checked
 
 __all__ = [
     "LONGEST_STEP",
-    "Drive",
     "Plant",
     "StepMatrices",
     "assemble",
@@ -39,7 +37,6 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Drive = Literal["motor", "servo"]
 
 # Relative error of D(jω), for all modes alike so that the elements keep their meaning
 # when the payload and with it the shapes change. At λ = 1.92 the resonance amplifies it
@@ -82,10 +79,9 @@ class StepMatrices:
 
 @dataclass(frozen=True)
 class Plant:
-    """The assembled twin: ẋ = A x + B u, y = C x, and its energy xᵀ E x.
+    """The assembled twin: ẋ = A x + B u, y = C x.
 
-    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m]
-    or the servo's reference [rad]. Outputs y: hub angle
+    Inputs u: (net motor torque [N·m], tip force [N]). Outputs y: hub angle
     [rad], hub velocity [rad/s], tip angle [rad], gauge torque −EI w''(0) [N·m], tip
     velocity [rad/s], moment of the material on the hub [N·m].
     """
@@ -93,12 +89,9 @@ class Plant:
     beam: Beam
     modes: BeamModes
     chain: Chain
-    drive: Drive
-    inertia: float
     dynamics: Matrix
     inputs: Matrix
     outputs: Matrix
-    energy_matrix: Matrix
 
     @property
     def order(self) -> int:
@@ -111,23 +104,6 @@ class Plant:
         """
         width = 2 + self.chain.rates.size
         return slice(2 + mode * width, 2 + (mode + 1) * width)
-
-    def energy(self, state: Vector) -> float:
-        """Kinetic plus stored energy of hub and link [J]; without input it can only
-        fall.
-        """
-        inner = state[: self.order]
-        return float(inner @ self.energy_matrix @ inner)
-
-    def response(self, s: complex) -> NDArray[np.complex128]:
-        """Return the outputs per unit of hub input at the complex frequency s, shape
-        (6,).
-        """
-        matrix = s * np.eye(self.order) - self.dynamics
-        return np.asarray(
-            self.outputs @ np.linalg.solve(matrix, self.inputs[:, 0]),
-            dtype=np.complex128,
-        )
 
     def discretise(self, step: float) -> StepMatrices:
         """Return the exact step of length `step` [s] for inputs held over it."""
@@ -193,36 +169,31 @@ def assemble(
     beam: Beam,
     damping: Damping,
     *,
-    drive: Drive,
+    hub_inertia: Positive,
+    hub_friction: NonNegative = 0.0,
     modes: int | None = None,
     step: Step = LONGEST_STEP,
-    hub_inertia: NonNegative = 0.0,
-    hub_friction: NonNegative = 0.0,
-    motor_loop_pole: Frequency = 80.0,
 ) -> Plant:
     """Assemble the linear twin.
 
     Parameters
     ----------
-    drive
-        what moves the hub, see the module's equations
+    hub_inertia
+        J of motor and hub at the link's side [kg·m²]
+    hub_friction
+        ν [N·m·s/rad]
     modes
         number of modes; default as many of the first three as `step` resolves
     step
         longest step that will be taken [s]
-    hub_inertia
-        J of motor and hub at the link's side [kg·m²], drive "motor" only
-    hub_friction
-        ν [N·m·s/rad], drive "motor" only
-    motor_loop_pole
-        p of M(s) = 1/(1 + s/p)² [rad/s], drive "servo" only
 
     >>> from fraclink._simulate import PowerLaw
     >>> rod = Beam(0.65, 0.338, 0.0, 0.030)
-    >>> plant = assemble(rod, PowerLaw(1.92), drive="servo")
-    >>> s = 12j  # the massless limit is equation (9) behind M(s)
-    >>> exact = rod.lumped_frequency**2 / (s**1.92 + rod.lumped_frequency**2)
-    >>> bool(abs(plant.response(s)[2] * (1 + s / 80) ** 2 - exact) < 1e-6)
+    >>> plant = assemble(rod, PowerLaw(1.92), hub_inertia=0.01)
+    >>> s = 12j * np.eye(len(plant.dynamics))
+    >>> hub, _, tip, *_ = plant.outputs @ np.linalg.solve(s - plant.dynamics, plant.inputs[:, 0])
+    >>> exact = rod.lumped_frequency**2 / (12j**1.92 + rod.lumped_frequency**2)
+    >>> bool(abs(tip / hub - exact) < 1e-6)  # the massless limit is equation (9)
     True
     """
     kept = resolved(beam, modes, step)
@@ -230,12 +201,7 @@ def assemble(
         TOLERANCE, 0.5 * np.pi / step
     )  # no mode is above that, whatever the payload
     size = 2 + kept.count * (2 + chain.rates.size)
-    a, b, y, energy = (
-        np.zeros((size, size)),
-        np.zeros((size, 2)),
-        np.zeros((6, size)),
-        np.zeros((size, size)),
-    )
+    a, b, y = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size))
     # What of the arm's inertia the modes that were kept do not carry turns rigidly with
     # the hub; without it a heavy link would be too light by its higher modes.
     inertia = hub_inertia + residual_inertia(beam, kept)
@@ -259,41 +225,11 @@ def assemble(
         y[GAUGE_TORQUE] -= omega**2 * load * place
         y[TIP_VELOCITY] += tip * speed
         y[HUB_MOMENT] += load * force
-        energy[at + 1, at + 1] += 0.5
-        energy += 0.5 * omega**2 * chain.spring * np.outer(place, place)
-        energy[elements, elements] += 0.5 * omega**2 * np.diag(chain.weights)
         at = elements.stop
-    _attach_hub(a, b, y, energy, drive, inertia, hub_friction, motor_loop_pole)
-    for array in (a, b, y, energy):
-        array.flags.writeable = False
-    return Plant(beam, kept, chain, drive, inertia, a, b, y, energy)
-
-
-def _attach_hub(
-    a: Matrix,
-    b: Matrix,
-    y: Matrix,
-    energy: Matrix,
-    drive: Drive,
-    inertia: float,
-    friction: float,
-    pole: float,
-) -> None:
-    """Write the hub's two rows."""
     a[0, 1] = 1.0
-    if drive == "servo":
-        # A servo is stiff: M(s) of (21) as it stands, without the link's moment on it.
-        a[1, 0], a[1, 1], b[1, 0] = -(pole**2), -2.0 * pole, pole**2
-        return
-    if not inertia > 0.0:
-        raise FieldError(
-            "hub_inertia",
-            inertia,
-            "not positive",
-            allowed="> 0 kg·m²",
-            remedy="give the motor's J",
-        )
     a[1] = y[HUB_MOMENT] / inertia
-    a[1, 1] -= friction / inertia
+    a[1, 1] -= hub_friction / inertia
     b[1, 0] = 1.0 / inertia
-    energy[1, 1] += 0.5 * inertia
+    for array in (a, b, y):
+        array.flags.writeable = False
+    return Plant(beam, kept, chain, a, b, y)

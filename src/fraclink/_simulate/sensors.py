@@ -1,6 +1,4 @@
-"""What the sensors make of the truth, what happens to the arm while it moves, and both
-as a run's inputs.
-"""
+"""What happens to an arm and its sensors while it moves, as a run's inputs."""
 
 from __future__ import annotations
 
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
+from fraclink._arm.rig import Gauge
 from fraclink._law.estimator import PayloadEstimator
 from fraclink.errors import FieldError
 from fracsys.checks import Angle, Between, Duration, Time, checked
@@ -25,7 +24,6 @@ __all__ = [
     "PayloadChange",
     "Restart",
     "SensorFault",
-    "Sensors",
     "TipPulse",
     "delay_line",
     "fault_rows",
@@ -40,13 +38,6 @@ Vector = NDArray[np.float64]
 REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
 ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(
     6, 12
-)
-
-_OFF = "0 switches it off"
-Size = Annotated[float, Between(0.0, 1e6, "N·m", remedy=_OFF)]
-Error = Annotated[float, Between(-1e6, 1e6, "N·m", remedy=_OFF)]
-LONGEST_DELAY = (
-    100  # periods or steps of the gauge's delay: what the kernels' queues hold
 )
 
 
@@ -73,112 +64,6 @@ def delay_line(delay: float) -> tuple[int, Vector]:
     at, nodes = delay - youngest, range(4)
     lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
     return youngest + 3, np.array(lagrange[::-1])
-
-
-@checked
-@dataclass(frozen=True)
-class Sensors:
-    """Encoder at the hub and strain gauge at the base of the link.
-
-    Parameters
-    ----------
-    counts_per_revolution
-        encoder counts per turn of the hub, None for a continuous angle; an encoder's
-        lines count fourfold, and the gear multiplies them.
-    gauge_noise
-        standard deviation of white noise [N·m].
-    gauge_offset
-        constant error [N·m].
-    gauge_drift
-        its growth [N·m/s].
-    gauge_quantum
-        resolution of the converter [N·m], 0 for none.
-    gauge_limit
-        readings are clipped to ± this [N·m], None for no limit.
-    gauge_delay
-        delay of the strain amplifier [s].
-    gauge_gain
-        what the gauge shows of a torque [1].
-
-    >>> import numpy as np
-    >>> Sensors(gauge_quantum=0.1, gauge_offset=0.02).gauge(np.array([0.11, 0.19]), period=0.004)
-    array([0.1, 0.2])
-    """
-
-    counts_per_revolution: Annotated[int, Between(4, 2**53, "counts")] | None = None
-    gauge_noise: Size = 0.0
-    gauge_offset: Error = 0.0
-    gauge_drift: Error = 0.0
-    gauge_quantum: Size = 0.0
-    gauge_limit: Annotated[float, Between(0.0, 1e6, "N·m", low_open=True)] | None = None
-    gauge_delay: Time = 0.0
-    gauge_gain: Annotated[float, Between(-1e6, 1e6)] = 1.0
-
-    @property
-    def angle_quantum(self) -> float:
-        """Angle of one encoder count [rad], 0 for a continuous angle."""
-        return (
-            2.0 * math.pi / self.counts_per_revolution
-            if self.counts_per_revolution
-            else 0.0
-        )
-
-    def encoder(self, angle: Vector) -> Vector:
-        """Return the angle as the encoder counts it [rad]: the last count passed."""
-        if not self.counts_per_revolution:
-            return angle.copy()
-        # A count changes at the edge of a line, so the reading is a floor; the offset
-        # of half a count that a floor has on average goes with the zeroing of the
-        # encoder.
-        quantum = self.angle_quantum
-        return np.asarray(np.floor(angle / quantum + 0.5) * quantum)
-
-    def delayed(self, torque: Vector, step: float) -> Vector:
-        """Return the torque [N·m], sampled every `step` [s], as late as the strain
-        amplifier passes it on.
-        """
-        oldest, weights = delay_line(self.gauge_delay / step)
-        if oldest == 0:
-            return torque
-        # Before the log the torque was what it was at first: zeros would be a step that
-        # never was.
-        late = np.concatenate([np.full(oldest, torque[0]), torque])
-        if weights[0] == 1.0:
-            return late[: torque.size]
-        return np.asarray(
-            sum(w * late[i : i + torque.size] for i, w in enumerate(weights))
-        )
-
-    def gauge(
-        self,
-        torque: Vector,
-        *,
-        period: float,
-        start: float = 0.0,
-        generator: np.random.Generator | None = None,
-    ) -> Vector:
-        """Return the gauge's reading of a torque that is already delayed [N·m]."""
-        time = start + period * np.arange(torque.size)
-        reading = self.gauge_gain * torque + self.gauge_offset + self.gauge_drift * time
-        if self.gauge_noise > 0.0:
-            if generator is None:
-                raise FieldError(
-                    "generator",
-                    None,
-                    "missing",
-                    allowed="a numpy Generator",
-                    remedy="give a seed",
-                )
-            reading = reading + self.gauge_noise * generator.standard_normal(
-                torque.size
-            )
-        if self.gauge_limit is not None:
-            # The amplifier's range first, then the converter's steps: noise is clipped
-            # with the rest.
-            reading = np.clip(reading, -self.gauge_limit, self.gauge_limit)
-        if self.gauge_quantum > 0.0:
-            reading = np.round(reading / self.gauge_quantum) * self.gauge_quantum
-        return np.asarray(reading)
 
 
 # ── events
@@ -344,7 +229,7 @@ def _check_span(time: float, until: float) -> None:
 
 
 def healthy_inputs(
-    sensors: Sensors,
+    gauge: Gauge,
     reference: Reference,
     period: float,
     count: int,
@@ -356,10 +241,10 @@ def healthy_inputs(
     inputs[:, REFERENCE] = reference.angle(time)
     inputs[:, VELOCITY] = reference.velocity(time)
     inputs[:, ACCELERATION] = reference.acceleration(time)
-    inputs[:, GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
+    inputs[:, GAUGE_ERROR] = gauge.offset
     # Drawn even where the noise is 0, so that a seed gives the same noise whatever its
     # size.
-    inputs[:, GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
+    inputs[:, GAUGE_ERROR] += gauge.noise * generator.standard_normal(count)
     return inputs
 
 

@@ -7,20 +7,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.beam import model_at
 from fraclink._arm.link import LinkModel
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import Reference, sampled
-from fraclink._arm.rig import Rig
+from fraclink._arm.rig import Gauge, Rig
 from fraclink._law import Law
 from fraclink._law.design import Design
 from fraclink._law.discretization import check_rigs_period
 from fraclink._law.estimator import PayloadEstimator
-from fraclink._simulate.arm import MOST_SAMPLES, Twin
+from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import (
     ESTIMATED,
     estimate_findings,
@@ -52,9 +53,11 @@ from fracsys.checks import Between, Seed, checked
 __all__ = ["link_at", "model_run", "simulate"]
 
 Real = NDArray[np.float64]
-MotorLoop = Literal["ideal", "sampled"]
+Part = TypeVar("Part", Twin, Gauge, MotorLoop, LinkModel)
+Drive = Literal["ideal", "sampled"]
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
+MOST_SAMPLES = 2_000_000  # two hours at 4 ms
 # [s] simulated after the reference has come to rest: 30 periods of the paper's slowest
 # link
 SETTLE = 5.0
@@ -74,7 +77,7 @@ def simulate(
     | Literal["estimated"]
     | PayloadEstimator = False,
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
-    motor_loop: MotorLoop | None = None,
+    motor_loop: Drive | None = None,
     events: Iterable[Event] = (),
     gauge_delay: Annotated[float, Between(0.0, 1e3, "s")] | None = None,
     gauge_gain: Annotated[float, Between(-1e6, 1e6)] | None = None,
@@ -163,14 +166,8 @@ def simulate(
     law, events = design.law() if isinstance(design, Design) else design, tuple(events)
     estimator = estimator_for(design, told, rig, model)
     length = _length(reference, duration, law.period)
-    options = zip(
-        ("gauge_delay", "gauge_gain", "gauge_offset", "gauge_noise"),
-        (gauge_delay, gauge_gain, gauge_offset, noise),
-        strict=True,
-    )
-    gauge: dict[str, Any] = {
-        name: value for name, value in options if value is not None
-    }
+    own_gauge: dict[str, Any] = {"offset": gauge_offset, "noise": noise}
+    line: dict[str, Any] = {"gauge_delay": gauge_delay, "gauge_gain": gauge_gain}
     if arm is not None:
         if motor_loop == "ideal":
             raise _not_here(
@@ -179,12 +176,8 @@ def simulate(
                 "the twin has a motor; its motor loop is the law's",
             )
         twin = arm if payload is None else arm.with_payload(payload)
-        twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
-        twin = (
-            twin
-            if delay_samples is None
-            else replace(twin, voltage_delay=delay_samples)
-        )
+        gauge = _changed(twin.gauge, **own_gauge)
+        twin = _changed(twin, gauge=gauge, voltage_delay=delay_samples, **line)
         return on_twin(twin, law, reference, length, events, seed, told, estimator)
     # A massless model has no modes to be exchanged and no tip to be pushed; its sensors
     # can fail.
@@ -204,6 +197,12 @@ def simulate(
     law, findings = (
         with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
     )
+    own = replace(
+        own,
+        gauge=_changed(own.gauge, **own_gauge),
+        motor_loop=_changed(own.motor_loop, delay_samples=delay_samples),
+    )
+    link = _changed(link, **line)
     about = {
         "arm": "model",
         "rig": own.name,
@@ -216,16 +215,19 @@ def simulate(
         "gauge_offset": own.gauge.offset,
         "gauge_noise": own.gauge.noise,
         "seed": seed,
-        "delay_samples": own.motor_loop.delay_samples
-        if delay_samples is None
-        else delay_samples,
+        "delay_samples": own.motor_loop.delay_samples,
         "substeps": substeps,
         "payload_given": ESTIMATED if estimator else given_payload(told, link.payload),
     }
-    about |= gauge | ({"events": "; ".join(map(repr, faults))} if faults else {})
+    about |= {"events": "; ".join(map(repr, faults))} if faults else {}
     return _on_model(
         law, link, own, reference, length, about, findings, faults, estimator
     )
+
+
+def _changed(part: Part, **values: Any) -> Part:
+    """Return the part with the values that are stated."""
+    return replace(part, **{k: v for k, v in values.items() if v is not None})
 
 
 def _length(reference: Reference, duration: float | None, period: float) -> float:

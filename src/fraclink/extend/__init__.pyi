@@ -45,7 +45,6 @@ from fraclink._reading.reading import bundled_logs as bundled_logs
 from fraclink._reading.responses import read_recording as read_recording
 from fraclink._reading.responses import read_reference as read_reference
 from fraclink._simulate.arm import geared as geared
-from fraclink._simulate.arm import simulate_log as simulate_log
 from fraclink._simulate.damping import FractionalKelvinVoigt as FractionalKelvinVoigt
 from fraclink._simulate.damping import KelvinVoigt as KelvinVoigt
 from fraclink._simulate.damping import PowerLaw as PowerLaw
@@ -53,7 +52,6 @@ from fraclink._simulate.sensors import Obstacle as Obstacle
 from fraclink._simulate.sensors import PayloadChange as PayloadChange
 from fraclink._simulate.sensors import Restart as Restart
 from fraclink._simulate.sensors import SensorFault as SensorFault
-from fraclink._simulate.sensors import Sensors as Sensors
 from fraclink._simulate.sensors import TipPulse as TipPulse
 from fraclink._simulate.shape import ShapedMove as ShapedMove
 

@@ -199,7 +199,7 @@ def serve_arm(
             arm.counters,
             # Drawn beforehand: the loop in C calls no Python, and the noise is that of
             # `simulate` with the same seed.
-            _gauge_error(twin, period, count, seed),
+            _gauge_error(twin, count, seed),
             record,
             nanoseconds,
             watchdog,
@@ -218,12 +218,10 @@ def serve_arm(
     )
 
 
-def _gauge_error(twin: Twin, period: float, count: int, seed: int) -> Real:
-    """Offset, drift and noise of the gauge, drawn as `simulate` draws them."""
-    sensors = twin.sensors
+def _gauge_error(twin: Twin, count: int, seed: int) -> Real:
+    """Offset and noise of the gauge, drawn as `simulate` draws them."""
     noise = np.random.default_rng(seed).standard_normal(count)
-    drift = sensors.gauge_drift * period * np.arange(count)
-    return np.asarray(sensors.gauge_offset + drift + sensors.gauge_noise * noise)
+    return np.asarray(twin.gauge.offset + twin.gauge.noise * noise)
 
 
 class SimulatedArm:
@@ -264,14 +262,12 @@ class SimulatedArm:
 
     def read(self) -> tuple[float, float]:
         """Return what encoder [rad] and gauge [N·m] show now."""
-        sensors = self._state.twin.sensors
+        gauge = self._state.twin.gauge
         noise = next(self._noise, None)
         if noise is None:
             self._noise = iter(self._random.standard_normal(_CHUNK))
             noise = next(self._noise)
-        self._input[3] = (
-            sensors.gauge_offset + sensors.gauge_noise * noise
-        )  # TWIN_GAUGE_ERROR
+        self._input[3] = gauge.offset + gauge.noise * noise  # TWIN_GAUGE_ERROR
         return self._state.sense(self._input)
 
     def write(self, command: Command) -> None:

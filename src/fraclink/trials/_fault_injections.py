@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fraclink._arm.motor import place_pid
+from fraclink._arm.rig import Encoder
 from fraclink._law import MODES, Modes
 from fraclink._simulate import sensors as columns
 from fraclink._simulate.kernel import ArmState
@@ -339,16 +340,13 @@ def arm(
     counts of the encoder per turn of the output.
     """
     twin = trial.twin.with_payload(payload * trial.twin.beam.payload)
-    # Sliding friction and stiction alike: the law compensates what its rig states.
+    # Sliding friction, and with it stiction: the law compensates what its rig states.
     motor = replace(twin.motor, coulomb_torque=friction * twin.motor.coulomb_torque)
-    stiction = None if twin.stiction is None else friction * twin.stiction
-    encoder = counts or twin.sensors.counts_per_revolution
     trial.twin = replace(
         twin,
         motor=motor,
-        stiction=stiction,
+        encoder=Encoder(counts) if counts else twin.encoder,
         voltage_delay=twin.voltage_delay + delay,
-        sensors=replace(twin.sensors, counts_per_revolution=encoder),
     )
 
 
@@ -378,9 +376,7 @@ def wall(trial: Trial, ahead: float) -> None:
 def quiet(trial: Trial, seconds: float) -> None:
     """Leave the gauge's noise out of the last seconds of the run."""
     last = round(min(seconds / trial.period, trial.count))
-    trial.inputs[trial.count - last :, columns.GAUGE_ERROR] = (
-        trial.twin.sensors.gauge_offset
-    )
+    trial.inputs[trial.count - last :, columns.GAUGE_ERROR] = trial.twin.gauge.offset
 
 
 INJECTIONS: dict[str, Callable[..., None]] = {

@@ -147,7 +147,7 @@ class Trial:
         # more than the fault.
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(
-            self.twin.sensors, reference, self.period, self.count, noise
+            self.twin.gauge, reference, self.period, self.count, noise
         )
         self.wanted = self.inputs[:, columns.REFERENCE].copy()
         # Of every phase the nearest period, so that a rig of another clock is broken at
