@@ -1,8 +1,14 @@
 """A half derivative of a sampled signal: its error against mpmath, and its time beside
-Grünwald and Letnikov's sum on the same samples.
+Grünwald and Letnikov's sum on the same samples, and beside differint's two where that
+is installed.
 """
 
 from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 
 import mpmath
 import numpy as np
@@ -25,6 +31,20 @@ def exact(t: float) -> float:
         return float(2 * whole / mpmath.gamma(0.5))
 
 
+def peers(y: np.ndarray) -> dict[str, Callable[[], object]]:
+    """Differint's ways to the same derivative at every sample: Grünwald and Letnikov's
+    improved sum, and the trapezoidal rule for Riemann and Liouville's. (Its plain sum
+    is a circular convolution, and wrong at both ends.)
+    """
+    if not importlib.util.find_spec("differint"):
+        return {}
+    differint = import_module("differint.differint")
+    return {
+        name: partial(getattr(differint, name), 0.5, y, 0.0, 1.0, SAMPLES)
+        for name in ("GLI", "RL")
+    }
+
+
 def main() -> None:
     given = sizes(__doc__, rounds=(50, 2), places=(40, 2))
     t = np.linspace(0.0, 1.0, SAMPLES)
@@ -43,12 +63,26 @@ def main() -> None:
         error <= 1e-6,
         f"Grünwald–Letnikov {np.max(np.abs(sums()[places] / truth - 1)):.1e}",
     )
+    others = peers(y)
+    for name, call in others.items():
+        found = np.asarray(call(), dtype=float)
+        # At its first samples GLI has no value.
+        away = np.abs(found[places] / truth - 1)[len(places) // 10 :]
+        line(
+            f"largest relative error of differint.{name}", f"{away.max():.1e}", "(none)"
+        )
     spent = interleaved(
         {"ours": lambda: fracsys.derivative(t, y, 0.5), "sum": sums}, given.rounds
     )
     value, _ = median(spent["ours"])
     ratio, _ = median(spent["ours"] / spent["sum"])
     line("its time", f"{1e3 * value:.2f} ms, {ratio:.2g} × the sum's", "(none)")
+    ours = partial(fracsys.derivative, t, y, 0.5)
+    for name, call in others.items():
+        spent = interleaved({"ours": ours, "peer": call}, min(given.rounds, 5))
+        faster, _ = median(spent["peer"] / spent["ours"])
+        wanted = faster >= 100 if name == "RL" else None
+        line(f"faster than differint.{name}", f"{faster:.3g} ×", ">= 100", wanted)
 
 
 if __name__ == "__main__":
