@@ -30,13 +30,13 @@ from fraclink._design.assess import (
 )
 from fraclink._design.pid import tune_pid as pid_for
 from fraclink._display import Overview, Row, Table, quantity
-from fraclink._files import write_json, write_text
+from fraclink._files import save, write_text
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
 from fraclink.view._notebook import draw
-from fraclink.view._text import plain_text, to_json, view
+from fraclink.view._text import plain_text, view
 from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import Between, PhaseMarginDeg
 
@@ -166,7 +166,7 @@ def compare(
         )
     table = out / "comparison.txt"
     write_text(table, plain_text(view(result)))
-    write_json(out / "comparison.json", "comparison", 1, to_json(result))
+    save(result, out / "comparison.json", force=True)
     draw(result, out / "comparison.svg")
     return Answer(
         result, result.standings[0].passed, values={"out": str(out)}, written=(table,)

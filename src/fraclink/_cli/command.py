@@ -43,7 +43,7 @@ from fraclink.findings import Finding
 from fraclink.view._text import doubted, plain, plain_text, to_json, view
 from fracsys.checks import Parameter, parameters, rule
 
-__all__ = ["Answer", "Keywords", "Writes", "command"]
+__all__ = ["Answer", "Keywords", "Writes", "command", "declared"]
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class Writes:
 
 
 class Keywords:
-    """Options of a command that are keywords of a public function, or of a TypedDict of
-    them: type, range and default are those of its signature, the help those of its
-    docstring.
+    """Options of a command that are keywords of another function, or of a TypedDict of
+    them; all of them where none is named. Type, range and default are those of its
+    signature, the help its own or that of the docstring.
     """
 
     def __init__(self, function: Callable[..., Any], *names: str) -> None:
@@ -98,11 +98,27 @@ class Keywords:
     @property
     def options(self) -> dict[str, Parameter]:
         """The options by name."""
-        texts, known = _parameter_texts(self.function), parameters(self.function)
+        known, texts = declared(self.function), _parameter_texts(self.function)
+        only = inspect.Parameter.KEYWORD_ONLY
+        names = self.names or [name for name in known if known[name].way is only]
         return {
-            name: replace(known[name], hint=Annotated[known[name].hint, texts[name]])
-            for name in self.names
+            name: replace(
+                known[name], hint=Annotated[known[name].hint, texts.get(name, "")]
+            )
+            for name in names
         }
+
+
+def declared(function: Callable[..., Any]) -> dict[str, Parameter]:
+    """The arguments of a function by name, and those that it takes over from others."""
+    options: dict[str, Parameter] = {}
+    for name, each in parameters(function).items():
+        if each.way is inspect.Parameter.VAR_KEYWORD:
+            for others in each.hint.__metadata__:
+                options |= others.options
+        else:
+            options[name] = each
+    return options
 
 
 def _parameter_texts(function: Callable[..., Any]) -> dict[str, str]:
@@ -171,15 +187,9 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 
 
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:
+    options = declared(function)
     # Where the command checks its files itself it hears of --force.
-    own_force = "force" in inspect.signature(function).parameters
-    options: dict[str, Parameter] = {}
-    for name, each in parameters(function).items():
-        if each.way is inspect.Parameter.VAR_KEYWORD:
-            for keywords in each.hint.__metadata__:
-                options |= keywords.options
-        elif name != "force":
-            options[name] = each
+    own_force = options.pop("force", None)
     writes = {name: mark for name in options if (mark := _mark(options[name], Writes))}
     flags = parameters(_flags)
     if not writes and not own_force:
@@ -205,9 +215,9 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
         # however well it came out.
         return PASSED if answer.passed and not answer.doubts else FAILED
 
-    declared = [_option(each) for each in (*options.values(), *flags.values())]
-    run.__annotations__ = {p.name: p.annotation for p in declared} | {"return": int}
-    run.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
+    shown = [_option(each) for each in (*options.values(), *flags.values())]
+    run.__annotations__ = {p.name: p.annotation for p in shown} | {"return": int}
+    run.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
     del run.__wrapped__  # typer would read the annotations of what is wrapped
     return run
 

@@ -5,8 +5,9 @@ response, any structure.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import typer
@@ -19,7 +20,7 @@ from fraclink._arm.log_columns import drive_columns
 from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Keywords, command
+from fraclink._cli.command import Answer, Keywords, command, declared
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     READING,
@@ -46,144 +47,42 @@ from fracsys.checks import Between
 app = group()
 
 
+RigFile = Annotated[
+    str | None,
+    typer.Option(metavar="RIG"),
+    "A rig file, or a bundled rig such as paper-2023; a link needs one",
+]
+ModelOut = Annotated[
+    Path | None,
+    "File to write the model to; default: model.json, of a transfer function structure.json",
+]
+Output = Annotated[
+    str | None,
+    "Transfer function: column of its output; of `driven`: torque, where it is no motor angle",
+]
 HELD_OUT = Keywords(identification.identify, "heldout")
 TIED = Keywords(identification.identify_payloads, "tied")
 BAND = Keywords(identification.identify_driven_link, "band")
 
-# Kind of fit -> the options that act on it; any other beside it is refused.
-_OPTIONS = {
-    "link": ("payload", "column", *HELD_OUT.names, *READING.names),
-    "several links": ("payload", "column", *TIED.names, *READING.names),
-    "motor": ("column",),
-    "driven": ("column", "band", "output", "payload"),
-    "transfer function": (
-        *("column", "band", "input", "output", "period_ms", "fix", "bound"),
-        "ring_down",
-    ),
-}
-
-
-@command(app)
-def identify(
-    data: Annotated[
-        list[str],
-        typer.Argument(metavar="DATA"),
-        "A log, `demo` for the bundled one; several logs, each of another payload; "
-        "or a table of a frequency response",
-    ],
-    rig: Annotated[
-        str | None,
-        typer.Option(metavar="RIG"),
-        "A rig file, or a bundled rig such as paper-2023; a link needs one",
-    ] = None,
-    structure: Annotated[
-        str | None,
-        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, of a log with its voltage; driven, of a "
-        "frequency response with the motor; or a transfer function, such as "
-        '"k/(T*s**a + 1)*exp(-L*s)". Default: the link that the log supports',
-    ] = None,
-    out: Annotated[
-        Path | None,
-        "File to write the model to; default: model.json, of a transfer function structure.json",
-    ] = None,
-    payload: Payloads = None,
-    column: Columns = None,
-    input: Annotated[str | None, "Transfer function: column of its input"] = None,
-    output: Annotated[
-        str | None,
-        "Transfer function: column of its output; of `driven`: torque, where it is no motor angle",
-    ] = None,
-    period_ms: Annotated[
-        float | None,
-        Between(0.0, 1e6, "ms", low_open=True),
-        "Transfer function: sampling period of a file without stamps",
-    ] = None,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE"),
-        "Transfer function: a parameter that is known, or offset=0",
-    ] = None,
-    bound: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=LOW,HIGH"),
-        "Transfer function: range of a parameter, as in k=-10,10",
-    ] = None,
-    ring_down: Annotated[
-        bool,
-        "Transfer function: the link was bent and let go, no input but the force that held it",
-    ] = False,
-    force: bool = False,
-    **options: Annotated[Any, READING, HELD_OUT, TIED, BAND],
-) -> Answer:
-    """Fit a link model to a log, with gain, offset and gauge delay as free parameters.
-
-    Several logs are fitted together: exit code 1 where their parameters cannot be
-    common. `--structure` names anything else that is fitted: the motor, a frequency
-    response, a transfer function with fractional orders and a delay.
-
-    $ fraclink identify log.csv --rig rig.toml --out model.json
-    """
-    kind = _kind(data, structure)
-    options |= {
-        "payload": payload,
-        "column": column,
-        "input": input,
-        "output": output,
-        "period_ms": period_ms,
-        "fix": fix,
-        "bound": bound,
-        "ring_down": ring_down,
-    }
-    others = options.keys() - set(_OPTIONS[kind])
-    refuse_beside(
-        _WORDS.get(kind, f"--structure {structure}"),
-        ", ".join(f"--{word.replace('_', '-')}" for word in _OPTIONS[kind]),
-        **{name: options[name] or None for name in sorted(others)},
-    )
-    if kind == "transfer function":
-        place = output_path(out or "structure.json", force=force)
-        return _transfer_function(Path(data[0]), str(structure), place, options)
-    if kind == "motor":
-        return _motor(data[0], rig, options)
-    rig = required("rig", rig, "a rig", "give --rig rig.toml, or --rig paper-2023")
-    if kind == "several links":
-        return _several(data, rig, structure, options)
-    place = output_path(out or "model.json", force=force)
-    if kind == "driven":
-        return _driven(data[0], rig, place, options)
-    return _link(data[0], rig, structure, place, options)
-
-
-_WORDS = {"link": "the fit of one log", "several links": "the fit of several logs"}
-
-
-def _kind(data: list[str], structure: str | None) -> str:
-    """What is fitted, a key of `_OPTIONS`."""
-    # Only a transfer function has an s of its own: the names of the links have none.
-    kind = "transfer function" if re.search(r"\bs\b", structure or "") else structure
-    if kind not in _OPTIONS:
-        return "several links" if len(data) > 1 else "link"
-    if len(data) > 1:
-        raise FieldError(
-            "data",
-            ", ".join(data),
-            "several files",
-            allowed="one file",
-            remedy="give one; only logs of a link are fitted together",
-        )
-    return kind
-
 
 def _link(
-    log: str, rig: str, structure: str | None, out: Path, options: dict[str, Any]
+    logs: list[str],
+    structure: str | None,
+    *,
+    rig: RigFile = None,
+    out: ModelOut = None,
+    payload: Payloads = None,
+    column: Columns = None,
+    force: bool = False,
+    **options: Annotated[Any, READING, HELD_OUT],
 ) -> Answer:
     """One log of a link."""
+    rig, place = _rig(rig), output_path(out or "model.json", force=force)
     with steps(3) as begin:
         begin("reading the log")
         stated = load_rig_for_logs(rig)
-        (experiment,) = load_logs(
-            [log], stated, options["payload"], options["column"], **READING.of(options)
-        )
+        reading = READING.of(options)
+        (experiment,) = load_logs(logs, stated, payload, column, **reading)
         # A rig with blanks has no limits, no stiffness and no length.
         known, stiffness = whole(stated), None
         begin("examining the log")
@@ -197,26 +96,34 @@ def _link(
         fit = identification.identify(
             experiment, structure, heldout=options["heldout"], stiffness=stiffness
         )
-    fit.save(out)
+    fit.save(place)
     if known is not None:
         # Each once, in the order in which they were found.
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(known, fit.model))))
-    following = f"fraclink design --rig {rig} --model {out}"
+    following = f"fraclink design --rig {rig} --model {place}"
     if fit.model.payload is None:
         # `design` would take ω₀ from the rig.
         following = "repeat with --force and --payload, the log's payload [kg]: `design` needs it"
-    return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
+    return Answer(fit, fit.passed, doubts=doubts, written=(place,), following=following)
+
+
+def _rig(name: str | None) -> str:
+    return required("rig", name, "a rig", "give --rig rig.toml, or --rig paper-2023")
 
 
 def _several(
-    logs: list[str], rig: str, structure: str | None, options: dict[str, Any]
+    logs: list[str],
+    structure: str | None,
+    *,
+    rig: RigFile = None,
+    payload: Payloads = None,
+    column: Columns = None,
+    **options: Annotated[Any, READING, TIED],
 ) -> Answer:
     """Several payloads together, and whether their parameters may be common."""
-    known = load_rig(rig)
+    known, reading = load_rig(_rig(rig)), READING.of(options)
     fit = identification.identify_payloads(
-        load_logs(
-            logs, known, options["payload"], options["column"], **READING.of(options)
-        ),
+        load_logs(logs, known, payload, column, **reading),
         structure,
         tied=options["tied"],
         length=known.link.length,
@@ -224,14 +131,19 @@ def _several(
     return Answer(fit, fit.test.common)
 
 
-def _motor(log: str, rig: str | None, options: dict[str, Any]) -> Answer:
+def _motor(
+    logs: list[str],
+    structure: str | None,
+    *,
+    column: Columns = None,
+    rig: RigFile = None,
+) -> Answer:
     """K/J, ν/J, Coulomb torque, dead zone and delay of a motor from voltage and angle.
 
     The link loads the motor: its torque is taken from the log, or made of its
     deflection by the rig's stiffness. A log of angle and voltage alone is that of a
     motor without a link.
     """
-    column = options["column"]
     if not column:
         remedy = "give --rig, or --column for time, motor_angle and voltage"
         rig = required("rig", rig, "a rig, or the columns", remedy)
@@ -239,11 +151,11 @@ def _motor(log: str, rig: str | None, options: dict[str, Any]) -> Answer:
     # --column describes a log on its own: mixed with the rig's mapping, two columns
     # would claim one role.
     columns = drive_columns(column) if column else None
-    experiment = read_log(log_path(log), rig=known, columns=columns)
+    experiment = read_log(log_path(logs[0]), rig=known, columns=columns)
     if experiment.voltage is None:
         raise LogError(
             "log",
-            log,
+            logs[0],
             "without the amplifier's voltage",
             allowed="a log with a voltage column",
             remedy='name it in the rig file\'s [log], or by --column "voltage=NAME [V]"',
@@ -285,34 +197,71 @@ def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
     return read_frequency_response(table, stated or None)
 
 
-def _driven(table: str, rig: str, out: Path, options: dict[str, Any]) -> Answer:
+def _driven(
+    tables: list[str],
+    structure: str | None,
+    *,
+    column: Columns = None,
+    output: Output = None,
+    payload: Payloads = None,
+    rig: RigFile = None,
+    out: ModelOut = None,
+    force: bool = False,
+    **options: Annotated[Any, BAND],
+) -> Answer:
     """Link and motor, of a frequency response from the amplifier's voltage."""
+    rig, place = _rig(rig), output_path(out or "model.json", force=force)
     known = load_rig(rig)
     # The function itself refuses any other output.
     fit = identification.identify_driven_link(
-        _response(table, options["column"]),
-        output=options["output"] or "motor_angle",
-        band=options["band"],
+        _response(tables[0], column),
+        output=cast(Any, output or "motor_angle"),
+        **options,
     )
     if not fit.passed:
         return Answer(fit, passed=False)
     # J n² [kg·m²]: the response is that of the gear's output.
     inertia = known.motor.inertia * known.motor.gear_ratio**2
-    carried = options["payload"][0] if options["payload"] else known.payloads.nominal
-    save(fit.model(inertia, payload=carried), out, force=True)
-    return Answer(
-        fit, written=(out,), following=f"fraclink design --rig {rig} --model {out}"
-    )
+    carried = payload[0] if payload else known.payloads.nominal
+    save(fit.model(inertia, payload=carried), place, force=True)
+    following = f"fraclink design --rig {rig} --model {place}"
+    return Answer(fit, written=(place,), following=following)
 
 
 def _transfer_function(
-    data: Path, structure: str, out: Path, options: dict[str, Any]
+    data: list[str],
+    structure: str | None,
+    *,
+    column: Columns = None,
+    input: Annotated[str | None, "Transfer function: column of its input"] = None,
+    output: Output = None,
+    period_ms: Annotated[
+        float | None,
+        Between(0.0, 1e6, "ms", low_open=True),
+        "Transfer function: sampling period of a file without stamps",
+    ] = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE"),
+        "Transfer function: a parameter that is known, or offset=0",
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW,HIGH"),
+        "Transfer function: range of a parameter, as in k=-10,10",
+    ] = None,
+    ring_down: Annotated[
+        bool,
+        "Transfer function: the link was bent and let go, no input but the force that held it",
+    ] = False,
+    out: ModelOut = None,
+    force: bool = False,
+    **options: Annotated[Any, BAND],
 ) -> Answer:
     """A transfer function with fractional orders and a delay; of a recording, or of a
     frequency response where no column is named.
     """
-    input, output, period_ms = options["input"], options["output"], options["period_ms"]
-    ring_down = options["ring_down"]
+    place, band = output_path(out or "structure.json", force=force), options["band"]
     measured: Recording | FrequencyResponse
     if input is None and output is None:
         refuse_beside(
@@ -321,38 +270,39 @@ def _transfer_function(
             period_ms=period_ms,
             ring_down=ring_down or None,
         )
-        measured = _response(str(data), options["column"])
-        if options["band"]:
-            measured = measured.between(*options["band"])
+        measured = _response(data[0], column)
+        if band:
+            measured = measured.between(*band)
     else:
         refuse_beside(
             "--input and --output",
             "the columns of a recording",
-            column=options["column"],
-            band=options["band"],
+            column=column,
+            band=band,
         )
         if ring_down:
             refuse_beside("--ring-down", "an output alone", input=input)
             # Its output stands for the input until the next line takes it away.
             input = output
         channels = named_channels(input, output)
-        measured = read_recording(data, *channels, period=in_seconds(period_ms))
+        period = in_seconds(period_ms)
+        measured = read_recording(data[0], *channels, period=period)
         if ring_down:
             swing = (measured.period, measured.output)
             measured = Recording.ring_down(
                 *swing, source=measured.source, sha256=measured.sha256
             )
-    fixed, bounds = _named("fix", options["fix"]), _named("bound", options["bound"])
+    fixed, bounds = _named("fix", fix), _named("bound", bound)
     with steps(1) as begin:
         begin("fitting the structure")
         fit = identification.identify_structure(
             measured,
-            structure,
+            str(structure),
             fixed={name: _numbers("fix", text, 1)[0] for name, text in fixed.items()},
             bounds={name: _numbers("bound", text, 2) for name, text in bounds.items()},
         )
-    fit.save(out)
-    return Answer(fit, fit.passed, written=(out,))
+    fit.save(place)
+    return Answer(fit, fit.passed, written=(place,))
 
 
 def _named(option: str, texts: list[str] | None) -> dict[str, str]:
@@ -391,3 +341,66 @@ def _numbers(option: str, text: str, count: int) -> Any:
             remedy="write 0.5, or 0,10",
         )
     return found
+
+
+_FITS: dict[str, Callable[..., Answer]] = {
+    "link": _link,
+    "several links": _several,
+    "motor": _motor,
+    "driven": _driven,
+    "transfer function": _transfer_function,
+}
+_WORDS = {"link": "the fit of one log", "several links": "the fit of several logs"}
+
+
+@command(app)
+def identify(
+    data: Annotated[
+        list[str],
+        typer.Argument(metavar="DATA"),
+        "A log, `demo` for the bundled one; several logs, each of another payload; "
+        "or a table of a frequency response",
+    ],
+    structure: Annotated[
+        str | None,
+        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, of a log with its voltage; driven, of a "
+        "frequency response with the motor; or a transfer function, such as "
+        '"k/(T*s**a + 1)*exp(-L*s)". Default: the link that the log supports',
+    ] = None,
+    **options: Annotated[Any, *map(Keywords, _FITS.values())],
+) -> Answer:
+    """Fit a link model to a log, with gain, offset and gauge delay as free parameters.
+
+    Several logs are fitted together: exit code 1 where their parameters cannot be
+    common. `--structure` names anything else that is fitted: the motor, a frequency
+    response, a transfer function with fractional orders and a delay.
+
+    $ fraclink identify log.csv --rig rig.toml --out model.json
+    """
+    kind = _kind(data, structure)
+    fit = _FITS[kind]
+    acting = [name for name in declared(fit) if name in options]
+    # Any other is refused: who gives it believes that it counts.
+    refuse_beside(
+        _WORDS.get(kind, f"--structure {structure}"),
+        ", ".join(f"--{name.replace('_', '-')}" for name in acting),
+        **{name: options[name] or None for name in options if name not in acting},
+    )
+    return fit(data, structure, **{name: options[name] for name in acting})
+
+
+def _kind(data: list[str], structure: str | None) -> str:
+    """What is fitted, a key of `_FITS`."""
+    # Only a transfer function has an s of its own: the names of the links have none.
+    kind = "transfer function" if re.search(r"\bs\b", structure or "") else structure
+    if kind not in _FITS:
+        return "several links" if len(data) > 1 else "link"
+    if len(data) > 1:
+        raise FieldError(
+            "data",
+            ", ".join(data),
+            "several files",
+            allowed="one file",
+            remedy="give one; only logs of a link are fitted together",
+        )
+    return kind

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Literal
 
-from fraclink._files import from_plain, read_json, write_json
+from fraclink._files import Saved, document
 from fraclink._law import Law
 
 __all__ = ["Claim", "Proof", "claims_text"]
 
 
-KIND, FORMAT = "proof", 1
 Status = Literal["proved", "failed", "not proved"]
 
 
@@ -52,8 +50,9 @@ class Claim:
     logs: tuple[tuple[str, str], ...] = ()
 
 
+@document("proof")
 @dataclass(frozen=True)
-class Proof:
+class Proof(Saved):
     """The claims about one exported folder.
 
     Attributes
@@ -86,25 +85,6 @@ class Proof:
             f"{claim.status}: {claim.statement}"
             + (f" [{claim.reason}]" if claim.reason else "")
             for claim in self.claims
-        )
-
-    def save(self, path: Path | str) -> None:
-        """Write the proof to one JSON file."""
-        # "passed" is for people and other programs; `load` leaves it out and asks the
-        # claims again, so that an edited verdict changes nothing.
-        write_json(path, KIND, FORMAT, {"passed": self.passed} | asdict(self))
-
-    @staticmethod
-    def load(path: Path | str) -> Proof:
-        """Read a proof back; FileFormatError for another file."""
-        data = read_json(path, KIND, (FORMAT,))
-        return from_plain(
-            Proof,
-            {
-                field.name: data[field.name]
-                for field in fields(Proof)
-                if field.name in data
-            },
         )
 
 
