@@ -74,6 +74,4 @@ def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
 
 def parts_of(folder: Path) -> dict[str, bytes]:
     """Bytes of every finished part by name."""
-    return {
-        path.name: path.read_bytes() for path in sorted(folder.glob("part-*.parquet"))
-    }
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("part-*.npz"))}

@@ -18,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from campaigns import computed, continued, parts_of, small
@@ -45,7 +46,7 @@ def copy(whole, tmp_path) -> Path:
 def identities(folder: Path) -> dict[str, tuple[int, int]]:
     """Inode and time of writing of every part: what changes when it is written again."""
     found = {}
-    for path in folder.glob("part-*.parquet"):
+    for path in folder.glob("part-*.npz"):
         about = path.stat()
         found[path.name] = (about.st_ino, about.st_mtime_ns)
     return found
@@ -101,8 +102,8 @@ def test_killed_campaigns_resume_to_the_same_bytes(tmp_path):
 
 @pytest.mark.slow
 def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
-    (copy / "part-0000001.parquet").unlink()
-    half = copy / ".part-0000001.parquet.k9x_2a.tmp"  # as `atomic_write` names it
+    (copy / "part-0000001.npz").unlink()
+    half = copy / ".part-0000001.npz.k9x_2a.tmp"  # as `atomic_write` names it
     half.write_bytes(b"PAR1")
     anothers = copy / ".notes.txt.tmp"
     anothers.write_text("not ours")
@@ -198,17 +199,12 @@ def rewrite(path: Path) -> None:
     """Edit one number with a program that writes good files, and keep what the file
     says of itself.
     """
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    table = parquet.read_table(path)
-    place = table.column_names.index("settling_time")
-    values = table.column(place).to_numpy().copy()
-    values[3] += 1e-9
-    edited = table.set_column(place, table.schema.field(place), pa.array(values))
-    parquet.write_table(
-        edited.replace_schema_metadata(table.schema.metadata), path, compression="zstd"
-    )
+    with np.load(path) as part:
+        members = dict(part.items())
+    (name,) = (each for each in members if each.endswith("settling_time"))
+    members[name] = members[name] + 1e-9
+    with path.open("wb") as stream:
+        np.savez(stream, **members)
 
 
 @pytest.mark.slow
@@ -216,8 +212,8 @@ def rewrite(path: Path) -> None:
 def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys):
     complete = summarise(copy)
     assert (complete.missing, complete.left_out) == (0, "")
-    damage(copy / "part-0000001.parquet")
-    (copy / "part-0000002.parquet").unlink()
+    damage(copy / "part-0000001.npz")
+    (copy / "part-0000002.npz").unlink()
     found = summarise(copy)
     assert found.missing == small().runs - small().part_runs(0) and not found.passed
     runs = f"{found.missing} of {small().runs} runs are left out"
@@ -225,18 +221,6 @@ def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys
     assert main(["report", str(copy), "--out", str(copy / "report.html")]) == 1
     assert found.left_out[:60] in " ".join(capsys.readouterr().out.split())
     assert found.left_out in (copy / "report.html").read_text("utf-8")
-
-
-def drop_digests(path: Path) -> None:
-    """Edit one number, and take out what would tell."""
-    from pyarrow import parquet
-
-    rewrite(path)
-    table = parquet.read_table(path)
-    told = {
-        key: value for key, value in table.schema.metadata.items() if key != b"digests"
-    }
-    parquet.write_table(table.replace_schema_metadata(told), path, compression="zstd")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
@@ -252,12 +236,10 @@ def test_a_pipe_in_the_place_of_a_part_holds_nobody(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "damage", [truncate, flip, empty, take_anothers, rewrite, drop_digests]
-)
+@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers, rewrite])
 def test_a_damaged_part_is_done_again(copy, whole, damage):
     kept = identities(copy)
-    path = copy / "part-0000001.parquet"
+    path = copy / "part-0000001.npz"
     damage(path)
     assert path.read_bytes() != (whole / path.name).read_bytes()
     assert read_part(small(), copy, 1) is None
@@ -269,7 +251,7 @@ def test_a_damaged_part_is_done_again(copy, whole, damage):
 
 @pytest.mark.slow
 def test_every_flipped_byte_is_noticed(copy, whole):
-    path = copy / "part-0000002.parquet"
+    path = copy / "part-0000002.npz"
     good, wanted = path.read_bytes(), read_part(small(), whole, 2)
     rng = random.Random(5)  # noqa: S311
     places = rng.sample(range(len(good)), 60) + rng.sample(
@@ -337,7 +319,7 @@ def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
     """A file that may not grow fails as on a full disk: the write comes back short and
     then with an error.
     """
-    (copy / "part-0000001.parquet").unlink()
+    (copy / "part-0000001.npz").unlink()
     kept = identities(copy)
     campaign = load_campaign(copy)
     with (
@@ -371,7 +353,7 @@ def test_a_full_disk_is_told(tmp_path, copy):
     disk = tmp_path / "disk"
     disk.mkdir()
     mounted = subprocess.run(  # noqa: S603
-        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)]  # noqa: S607
+        ["mount", "-t", "tmpfs", "-o", "size=600k", "tmpfs", str(disk)]  # noqa: S607
     )
     if mounted.returncode:
         pytest.skip("no right to mount a small disk")

@@ -8,22 +8,20 @@ command continues where it stopped.
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
 import sys
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import Executor, as_completed
 from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._files import atomic_write, checked_path
-from fraclink.errors import FieldError, MissingExtraError
+from fraclink._files import checked_path, document, load, save
+from fraclink.errors import FieldError, FileFormatError, MissingExtraError
 from fraclink.trials._arms import simulate_part
 from fraclink.trials._campaign import (
     Campaign,
@@ -43,7 +41,9 @@ __all__ = [
     "write_part",
 ]
 
-PARTS = "part-*.parquet"
+Real = NDArray[np.float64]
+
+PARTS = "part-*.npz"
 CONNECT = 10  # [s] to reach a scheduler
 
 
@@ -79,7 +79,7 @@ def run_campaign(
         what to run; a folder of another campaign is refused, a longer one of the same
         continues.
     folder
-        where campaign.json and part-*.parquet are kept.
+        where campaign.json and part-*.npz are kept.
     workers
         processes on this machine, 1 … 1024; the result does not depend on it. One is
         this process. More import the script that runs: it calls this below ``if
@@ -268,97 +268,45 @@ def part_path(folder: Path, part: int) -> Path:
     return folder / PARTS.replace("*", f"{part:07d}")
 
 
+@document("campaign-part", container="npz")
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A finished part: of which campaign and which part, and its columns by name, one
+    value for each run; what is true or false is 1 or 0.
+    """
+
+    fingerprint: str
+    number: int
+    columns: Mapping[str, Real]
+
+
 def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     """Simulate a part and write its file in one step; return how many of its runs
     failed.
     """
-    pa, parquet = _parquet()
     place = part_path(folder, part)
     # A kill leaves the half of the file that it cut off: its part is missing, and is
     # computed here again.
     for left in folder.glob(f".{place.name}.*.tmp"):
         left.unlink(missing_ok=True)
-    columns = simulate_part(campaign, part)
-    table = pa.table(columns).replace_schema_metadata(
-        {
-            "fraclink": "campaign part",
-            "fingerprint": campaign.fingerprint,
-            "part": str(part),
-            # the file's footer has no checksum: a flipped bit in a column's name shows
-            # against this list
-            "columns": ",".join(columns),
-            # a program that edits the numbers writes pages with good checksums again,
-            # but not these
-            "digests": ",".join(_digest(values) for values in columns.values()),
-        }
-    )
-    with atomic_write(place, "wb") as stream:
-        # No statistics and no time: two computations of one part give the same bytes.
-        # Checksums: zstd alone unpacks a flipped bit into other numbers without a word.
-        parquet.write_table(
-            table,
-            stream,
-            compression="zstd",
-            write_statistics=False,
-            write_page_checksum=True,
-        )
-    return int(np.count_nonzero(columns["passed"] == 0))
-
-
-def read_part(
-    campaign: Campaign, folder: Path, part: int, *, names: tuple[str, ...] = ()
-) -> dict[str, NDArray[np.generic]] | None:
-    """Return columns `names` of a finished part (all where none is named); None where
-    the file is missing, damaged or of another campaign.
-    """
-    pa, parquet = _parquet()
-    place = part_path(folder, part)
-    if not place.is_file():  # a pipe of that name would hold its reader for ever
-        return None
-    try:
-        with parquet.ParquetFile(
-            place, memory_map=False, page_checksum_verification=True
-        ) as file:
-            schema, rows = file.schema_arrow, file.metadata.num_rows
-            table = file.read(columns=list(names) or None)
-    except (
-        OSError,
-        ValueError,
-        pa.ArrowException,
-    ):  # ValueError: a name that is not UTF-8 any more
-        return None
-    meta = schema.metadata or {}
-    wanted = {
-        b"fingerprint": campaign.fingerprint.encode(),
-        b"part": str(part).encode(),
-        b"columns": ",".join(schema.names).encode(),
+    columns = {
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in simulate_part(campaign, part).items()
     }
+    save(Part(campaign.fingerprint, part, columns), place, force=True)
+    return int(np.count_nonzero(columns["passed"] == 0.0))
+
+
+def read_part(campaign: Campaign, folder: Path, part: int) -> Mapping[str, Real] | None:
+    """Return the columns of a finished part; None where the file is missing, damaged,
+    edited or of another campaign.
+    """
+    try:
+        found = load(part_path(folder, part), Part)
+    except FileFormatError:
+        return None
     # The last part of a shorter campaign has fewer runs under the same number and
     # fingerprint: it is done again.
-    if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(
-        part
-    ):
-        return None
-    columns = {name: table[name].to_numpy() for name in table.column_names}
-    digests = dict(
-        zip(schema.names, meta.get(b"digests", b"").split(b","), strict=False)
-    )
-    if any(
-        digests.get(name) != _digest(values).encode()
-        for name, values in columns.items()
-    ):
-        return None
-    return columns
-
-
-def _digest(values: NDArray[np.generic]) -> str:
-    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:32]
-
-
-def _parquet() -> tuple[Any, Any]:
-    try:
-        import pyarrow as pa  # the extra "io"
-        from pyarrow import parquet
-    except ImportError as error:
-        raise MissingExtraError("pyarrow", "io") from error
-    return pa, parquet
+    own = (found.fingerprint, found.number, len(found.columns["run"]))
+    wanted = (campaign.fingerprint, part, campaign.part_runs(part))
+    return found.columns if own == wanted else None

@@ -24,7 +24,7 @@ __all__ = [
     "MetricSummary",
     "Quantile",
     "Summary",
-    "columns",
+    "columns_of",
     "summarise",
 ]
 
@@ -194,25 +194,16 @@ class Summary:
 
 
 def summarise(folder: Path | str) -> Summary:
-    """Summarise the finished parts of a campaign's folder; FieldError where none is.
-
-    Columns are read one at a time: the memory is that of two columns, 16 bytes a run.
-    """
-    place = Path(folder)
-    campaign, parts = _finished(place)
-    run, passed = _columns(campaign, place, parts, "run", "passed")
-    failed = run[~passed.astype(bool)]
-    drawn = {
-        name: _ranks(*_columns(campaign, place, parts, name)) for name in PARAMETERS
-    }
-    metrics = []
-    for name in METRICS:
-        (values,) = _columns(campaign, place, parts, name)
-        metrics.append(_metric(name, values, run, drawn))
+    """Summarise the finished parts of a campaign's folder; FieldError where none is."""
+    campaign = load_campaign(folder)
+    columns = columns_of(campaign, folder)
+    run, passed = columns["run"], columns["passed"]
+    failed = run[passed == 0.0]
+    drawn = {name: _ranks(columns[name]) for name in PARAMETERS}
     return Summary(
         failure=_failure(len(failed), len(run)),
-        trips=_trips(*_columns(campaign, place, parts, "mode", "reason")),
-        metrics=tuple(metrics),
+        trips=_trips(columns["mode"], columns["reason"]),
+        metrics=tuple(_metric(name, columns[name], run, drawn) for name in METRICS),
         # A hundred: enough to replay, and a page that still loads where everything
         # fails.
         failed=tuple(int(n) for n in failed[:100]),
@@ -240,28 +231,17 @@ def _given(campaign: Campaign) -> str:
     return f"the law was given {share} of the payload of each arm"
 
 
-def columns(folder: Path | str, *names: str) -> tuple[Real, ...]:
-    """Return columns of all finished parts of a campaign's folder, by name; FieldError
-    where no part is finished.
+def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
+    """Return all columns of the finished parts of a campaign's folder, by name;
+    FieldError where no part is finished.
     """
     place = Path(folder)
-    campaign, parts = _finished(place)
-    return _columns(campaign, place, parts, *names)
-
-
-def _finished(place: Path) -> tuple[Campaign, list[int]]:
-    """The campaign of a folder and its finished parts."""
-    campaign = load_campaign(place)
     # Files are counted and not parts: one of 10⁹ runs that has just begun has a million
-    # names to ask for. Every column is read: one that is damaged leaves its part out
-    # from the beginning, and not from one figure.
+    # names to ask for.
     names = {path.stem.removeprefix("part-") for path in place.glob(PARTS)}
     numbers = sorted({int(name) for name in names if name.isdecimal()})
-    parts = [
-        part
-        for part in numbers
-        if part < campaign.parts and read_part(campaign, place, part) is not None
-    ]
+    read = (read_part(campaign, place, n) for n in numbers if n < campaign.parts)
+    parts = [part for part in read if part is not None]
     if not parts:
         raise FieldError(
             "parts",
@@ -270,23 +250,7 @@ def _finished(place: Path) -> tuple[Campaign, list[int]]:
             allowed="at least one finished part",
             remedy="run the campaign first",
         )
-    return campaign, parts
-
-
-def _columns(
-    campaign: Campaign, place: Path, parts: list[int], *names: str
-) -> tuple[Real, ...]:
-    read = [read_part(campaign, place, part, names=names) for part in parts]
-    whole = [part for part in read if part is not None]
-    if len(whole) < len(read):
-        raise FieldError(
-            "part",
-            str(place),
-            "gone while it was read",
-            allowed="finished parts",
-            remedy="run the campaign again",
-        )
-    return tuple(np.concatenate([part[name] for part in whole]) for name in names)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _metric(

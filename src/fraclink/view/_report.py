@@ -19,7 +19,7 @@ from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import Campaign
 from fraclink.trials._study import Study
-from fraclink.trials._summary import Summary, columns
+from fraclink.trials._summary import Summary, columns_of
 from fraclink.view import _figures as figures
 from fraclink.view import _fleets as fleets
 from fraclink.view import _loops as loops
@@ -270,7 +270,8 @@ def write_campaign_report(
     # Failures are drawn over the two parameters that matter most, or chance would fill
     # the map.
     drivers = fleets.strongest(summary)
-    first, second, passed, *values = columns(folder, *drivers, "passed", *names)
+    column = columns_of(campaign, folder)
+    first, second, passed, *values = (column[n] for n in (*drivers, "passed", *names))
     titles = tuple(name.replace("_", " ") for name in drivers)
     worst = (
         (
@@ -283,9 +284,9 @@ def write_campaign_report(
         if m.name != "saturated"
     )
     failures = fleets.failures_figure(
-        first.astype(float),
-        second.astype(float),
-        ~passed.astype(bool),
+        first,
+        second,
+        passed == 0.0,
         (titles[0], titles[1]),
     )
     text = rendered(
