@@ -54,7 +54,13 @@ def named(study: fl.trials.Study, text: str) -> fl.trials.Study:
     """The study with `text` wherever a text from outside can stand."""
     rig = replace(study.design.rig, name=text, source=text, assumptions=(text,))
     design = replace(study.design, rig=rig)
-    return replace(study, rig=rig, design=design, uncertified=text, assumptions=(text,))
+    return replace(
+        study,
+        rig=rig,
+        design=design,
+        missing={"certificate": text},
+        assumptions=(text,),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +123,9 @@ def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
     assert "carries 20 to 40 g at 12 rad/s" in texts
     assert "No certificate came with this design" in texts
     assert "The mass of the link" in texts
-    refuted = render_arm_page(replace(study, uncertified="because of the moon"))
+    refuted = render_arm_page(
+        replace(study, missing={"certificate": "because of the moon"})
+    )
     assert "not certified: because of the moon" in refuted
 
 

@@ -206,7 +206,7 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
     assert "✗ failed: gain crossover: at 40 g at most" in capsys.readouterr().out
     study = load_study(tmp_path / "out")
     assert study.fit is not None and study.comparison is not None
-    assert study.design is None and study.stopped
+    assert study.design is None and study.missing["design"]
     assert (tmp_path / "out" / "report.html").exists()
 
 
@@ -383,7 +383,9 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert study.certificate.sha256 in page
     assert render_report(study) == page
-    refused = replace(study, certificate=None, uncertified="because of the moon")
+    refused = replace(
+        study, certificate=None, missing={"certificate": "because of the moon"}
+    )
     assert refused.verdict.promise == Scope(
         "failed", ("not certified: because of the moon",)
     )

@@ -195,7 +195,7 @@ CEILINGS = {
     "lab": 1930,
     "logs": 690,
     "studio": 1360,
-    "trials": 1508,
+    "trials": 1496,
     "view": 1730,
 }
 

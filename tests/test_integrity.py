@@ -169,15 +169,15 @@ def test_a_gate_cannot_be_deleted_from_the_folder_of_a_study(tmp_path: Path) -> 
         "state sign = -1",
     )
     save_study(
-        Study(rig=RIG, findings=(wrong,), stopped="not designed"), tmp_path / "study"
+        Study(rig=RIG, findings=(wrong,), missing={"design": "not designed"}),
+        tmp_path / "study",
     )
     study = load_study(tmp_path / "study")
     assert study.findings == (wrong,)
     assert study.verdict.promise.state == "failed"
     for edit in (
         lambda d: d["content"].update(findings=[]),
-        lambda d: d["content"].update(stopped=None),
-        lambda d: d["content"]["verdict"]["promise"].update(state="passed"),
+        lambda d: d["content"].update(missing={}),
     ):
         folder = shutil.copytree(
             tmp_path / "study", tmp_path / "edited", dirs_exist_ok=True

@@ -116,7 +116,7 @@ def study(text: str, *, design: bool = False) -> Study:
         experiment=log,
         findings=(finding, replace(finding, code="W101")),
         design=made,
-        stopped=text,
+        missing={"design": text},
         assumptions=(text,),
         faults=faults(text),
     )
@@ -234,7 +234,7 @@ def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) 
 
 def test_an_infeasible_design_is_told() -> None:
     assert "because of the moon" in render_report(
-        Study(rig=RIG, stopped="because of the moon")
+        Study(rig=RIG, missing={"design": "because of the moon"})
     )
 
 

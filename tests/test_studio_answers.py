@@ -126,11 +126,11 @@ def test_a_jobs_result_is_taken_by_the_study_that_it_began_with(
 ) -> None:
     own = Session(made.study, tmp_path)
     monkeypatch.setattr(work.Job, "_run", lambda self, place, asked, tell: None)
-    proved = replace(made.study, uncertified="because of 8 g")
+    proved = replace(made.study, missing={"certificate": "because of 8 g"})
     monkeypatch.setattr(work, "load_study", lambda place: proved)
     answer = work.Job(own, "prove", {}).done(lambda progress: None)
     assert (
-        own.study.uncertified == "because of 8 g"
+        own.study.missing == {"certificate": "because of 8 g"}
         and own.study.design is made.study.design
     )
     assert (
@@ -140,7 +140,9 @@ def test_a_jobs_result_is_taken_by_the_study_that_it_began_with(
         work, "load_study", lambda place: replace(made.study, faults=table())
     )
     answer = work.Job(own, "faults", {}).done(lambda progress: None)
-    assert own.study.faults == table() and own.study.uncertified == "because of 8 g"
+    assert own.study.faults == table() and own.study.missing == {
+        "certificate": "because of 8 g"
+    }
     assert answer.head["faults_said"].startswith("1 of 2 faults")
     job = work.Job(own, "faults", {})
     own.become(

@@ -112,7 +112,7 @@ def test_a_refusal_keeps_what_was_asked_for_of_the_nearest() -> None:
 def test_what_was_remarked_comes_back_from_the_folder(tmp_path: Path) -> None:
     finding = Finding("W205", "warning", "short", {"seconds": 2.0}, "record more")
     kept = Study(
-        rig=RIG, experiment=log(), findings=(finding,), stopped="no data", uncertified="too large",
+        rig=RIG, experiment=log(), findings=(finding,), missing={"design": "no data", "certificate": "too large"},
         refused=Refusal({"gain_crossover": 14.0}, {"gain_crossover": 11.0}), assumptions=("a payload",),
         faults=faults(1, 1),
     )  # fmt: skip
@@ -122,8 +122,7 @@ def test_what_was_remarked_comes_back_from_the_folder(tmp_path: Path) -> None:
     back = load_study(tmp_path / "new")
     for name in (
         "findings",
-        "stopped",
-        "uncertified",
+        "missing",
         "refused",
         "assumptions",
         "faults",

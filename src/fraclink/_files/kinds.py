@@ -101,7 +101,7 @@ def document_of(cls: type) -> document:
     """Return the document of a class; FieldError for one whose values have no file."""
     if cls not in _DOCUMENTS:
         # The object itself, not its name: a user's class called Design is no result of
-        # fraclink. A study is a folder of files, and its remarks the file of that kind.
+        # fraclink.
         kind = _kind(cls.__name__)
         if not _is_result(cls) or _registered(kind):
             raise FieldError(

@@ -43,10 +43,9 @@ _OUTDATED = (
 _BARE: dict[str, Any] = {
     "design": None,
     "law": None,
-    "stopped": None,
+    "missing": {},
     "refused": None,
     "certificate": None,
-    "uncertified": None,
     "runs": (),
     "arms": None,
     "faults": None,
@@ -172,14 +171,8 @@ class Session:
             # campaign still hold.
             same = before.design == made.design
             if same:  # proof, arms and faults are of this very design
-                made = replace(
-                    made,
-                    **{
-                        name: getattr(before, name)
-                        for name in ("certificate", "uncertified")
-                    },
-                )
-                made = replace(made, arms=before.arms, faults=before.faults)
+                kept = ("certificate", "missing", "arms", "faults")
+                made = replace(made, **{name: getattr(before, name) for name in kept})
             self.state = request
             self.become(made)
         return Reply(
@@ -241,7 +234,8 @@ class Session:
         study = self.study
         if study.certificate is not None:
             return sentence(study.certificate.sentence)
-        return f"Not proved: {study.uncertified}" if study.uncertified else ""
+        why = study.missing.get("certificate")
+        return f"Not proved: {why}" if why else ""
 
     def marks(self) -> dict[str, str]:
         """The state of each step, as words of a verdict."""
@@ -252,7 +246,7 @@ class Session:
             "passed"
             if study.certificate
             else "failed"
-            if study.uncertified
+            if "certificate" in study.missing
             else "not run"
         )
         return {

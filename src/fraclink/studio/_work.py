@@ -160,8 +160,8 @@ class Job:
                 session.heldout = asked["heldout"]
                 session.become(replace(found, experiment=now.experiment, rig=now.rig))
             elif self.verb == "prove":
-                certificate, why = found.certificate, found.uncertified
-                session.become(replace(now, certificate=certificate, uncertified=why))
+                certificate, missing = found.certificate, found.missing
+                session.become(replace(now, certificate=certificate, missing=missing))
             elif self.verb == "arms":
                 shutil.rmtree(session.draft / "arms", ignore_errors=True)
                 shutil.move(place / "arms", session.draft / "arms")

@@ -45,7 +45,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
     if verb == "prove":
         _tell({"said": "proving every payload and delay"})
         # What an earlier try said would be taken for this one's if it were cancelled.
-        return proved(replace(study, uncertified=None, certificate=None))
+        return proved(replace(study, certificate=None))
     if verb == "arms":
         _tell({"said": f"trying {options['runs']:g} arms"})
         return tried(study, int(options["runs"]), folder=place / "arms")

@@ -136,12 +136,8 @@ def run(
                 else f"{name} failed: {error}"
             )
             # What could not be run is "not run", and breaks no promise.
-            if name == trying:
-                study = replace(study, untried=why)
-            elif name == "proving":
-                study = replace(study, uncertified=why)
-            else:
-                study = replace(study, stopped=why)
+            part = {trying: "arms", "proving": "certificate"}.get(name, "design")
+            study = replace(study, missing={**study.missing, part: why})
             if isinstance(error, InfeasibleError) and error.nearest:
                 study = replace(study, refused=Refusal.of(wanted, error.nearest))
         # Without a fit there is no design, and without a law nothing that moves.
@@ -259,11 +255,13 @@ def proved(study: Study) -> Study:
     """Return the study with its certificate, or with the reason why there is none."""
     assert study.design is not None  # noqa: S101
     certificate = certify(study.design, law=study.law)
+    missing = {
+        name: why for name, why in study.missing.items() if name != "certificate"
+    }
     if certificate.passed:
-        return replace(study, certificate=certificate)
-    return replace(
-        study, uncertified=certificate.verdict.removeprefix("Not certified: ")
-    )
+        return replace(study, certificate=certificate, missing=missing)
+    missing["certificate"] = certificate.verdict.removeprefix("Not certified: ")
+    return replace(study, certificate=None, missing=missing)
 
 
 def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,9 @@ from fraclink.trials._faults import FaultTable
 from fraclink.trials._summary import Summary, summarise
 
 __all__ = ["Refusal", "Study", "load_study", "save_study"]
+
+# What has a file or a folder of its own beside study.json.
+_FILES = ("rig", "experiment", "fit", "design", "law", "certificate", "arms", "faults")
 
 
 @dataclass(frozen=True)
@@ -54,15 +57,16 @@ class Refusal:
 
 
 @displayed
+@document("study", version=3)
 @dataclass(frozen=True)
 class Study:
     """What one log led to. Every part may be missing: a folder may hold some of the
     files only.
 
     rig, experiment, findings (of their examination); comparison of the structures; the
-    fit that the design used; design, law and certificate; stopped, uncertified and
-    untried: why there is none of them, no proof and no arms that differ; refused: the
-    request and the nearest that can be met, where it was the request that stopped it;
+    fit that the design used; design, law and certificate; missing: why a part is not
+    there, by its name ("design", "certificate", "arms"); refused: the request and the
+    nearest that can be met, where it was the request that ended the study;
     runs: simulated moves, one for each payload; twins: the same moves of the twin, under
     the law's own compensation;
     arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
@@ -79,11 +83,9 @@ class Study:
     fit: Fit | None = None
     design: Design | None = None
     law: Law | None = None
-    stopped: str | None = None
+    missing: Mapping[str, str] = field(default_factory=dict)
     refused: Refusal | None = None
     certificate: Certificate | None = None
-    uncertified: str | None = None
-    untried: str | None = None
     runs: tuple[Run, ...] = ()
     twins: tuple[Run, ...] = ()
     arms: Summary | None = None
@@ -137,7 +139,7 @@ class Study:
         it settles, what more delay it stands, and what is tightest.
         """
         if self.design is None:
-            return self.stopped or self.verdict.sentence
+            return self.missing.get("design", self.verdict.sentence)
         parts = self.design.sentence.split("; ")
         settled = [run.metrics.settling_time for run in self.runs]
         if settled:
@@ -225,10 +227,9 @@ class Study:
             for item in (self.design.requirements if self.design else ())
             if not item.passed
         ]
-        unproved = (
-            [] if self.uncertified is None else [f"not certified: {self.uncertified}"]
-        )
-        return ([] if self.stopped is None else [self.stopped]) + missed + unproved
+        design, proof = map(self.missing.get, ("design", "certificate"))
+        unproved = [f"not certified: {proof}"] if proof else []
+        return ([design] if design else []) + missed + unproved
 
     def _twin(self, doubts: list[str]) -> Scope:
         ran = self.arms is not None or self.faults is not None
@@ -237,11 +238,8 @@ class Study:
             f"twin: {_failed_move(run)}" for run in self.twins if not run.verdict.passed
         ]
         scope = _scope(off + self._failures(), doubts, ran)
-        return (
-            scope
-            if self.untried is None
-            else replace(scope, reasons=(*scope.reasons, self.untried))
-        )
+        untried = filter(None, [self.missing.get("arms")])
+        return replace(scope, reasons=(*scope.reasons, *untried))
 
     def _failures(self) -> list[str]:
         failed = []
@@ -316,26 +314,12 @@ def save_study(study: Study, folder: Path | str) -> None:
         save(study.experiment, place / "log.npz", force=True)
     if study.faults is not None:
         save(study.faults, place / "faults.json", force=True)
-    save(_remarks_of(study), place / "study.json", force=True)
-
-
-def _remarks_of(study: Study) -> _Remarks:
-    comparison = study.comparison
-    return _Remarks(
-        structure=study.fit.structure if study.fit else None,
-        stopped=study.stopped,
-        refused=study.refused,
-        uncertified=study.uncertified,
-        untried=study.untried,
-        assumptions=study.assumptions,
-        findings=study.findings,
-        comparison=None
-        if comparison is None
-        else _Preference(
-            comparison.preferred, comparison.verdict, comparison.undecided
-        ),
-        verdict=study.verdict,
-    )
+    about, comparison = study, study.comparison
+    if comparison is not None:
+        # study.json says of a comparison what its fits, files of their own, do not
+        comparison = replace(comparison, fits={}, without_delay={})
+    about = replace(about, comparison=comparison, **dict.fromkeys(_FILES, None))
+    save(replace(about, runs=(), twins=()), place / "study.json", force=True)
 
 
 def load_study(folder: Path | str) -> Study:
@@ -376,72 +360,43 @@ def _kind(path: Path) -> str:
     return kind_of(path) if path.suffix in (".json", ".npz") else ""
 
 
-@dataclass(frozen=True)
-class _Preference:
-    """What study.json says of a comparison; the fits are files of their own."""
-
-    preferred: str
-    verdict: str
-    undecided: tuple[str, ...] = ()
-
-
-@document("study", version=2)
-@dataclass(frozen=True)
-class _Remarks:
-    """What study.json adds to the other files of its folder; the verdict is for people
-    and not read back.
-    """
-
-    structure: str | None = None
-    stopped: str | None = None
-    refused: Refusal | None = None
-    uncertified: str | None = None
-    untried: str | None = None
-    assumptions: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    comparison: _Preference | None = None
-    verdict: Verdict | None = None
-
-
 def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     def first(kind: str, read: Callable[[Path], Any]) -> Any:
         return read(by_kind[kind][0]) if kind in by_kind else None
 
-    about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
+    about = first("study", lambda path: load(path, Study)) or Study()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     runs = sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
     design, certificate = (
         first("design", Design.load),
         first("certificate", Certificate.load),
     )
+    missing = dict(about.missing)
     # A certificate that says no is kept as the file that it is, and is a reason in the
     # verdict, not a proof.
-    refuted = certificate is not None and not certificate.passed
-    return Study(
+    if certificate is not None and not certificate.passed:
+        missing["certificate"], certificate = certificate.verdict, None
+    # model.json has the shortest name: the fit that the design used.
+    chosen = min(by_kind.get("fit", []), key=lambda path: len(path.name), default=None)
+    comparison = about.comparison
+    if comparison is not None:
+        # A comparison of some structures would name one as preferred that was never
+        # held against the others.
+        whole = set(fits) == set(STRUCTURES)
+        ordered = {name: fits[name] for name in STRUCTURES if name in fits}
+        comparison = replace(comparison, fits=ordered) if whole else None
+    return replace(
+        about,
         rig=first("rig", Rig.load) or (design.rig if design else None),
         experiment=first("log", lambda path: load(path, Experiment)),
-        findings=about.findings,
-        comparison=_comparison(fits, about.comparison),
-        fit=fits.get(str(about.structure or next(iter(fits), None))),
+        comparison=comparison,
+        fit=None if chosen is None else Fit.load(chosen),
         design=design,
         law=first("law", Law.load),
-        stopped=about.stopped,
-        refused=about.refused,
-        certificate=None if refuted else certificate,
-        uncertified=certificate.verdict if refuted else about.uncertified,
-        untried=about.untried,
+        missing=missing,
+        certificate=certificate,
         runs=tuple(move for move in runs if move.about.get("arm") != "twin"),
         twins=tuple(move for move in runs if move.about.get("arm") == "twin"),
         arms=None if not (place / "arms").is_dir() else summarise(place / "arms"),
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
-        assumptions=about.assumptions,
     )
-
-
-def _comparison(fits: dict[str, Fit], about: _Preference | None) -> Comparison | None:
-    # A comparison of some structures would name one as preferred that was never held
-    # against the others.
-    if about is None or set(fits) != set(STRUCTURES):
-        return None
-    ordered = {name: fits[name] for name in STRUCTURES}
-    return Comparison(ordered, {}, about.preferred, about.verdict, about.undecided)

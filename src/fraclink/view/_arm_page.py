@@ -73,7 +73,7 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
     if study.design is None:
         raise FieldError(
             "design",
-            study.stopped or "none",
+            study.missing.get("design", "none"),
             "missing: there is no controller to move an arm with",
             allowed="a study with a design",
             remedy="make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
