@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fraclink import Channel, LogColumns, Rig, read_log
-from fraclink._reading.reading import read_columns
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
+from fraclink.extend import read_columns
 from made_logs import HEADER, made_rows, write_log
 
 Rows = list[list[str]]

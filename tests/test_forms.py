@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from fraclink import inspect_log, read_log
-from fraclink._reading.reading import read_columns
 from fraclink.errors import FileFormatError, LogError
+from fraclink.extend import read_columns
 from fraclink.logs import start
 from made_logs import HEADER, made_rows, write_log
 

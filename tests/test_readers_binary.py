@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from fraclink import Channel, LogColumns, inspect_log, read_log
-from fraclink._reading.reading import read_columns
 from fraclink.errors import (
     FieldError,
     FileFormatError,
@@ -19,6 +18,7 @@ from fraclink.errors import (
     MissingExtraError,
     SizeError,
 )
+from fraclink.extend import read_columns
 from made_files import KINDS, made_columns, made_file, write_mat5
 from shared_data import shared_data
 

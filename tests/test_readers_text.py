@@ -25,9 +25,8 @@ from fraclink import (
     read_log,
     save,
 )
-from fraclink._reading.reading import read_columns
 from fraclink.errors import FieldError, LogError
-from fraclink.extend import bundled_logs
+from fraclink.extend import bundled_logs, read_columns
 from fraclink.logs import diagnose
 from junk import CHARACTERS
 from made_logs import made_rows, write_log

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fraclink import inspect_log
-from fraclink._reading.reading import read_columns
 from fraclink.errors import FileFormatError, SizeError
+from fraclink.extend import read_columns
 
 SAMPLES = np.arange(12.0)
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import main
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
-from fraclink._reading.reading import read_columns
 from fraclink.errors import FieldError, LogError
+from fraclink.extend import read_columns
 from fraclink.logs import Match, Question, match
 from made_logs import made_motion, made_output
 from shared_data import shared_data

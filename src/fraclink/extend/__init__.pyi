@@ -42,6 +42,7 @@ from fraclink._law.fractional_pid import discretize_pid as discretize_pid
 from fraclink._law.law import LawInputs as LawInputs
 from fraclink._law.limits import derive_limits as derive_limits
 from fraclink._reading.reading import bundled_logs as bundled_logs
+from fraclink._reading.reading import read_columns as read_columns
 from fraclink._reading.responses import read_recording as read_recording
 from fraclink._reading.responses import read_reference as read_reference
 from fraclink._simulate.arm import geared as geared
