@@ -314,12 +314,13 @@ def save_study(study: Study, folder: Path | str) -> None:
         save(study.experiment, place / "log.npz", force=True)
     if study.faults is not None:
         save(study.faults, place / "faults.json", force=True)
-    about, comparison = study, study.comparison
+    elsewhere: dict[str, Any] = dict.fromkeys(_FILES)
+    comparison = study.comparison
     if comparison is not None:
         # study.json says of a comparison what its fits, files of their own, do not
         comparison = replace(comparison, fits={}, without_delay={})
-    about = replace(about, comparison=comparison, **dict.fromkeys(_FILES, None))
-    save(replace(about, runs=(), twins=()), place / "study.json", force=True)
+    about = replace(study, comparison=comparison, runs=(), twins=(), **elsewhere)
+    save(about, place / "study.json", force=True)
 
 
 def load_study(folder: Path | str) -> Study:
