@@ -98,54 +98,6 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
         """G(0): finite, zero or infinite."""
         return self.fractional(0j).real
 
-    # -- algebra: with whatever has a transfer function, exact; with measured data, on
-    # its own grid ----
-
-    def _with(
-        self,
-        other: Any,
-        operation: Callable[[Any, Any], Any],
-        *,
-        reflected: bool = False,
-    ) -> Any:
-        # The very class and no subclass: a `FractionalResponse` is exact, and must not
-        # fall back to a grid.
-        if type(other) is control.FrequencyResponseData:
-            left, right = self.frd(other.omega), other
-            return operation(right, left) if reflected else operation(left, right)
-        try:
-            exact = from_control(
-                other.item() if isinstance(other, np.generic) else other
-            )
-        except (FracsysError, AttributeError):
-            return NotImplemented
-        left, right = (
-            (exact, self.fractional) if reflected else (self.fractional, exact)
-        )
-        return FractionalResponse(operation(left, right))
-
-    def __add__(self, other: Any) -> Any:
-        return self._with(other, lambda a, b: a + b)
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Any:
-        return self._with(other, lambda a, b: a - b)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self._with(other, lambda a, b: a - b, reflected=True)
-
-    def __mul__(self, other: Any) -> Any:
-        return self._with(other, lambda a, b: a * b)
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Any:
-        return self._with(other, lambda a, b: a / b)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self._with(other, lambda a, b: a / b, reflected=True)
-
     def __neg__(self) -> FractionalResponse:
         return FractionalResponse(-self.fractional)
 
@@ -169,3 +121,29 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
     def __str__(self) -> str:
         low, high = math.log10(self.omega[0]), math.log10(self.omega[-1])
         return f"{self.name}: {self.fractional!r}, exact; default grid 1e{low:.0f} to 1e{high:.0f} rad/s"
+
+
+# --- algebra: with whatever has a transfer function, exact; with measured data, on its
+# own grid
+
+
+def _operator(name: str) -> Callable[[FractionalResponse, Any], Any]:
+    def operate(self: FractionalResponse, other: Any) -> Any:
+        # The very class and no subclass: a `FractionalResponse` is exact, and must not
+        # fall back to a grid.
+        if type(other) is control.FrequencyResponseData:
+            return getattr(self.frd(other.omega), name)(other)
+        plain = other.item() if isinstance(other, np.generic) else other
+        try:
+            exact = from_control(plain)
+        except (FracsysError, AttributeError):
+            return NotImplemented
+        return FractionalResponse(getattr(self.fractional, name)(exact))
+
+    return operate
+
+
+for _name in ("add", "sub", "mul", "truediv"):
+    for _side in ("", "r"):
+        _word = f"__{_side}{_name}__"
+        setattr(FractionalResponse, _word, _operator(_word))

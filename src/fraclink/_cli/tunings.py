@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -99,11 +99,16 @@ def tune(
     stated = None if rig is None else load_rig(rig)
     if resume and (out / FILES[0]).is_file():
         known: Tuning = load(out / FILES[0], Tuning)
-        given, payloads, stated = (
-            _as_before(known, given),
-            payloads or known.payloads,
-            stated or known.rig,
-        )
+        limits = known.limits
+        before = {
+            "angle_deg": math.degrees(limits.angle),
+            "speed": limits.speed,
+            "torque": limits.torque,
+            "voltage": limits.voltage,
+            "payload": known.payload,
+        }
+        given = {k: before[k] if x is None else x for k, x in given.items()}
+        payloads, stated = payloads or known.payloads, stated or known.rig
     # Before the limits are asked for: nobody answers five questions to learn that a
     # file is in the way.
     elif not (resume or force):
@@ -156,25 +161,6 @@ def _following(found: Tuning, io: str, out: Path) -> str:
     # A law whose first moves are not what was promised is not one to go on with, proof
     # or not.
     return f"fraclink diagnose {out / 'log.npz'}"
-
-
-def _as_before(
-    known: Tuning, given: dict[str, float | None]
-) -> dict[str, float | None]:
-    """The limits and the payload of the tuning that is resumed, where they are not
-    given anew.
-    """
-    limits = known.limits
-    before: dict[str, Any] = {
-        "angle_deg": math.degrees(limits.angle),
-        "speed": limits.speed,
-        "torque": limits.torque,
-        "voltage": limits.voltage,
-        "payload": known.payload,
-    }
-    return {
-        name: before[name] if value is None else value for name, value in given.items()
-    }
 
 
 def _asked(name: str, value: float | None) -> float:
