@@ -16,15 +16,17 @@ from fracsys.checks import Array, Between, checked
 from fracsys.errors import FieldError
 
 Samples = Annotated[ArrayLike, Array(1, min_size=4)]
-# A cubic's second derivative is straight between samples; a third would be a staircase.
+# Between samples the second derivative of a cubic spline is a straight line; its third
+# derivative would be piecewise constant.
 DerivativeOrder = Annotated[float, Between(0.0, 2.0, low_open=True)]
 IntegralOrder = Annotated[float, Between(0.0, 20.0, low_open=True)]
 Definition = Literal["caputo", "riemann-liouville"]
 
-# Times may be printed with nine digits and more.
-_UNIFORM = 1e-6  # of a period
-# The kernel's singularity lies a period or more outside of every interval but the last:
-# Gauss and Legendre's rule then gains 5.8² a node, and sixteen reach 1e-24.
+# Largest deviation from even sampling, as a fraction of the period: times are printed
+# with nine digits or more.
+_UNIFORM = 1e-6
+# On every interval but the last, the singularity of the kernel is at least one period
+# away. Each Gauss-Legendre node then gains a factor of 5.8²; sixteen nodes reach 1e-24.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
@@ -155,7 +157,8 @@ def _integrated(pieces: Reals, period: float, order: float) -> Reals:
     power first.
     """
     count = pieces.shape[1]
-    # Of an interval n periods ago: ∫ (n − s)^(a−1) s^m ds over s from 0 to 1.
+    # For an interval that lies n periods in the past: ∫ (n − s)^(a−1) s^m ds, s from 0
+    # to 1.
     nodes, weights = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
     kernel = (np.arange(1.0, count + 1.0)[:, None] - nodes) ** (order - 1.0) * weights
     result = np.zeros(count + 1)

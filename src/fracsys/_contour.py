@@ -6,8 +6,8 @@ poles.
 17 nodes give 1e-14 for singularities on the negative axis and at 0 (more nodes for
 strong ones there). A pole p elsewhere enters with the weight 1/(1 - exp(-2πi u_p/h)) of
 its residue, u_p its place in the u-plane: 1 outside the parabola, 0 deep inside, and
-exact in between. Every time has a parabola of its own, so that the result is accurate
-relative to f(t) itself: slow, and the judge of the modes.
+exact in between. Each time has its own parabola, so the result is accurate relative to
+f(t) itself. This is slow; it serves as the reference for the modes.
 
 Source: Weideman and Trefethen, Math. Comp. 76 (2007) 1341, parabola with h = 3/N, μ =
 πN/(12 t).
@@ -28,11 +28,10 @@ from fracsys.errors import FieldError
 
 _BESIDE_ZERO = 0.02  # |p| t
 _AROUND = np.array([[0.3], [1.0], [3.0]])  # |s| t
-_CHUNK = 1024  # times together: about 20 nodes each
-_GRIDS = np.array([0.0, 0.5])[
-    :, None, None
-]  # a node at u = 0, or one on either side of it
-_MORE = (3, 4, 5, 6, 7)  # nodes of the rules that a value is compared with
+_CHUNK = 1024  # times evaluated together, about 20 nodes each
+# a node at u = 0, or one on either side of it
+_GRIDS = np.array([0.0, 0.5])[:, None, None]
+_MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared with
 
 
 def step_values(quotient: Quotient, times: Reals, *, more: int = 0) -> Reals:
@@ -75,25 +74,26 @@ def _needed(quotient: Quotient, times: Reals) -> NDArray[np.intp]:
     """Nodes for each time, from the power of s that G/s resembles at frequencies near
     1/t.
     """
-    # The parabola's error comes from |s| t of about 0.7; G's slope there, and on either
-    # side of it.
+    # The error of the parabola comes from |s| t ≈ 0.7: take the slope of G there and on
+    # either side.
     z = np.log(_AROUND / times).astype(np.complex128)
-    # A real zero of N or D at one of these points, as of 1/(s − 1) at 1 s, has a slope
-    # that is no number.
+    # A real zero of N or D at one of these points (1/(s − 1) at t = 1 s) makes the
+    # slope infinite or NaN.
     with np.errstate(divide="ignore", invalid="ignore"):
         order = (1.0 - quotient.slope(z)).max(axis=0)
     at_zero = singular_order(quotient.top, quotient.bottom) + 1.0
-    steepest = quotient.bottom[0].order + 1.0  # no slope exceeds it but at a zero of G
+    # no slope exceeds this except at a zero of G
+    steepest = quotient.bottom[0].order + 1.0
     order = np.fmin(np.fmax(order, at_zero), steepest)
     nodes = np.array([_nodes(0.25 * step) for step in np.ceil(4.0 * order).tolist()])
-    # Five nodes too many raise the rounding error by e^(5π/12) = 4 and save an
-    # evaluation of their own.
+    # Five surplus nodes raise the rounding error by e^(5π/12) = 4 but save a separate
+    # evaluation.
     return np.full_like(nodes, nodes.max()) if np.ptp(nodes) <= 5 else nodes
 
 
 def _on_parabola(quotient: Quotient, times: Reals, nodes: int) -> Reals:
-    # Zeros that e^(st) does not tell apart at the first time, |δs| t < 0.3, have
-    # residues that cancel: one circle around them all gives their sum.
+    # Zeros that e^(st) cannot separate at the first time (|δs| t < 0.3) have residues
+    # that cancel; one circle around all of them gives their sum.
     simple, clusters = quotient.grouped(
         lambda z: 0.3 * math.exp(-z.real) / float(times[0])
     )
@@ -112,9 +112,9 @@ def _on_parabola(quotient: Quotient, times: Reals, nodes: int) -> Reals:
     for pole in simple:
         point = np.full(len(times), pole)
         weight = _kernel(point, scale, offset, step) * np.exp(np.exp(pole) * times)
-        # A pole beside the singular point 0 is seen from the parabola as a part of it,
-        # and its residue may be huge where the cut cancels it: 1e-14 of that is not a
-        # correction.
+        # A pole close to the singular point 0 looks like a part of it from the
+        # parabola. Its residue may be huge where the cut cancels it, and 1e-14 of that
+        # residue is no correction.
         weight[math.exp(pole.real) * times < _BESIDE_ZERO] = 0.0
         share = 1.0 if pole.imag == 0.0 else 2.0
         total += (share * quotient.residue(pole) * weight).real
@@ -130,14 +130,13 @@ def _on_parabola(quotient: Quotient, times: Reals, nodes: int) -> Reals:
 
 @cache
 def _nodes(order: float) -> int:
-    """Nodes N for a transform that is s^-order at 0, which the parabola passes at Im u
-    = 1.
+    """Nodes N for a transform that behaves as s^-order at 0, which is the point u = i.
 
     The error e^(-2πN/3) then carries the factor (2πN/3)^(2a-1)/Γ(2a). More nodes than
     needed raise the rounding error, e^(πN/12).
     """
-    # 2.1 for 2π/3, and e^-32 = 1e-14. With e^-20 a contour per lag misses what it
-    # promises: test_a_contour_per_lag_where_modes_would_cancel.
+    # 2.1 stands for 2π/3, and e^-32 = 1e-14. With e^-20 the contours would be too
+    # coarse for test_a_contour_per_lag_where_modes_would_cancel.
     nodes, exponent = 16, max(2.0 * order - 1.0, 0.0)
     while (
         exponent * math.log(2.0 * math.pi * nodes / 3.0) - math.lgamma(exponent + 1.0)
@@ -177,8 +176,8 @@ def _cluster(
     step: float,
     time: float,
 ) -> float:
-    # Only the node nearest to the cluster counts, and a parabola has less than forty on
-    # either side.
+    # Only the node nearest to the cluster counts; a parabola has fewer than forty nodes
+    # on either side.
     nodes = 2.0 * np.log(1.0 + 1j * (np.arange(-40, 41) + offset) * step) + scale
     gap = float(
         min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag)
@@ -193,8 +192,8 @@ def _cluster(
 
 def convolve(weights: Reals, u: Reals) -> Reals:
     """First len(u) samples of the convolution, by FFT."""
-    # Twice the length: the circular convolution of an FFT then wraps around into zeros
-    # only.
+    # Twice the length, so that the circular convolution of the FFT wraps around into
+    # zeros only.
     size = 1 << max(2 * len(u) - 1, 1).bit_length()
     spectrum = np.fft.rfft(weights, size) * np.fft.rfft(u, size)
     result: Reals = np.fft.irfft(spectrum, size)[: len(u)]
@@ -218,12 +217,13 @@ _WINDOW = 4
 _OVERSAMPLING = 8
 # σW: what wraps around is e^-32 = 1e-14 of the response; rounding is raised by e^(32/4)
 _DECAY = 32.0
+# tried in turn, in units of 1/span, for responses that grow
 _SHIFTS = (
     0.0,
     4.0,
     8.0,
     16.0,
-)  # tried in turn, in units of 1/span, for responses that grow
+)
 
 
 def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction:
@@ -235,8 +235,8 @@ def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction
         term.delay for term in G.denominator if term.order == highest and term.delay
     ]
     if late:
-        # Its response jumps again after every delay, and a truncated series misses a
-        # jump by half of it.
+        # The response of such a loop jumps again after every delay; at a jump the
+        # truncated series is off by half its height.
         raise FieldError(
             "delay",
             max(late),
@@ -270,9 +270,9 @@ def invert(
     best, smallest = np.zeros(count), math.inf
     for shift in _SHIFTS:
         sigma = _DECAY / (_WINDOW * count * period) + shift / (count * period)
-        # What wraps around depends on σ, what the cut of the series leaves on the
-        # highest frequency: the second inversion changes both, so that neither error
-        # can be the same in it.
+        # The wrap-around error depends on σ, the truncation error on the highest
+        # frequency. The second inversion changes both, so neither error can be the same
+        # in it.
         fine = _series(G, exact, count, period, degree, sigma, _OVERSAMPLING)
         coarse = _series(
             G, exact, count, period, degree, 1.3 * sigma, _OVERSAMPLING // 2

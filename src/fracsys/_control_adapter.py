@@ -2,8 +2,7 @@
 
 python-control's plots test for its own classes: an `LTI` subclass fails in them, and a
 `TransferFunction` subclass is silently replaced by its integer-order stand-in. A
-`FrequencyResponseData` works; this one differs from the stock class in that nothing is
-interpolated.
+`FrequencyResponseData` works; unlike the stock class, this one interpolates nothing.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ from fracsys._from_control import from_control
 from fracsys._sweep import frequency_grid
 from fracsys.errors import FracsysError
 
-# python-control's margins are splines over the grid: 1e-4 degrees with these and the
-# refined ones
+# python-control takes margins from splines over the grid: with these points and the
+# refined ones they are accurate to 1e-4 degrees.
 _POINTS = 1000
 
 
 class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
     """G(jω) of a fractional system, exact at every frequency, with exact algebra."""
 
-    # numpy scalars and arrays must hand `array * G` to us instead of multiplying
-    # element by element.
+    # numpy scalars and arrays must leave `array * G` to this class instead of
+    # multiplying element by element.
     __array_ufunc__ = None
 
     def __init__(
@@ -40,8 +39,8 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
         super().__init__(system(1j * omega), omega, dt=0, sysname=name or repr(system))
         if name is not None:
             self.name = name
-        # python-control's sign for "may be evaluated off the grid"; the stock class
-        # keeps its splines here.
+        # python-control takes this attribute as "may be evaluated off the grid"; the
+        # stock class keeps its splines in it.
         self._ifunc = True
 
     def eval(self, omega: Any, squeeze: bool | None = None) -> Any:
@@ -64,8 +63,8 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
         squeeze: bool | None = None,
         return_magphase: bool | None = None,
     ) -> Any:
-        """G at any complex s [rad/s], not on the imaginary axis only; without s a copy,
-        as python-control.
+        """G at any complex s [rad/s], not only on the imaginary axis; without s a copy,
+        as in python-control.
         """
         if x is None:
             return super().__call__(squeeze=squeeze, return_magphase=return_magphase)
@@ -110,7 +109,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
             here = self.fractional(1j * other.omega)
             closed = here / (1 - sign * here * other.frdata.reshape(-1))
             return control.FrequencyResponseData(closed, other.omega, dt=0)
-        # python-control takes any sign here; only its direction counts.
+        # python-control accepts a feedback sign of any size; only its direction counts.
         return FractionalResponse(
             self.fractional.feedback(from_control(other), sign=-1 if sign < 0 else 1)
         )

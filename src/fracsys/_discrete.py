@@ -24,11 +24,12 @@ Band = Annotated[
 ]
 Order = Annotated[int, Between(0, 12, remedy="use order=None to choose")]
 
-# of the tolerance on the grid of the fit: between its points the error is up to 3 %
-# larger
+# Share of the tolerance that the fit may use on its grid: between the grid points the
+# error is up to 3 % larger.
 _WITHIN = 0.97
-# The guard costs up to two of eight states, measured on six controllers. above the band
-# |H − F| may reach 2 |F| times the score: without it the gain there has no bound
+# Above the band |H − F| may reach 2 |F| times the score; without this guard the gain
+# there has no bound. Measured on six controllers, the guard costs up to two of eight
+# states.
 _GUARD = 2.0
 
 
@@ -110,8 +111,8 @@ def fit_discrete(
         (tolerance_db, tolerance_deg),
         np.asarray(inside, dtype=float),
     )
-    # tan(ωT/2) is infinite at the Nyquist frequency: 1.55 rad puts the end of the plane
-    # at 48.
+    # tan(ωT/2) is infinite at the Nyquist frequency; 1.55 rad limits the mapped
+    # frequency to 48.
     plane = (
         math.tan(0.5 * band[0] * period),
         math.tan(min(0.5 * band[1] * period, 1.55)),
@@ -136,21 +137,22 @@ def _grown(
     highest: int,
     pairs: int | None,
 ) -> PartialFractions:
-    """The fractions of the wanted order, of the lowest that meets the tolerances, or
-    the best there are.
+    """The fractions of the order given; otherwise those of the lowest order that meets
+    the tolerances, or the best found.
     """
     grown: list[list[PartialFractions]] = []
     finished: dict[int, PartialFractions] = {}
     for here in grow(target, plane, highest if order is None else order, pairs=pairs):
         grown.append(here)
-        # What the quick norms reach is lowered by a tenth or two by the whole ladder.
+        # The full sequence of norms lowers the error of the quick ones by 10 to 20 %.
         if order is None and score(here[0], target) <= 1.3:
             fit = finished[len(grown) - 1] = finish(here, target)
             if score(fit, target) <= _WITHIN:
                 return fit
     if order is not None:
         return finish(grown[-1], target)
-    # The ladder lowers either by a tenth or two: neighbours may change ranks.
+    # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
+    # change ranks.
     likely = sorted(range(len(grown)), key=lambda k: score(grown[k][0], target))[:2]
     made = [finished[k] if k in finished else finish(grown[k], target) for k in likely]
     return min(made, key=lambda fit: score(fit, target))
@@ -179,8 +181,8 @@ def _target(
     more: Reals,
 ) -> Target:
     inside, nyquist = np.union1d(_grid(band, 80), more), math.pi / period
-    # Twenty points up to the Nyquist frequency, none where the band ends beside it:
-    # nothing is left to guard.
+    # Twenty points from the band up to the Nyquist frequency, none where the band ends
+    # next to it.
     above = (
         np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9)
         if band[1] < 0.99 * nyquist
@@ -192,9 +194,9 @@ def _target(
     )  # tan(ωT/2) is infinite at the Nyquist frequency
     wanted = np.asarray(response(w), dtype=complex)
     within = np.arange(w.size) < inside.size
-    # In the band the error is that of the whole controller, which `offset` may
-    # dominate; above it only the size of what is fitted is guarded, and the offset
-    # would hide it.
+    # Inside the band the error is relative to the whole controller, which `offset` may
+    # dominate. Above it only the size of the fitted part is guarded, and the offset
+    # would mask it.
     base = np.where(within, offset + wanted, np.abs(wanted))
     if not np.all(np.isfinite(wanted)) or not np.all(base):
         raise FieldError(
@@ -211,8 +213,8 @@ def _target(
         (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
         wanted,
         np.asarray(emphasis / base, dtype=complex),
-        # The error is in nepers and radians, 20/ln 10 dB and 180/π degrees each: in
-        # units of its tolerance.
+        # The error is in nepers and radians; 20/ln 10 dB and 180/π degrees per unit
+        # turn it into multiples of the tolerance.
         np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
         np.where(within, 180 / (math.pi * tolerance[1]), 1 / _GUARD),
     )
@@ -224,9 +226,8 @@ def checked_band(band: object, period: float | None) -> tuple[float, float]:
     """
     low, high = rule(Band).check("band", band)
     limit = math.inf if period is None else math.pi / period
-    if high > limit * (
-        1.0 + 1e-9
-    ):  # π/period itself is meant to pass, also when it was rounded up
+    # π/period itself is allowed, even when it was rounded up
+    if high > limit * (1.0 + 1e-9):
         raise FieldError(
             "band",
             (low, high),
@@ -302,7 +303,7 @@ class DiscreteRational:
         return np.concatenate([self.decays, self.pole_decays, self.pole_decays.conj()])
 
     def __call__(self, frequency: ArrayLike) -> Complexes:
-        """H(e^(jωT)) at frequencies ω [rad/s], shape kept."""
+        """H(e^(jωT)) at frequencies ω [rad/s], in the shape of ω."""
         w = np.asarray(frequency, dtype=float)
         z = np.exp(1j * w * self.period)[..., None]
         inner = self.feedthrough + (self.gains / (z - self.decays)).sum(-1)
@@ -333,8 +334,8 @@ class DiscreteRational:
         real, pair = fit.real_gains * sigma / (1 + sigma), fit.pair_gains * q / (1 + q)
         decays, turned = (1 - sigma) / (1 + sigma), (1 - q) / (1 + q)
         gains = pair * (1 + turned)
-        # The map (1 − q)/(1 + q) reverses the sign of Im q; the law keeps the
-        # pole of each pair that lies above.
+        # The map (1 − q)/(1 + q) reverses the sign of Im q; the law keeps the pole of
+        # each pair that has Im > 0.
         below = turned.imag < 0
         return cls(
             period=period,

@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from fracsys._terms import Complexes, Reals
 from fracsys.errors import NotConvergedError
 
-# relative to Σ|terms|: 40 units in the last place, for six terms of three roundings
-# each
+# Relative to Σ|terms|: 40 units in the last place, for six terms of three roundings
+# each.
 ROUNDING = 1e-14
-PIECE_LIMIT = (
-    20_000  # intervals of one walk; a line that needs more passes through a zero
-)
+# intervals of one walk; a path that needs more passes through a zero
+PIECE_LIMIT = 20_000
 
 
 class NearZeroError(NotConvergedError):
@@ -49,8 +48,8 @@ class ExponentialSum:
         """
         a = np.atleast_1d(np.asarray(coefficients, dtype=float))
         nu = np.atleast_1d(np.asarray(orders, dtype=float))
-        # To the bit, other than `collect` in terms.py: what comes from a transfer
-        # function is merged already.
+        # Merge only exponents that are equal to the last bit, unlike `collect` in
+        # _terms.py: the terms of a transfer function are merged already.
         nu, index = np.unique(nu, return_inverse=True)
         merged = np.zeros_like(nu)
         np.add.at(merged, index, a)
@@ -73,8 +72,8 @@ class ExponentialSum:
         exponents = np.asarray(
             self._logs.reshape(column) + np.multiply.outer(self.rates, z), dtype=complex
         )
-        # The zeros of D do not depend on its size: s^6 at 1e100 rad/s would leave the
-        # range of doubles, its share of the largest term does not.
+        # The zeros of D do not depend on its scale. s^6 at 1e100 rad/s would overflow,
+        # its ratio to the largest term does not.
         exponents -= exponents.real.max(axis=0)
         terms = np.asarray(self._signs.reshape(column) * np.exp(exponents))
         moduli: Reals = np.abs(terms).sum(axis=0)
@@ -96,8 +95,8 @@ class ExponentialSum:
         twice the others.
         """
         a, nu = self._logs, self.rates
-        # Each other term below 1/(2K) of the dominant one: a sufficient and cheap form
-        # of the condition.
+        # Each other term is below 1/(2K) of the dominant one: a sufficient condition
+        # that is cheap to test.
         spare = np.log(2.0 * len(a))
         low = np.min((a[0] - a[1:] - spare) / nu[1:])
         high = np.max((a[:-1] - a[-1] + spare) / (nu[-1] - nu[:-1]))
@@ -114,24 +113,24 @@ class ExponentialSum:
         """
         a, b, total = start, end, 0.0
         while a.size:
-            # Pieces of 1e-13 are as short as rounding lets them be: halving them again
-            # shows nothing new.
+            # Pieces of 1e-13 are at the limit of rounding; halving them again shows
+            # nothing new.
             if a.size > PIECE_LIMIT or np.min(np.abs(b - a)) < 1e-13:
                 raise NearZeroError(a.size)
             turned, sure = self._pieces(a, b)
             total += float(turned[sure].sum())
-            # Only what is uncertain is halved: the pieces are as many as the zeros
-            # beside the path ask for, and not as its length does.
+            # Only uncertain pieces are halved: their number grows with the zeros beside
+            # the path, not with its length.
             a, b = a[~sure], b[~sure]
             middle = 0.5 * (a + b)
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
         return total
 
     def _pieces(self, a: Complexes, b: Complexes) -> tuple[Reals, NDArray[np.bool_]]:
-        """Phase change of each piece and whether it is certain.
+        """Phase change of each piece, and whether it is certain.
 
-        D is multiplied by e^(−cz), whose phase is known, with c the mean rate there:
-        where one term dominates a piece may then be long.
+        D is multiplied by e^(−cz), whose phase is known; c is the mean rate on the
+        piece. Where one term dominates, a piece may then be long.
         """
         nu, middle = self.rates[:, None], 0.5 * (a.real + b.real)
         weights = self._logs[:, None] + nu * middle
@@ -154,8 +153,8 @@ class ExponentialSum:
             strayed = strayed + power * np.abs(centre_terms.sum(axis=0))
         strayed = strayed + power * radius / 4 * (moduli * gap**4).sum(axis=0)
         sure = strayed < np.abs(centre.sum(axis=0))
-        # Both ends lie in one disc without the origin: the principal argument of their
-        # quotient is the change itself.
+        # Both ends lie in a disc that does not contain the origin: the principal
+        # argument of their quotient is the phase change.
         turned = np.angle(right.sum(axis=0) * left.sum(axis=0).conj())
         return turned + c * (b.imag - a.imag), sure
 
@@ -164,8 +163,8 @@ class ExponentialSum:
 
 
 def _whole(turns: float) -> int:
-    # Rounding of some hundred pieces adds up to 1e-12; anything near 1e-3 is a phase
-    # that drowned.
+    # The rounding of some hundred pieces adds up to 1e-12; a remainder near 1e-3 means
+    # that the phase was lost in rounding.
     if abs(turns - round(turns)) > 1e-3:
         raise NotConvergedError(
             "winding number",
@@ -183,7 +182,7 @@ def count_strip(sum_: ExponentialSum, height: float) -> int:
     back, left side down.
     """
     low, high = sum_.bounds
-    # Ten pieces are right for three terms; the walk halves those that are too long.
+    # Ten pieces suit three terms; the walk halves those that are too long.
     top = np.linspace(high, low, 11) + 1j * height
     start = np.concatenate([[high], top])
     end = np.concatenate([top, [low]])

@@ -74,8 +74,8 @@ class FractionalTransferFunction:
 
     __made_by__ = "fracsys.s, such as 100 / (s**1.92 + 100)"
 
-    # numpy must hand `array * G` to us: an array of functions comes of it in both
-    # orders.
+    # numpy must leave `array * G` to this class, so that both orders give an array of
+    # functions.
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
@@ -228,8 +228,8 @@ class FractionalTransferFunction:
                 allowed="a function or a number",
                 remedy="build it from s",
             )
-        # From the four sums and not as G/(1 + GH), which would carry the denominator of
-        # G above and below.
+        # Built from the four sums: G/(1 + GH) would carry the denominator of G in both
+        # numerator and denominator.
         loop = product(self.numerator, right.numerator)
         return _build(
             product(self.numerator, right.denominator),
@@ -292,7 +292,8 @@ class FractionalTransferFunction:
         """Return the function as a python-control system (see
         `fracsys.to_control`).
         """
-        # By name and at call time: this module knows nothing of the floors above it.
+        # Imported by name at call time: this module must not depend on the layers above
+        # it.
         return import_module("fracsys._to_control").to_control(self, name=name)
 
     @staticmethod
@@ -320,14 +321,15 @@ class FractionalTransferFunction:
     def __hash__(self) -> int:
         if self.denominator != _ONE or len(self.numerator) > 1:
             return hash((self.numerator, self.denominator))
-        # s/s equals 1, and what is equal has to have one hash.
+        # s/s equals 1, and equal objects must have equal hashes.
         only = self.numerator[0] if self.numerator else Term(0.0, 0.0)
         constant = not only.order and not only.delay
         return hash(
             only.coefficient if constant else (self.numerator, self.denominator)
         )
 
-    if not TYPE_CHECKING:  # for people; a type checker shall know every attribute
+    # a run-time aid for people; type checkers must still see every attribute
+    if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
             told = f": {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
@@ -375,7 +377,7 @@ class FractionalTransferFunction:
         \\frac{1}{s^{0.5} + 2}
         """
         top, bottom = (
-            # 1e-05 is how Python writes it.
+            # Python writes 1e-05.
             re.sub(
                 r"(?<=\d)e\+?(-?)0*(\d+)", r" \\cdot 10^{\1\2}", written(terms, LATEX)
             )
@@ -391,7 +393,8 @@ def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFun
 def _sum(
     a: FractionalTransferFunction, b: FractionalTransferFunction
 ) -> FractionalTransferFunction:
-    # Else 1/D + 1/D would be 2D/D²: every pole twice, with a zero on one of both.
+    # Otherwise 1/D + 1/D would be 2D/D², with every pole doubled and one of each pair
+    # cancelled by a zero.
     if a.denominator == b.denominator:
         return _build((*a.numerator, *b.numerator), a.denominator)
     top = (*product(a.numerator, b.denominator), *product(b.numerator, a.denominator))
@@ -424,8 +427,8 @@ def _crosswise(
     other_top: Sequence[Term],
     other_bottom: Sequence[Term],
 ) -> FractionalTransferFunction:
-    """(top/bottom)·(other_top/other_bottom), whole sums cancelled crosswise: (1/D)·D is
-    1, not D/D.
+    """(top/bottom)·(other_top/other_bottom) with equal sums cancelled crosswise:
+    (1/D)·D is 1, not D/D.
     """
     top, other_bottom = cancelled(top, other_bottom)
     other_top, bottom = cancelled(other_top, bottom)
@@ -435,7 +438,7 @@ def _crosswise(
 _ONE = (Term(1.0, 0.0),)
 
 _CONTROL = "python-control's functions take G.to_control()"
-# What people who know other packages ask of a transfer function -> where it is here.
+# Attributes that users of other packages look for -> where to find them here.
 _ELSEWHERE = {
     "num": "its terms, of any order, are G.numerator",
     "den": "its terms, of any order, are G.denominator",
@@ -477,7 +480,8 @@ def _applied(
     """The operation with a function, a number, or each entry of an array; NotImplemented
     for anything else.
 
-    An operator's type is that of its usual operands: for an array it is an array.
+    The declared type is that of the usual operands; for an array the result is an
+    array.
     """
     right: Any = _operand(other)
     if right is not NotImplemented:
@@ -494,7 +498,7 @@ def _operand(value: object) -> Any:
         return value
     if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
         return import_module("fracsys._from_control").from_control(value)
-    if isinstance(value, Real) and not isinstance(value, bool):  # a Fraction, too
+    if isinstance(value, Real) and not isinstance(value, bool):  # a Fraction as well
         return _build((Term(float(value), 0.0),), (Term(1.0, 0.0),))
     return NotImplemented
 

@@ -1,6 +1,6 @@
 """Systems of python-control as fractional ones.
 
-python-control is imported at the first call and not before (it costs seconds).
+python-control is imported at the first call only, since that takes seconds.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def from_control(system: Any) -> FractionalTransferFunction:
         return system
     if isinstance(system, (int, float)):
         return FractionalTransferFunction((Term(system, 0.0),), (Term(1.0, 0.0),))
-    # What `to_control` made holds the exact system: reading its samples back would make
-    # a stand-in of it.
+    # A result of `to_control` carries the exact system; its samples would only give an
+    # approximation.
     known = getattr(system, "fractional", None)
     if isinstance(known, FractionalTransferFunction):
         return known
@@ -58,7 +58,8 @@ def from_control(system: Any) -> FractionalTransferFunction:
             allowed="one input and one output",
             remedy="select one channel, such as system[0, 0]",
         )
-    if system.dt:  # None is a time base that nobody stated: continuous, too
+    # dt = None means that no time base was stated; it counts as continuous
+    if system.dt:
         raise FieldError(
             "system.dt",
             system.dt,

@@ -17,25 +17,22 @@ from fracsys._modes import DiscreteModes, Expansion, expand, split_delay
 from fracsys._quotient import STRONG, Quotient, singular_order, without_integrator
 from fracsys._terms import Reals, Term, collect, largest, same, snap
 
-# times at which the modes are compared with the contour integral; their error swings in
-# ln t
+# Times at which the modes are compared with the contour integral.
 _CHECKS = 9
-_SWING = (
-    6.0  # that error swings in ln t, and nine times need not meet its largest value
-)
-_ADDED = (
-    4.0  # jumps of an input whose errors may fall together: its other swings take turns
-)
-_ENOUGH = (
-    3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
-)
-_MOST_WEIGHTS = (
-    200_000  # … for so many samples (about 2 s); the error estimate tells the rest
-)
-_CORRECTIONS = 3  # of the tolerance that an expansion is asked for
+_SWING = 6.0  # The error oscillates in ln t, and nine times need not hit its maximum.
+# Jumps of the input whose errors may add up; the errors of the other jumps alternate in
+# sign.
+_ADDED = 4.0
+# Fraction of the peak: above this the modes cancel, and one contour per lag is used
+# instead.
+_ENOUGH = 3e-11
+# Beyond this number of samples (about 2 s) the modes are used in any case; the error
+# estimate then shows what they lose.
+_MOST_WEIGHTS = 200_000
+_CORRECTIONS = 3  # corrections of the tolerance requested of an expansion
 _FINEST = 1e-14  # where rounding begins
-_ROUNDING = 4e-15  # of the largest output
-_CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
+_ROUNDING = 4e-15  # fraction of the largest output
+_CHUNK = 4096  # times evaluated together: 60 modes take 2 MB
 
 
 @dataclass(frozen=True)
@@ -67,8 +64,8 @@ class HeldQuotient:
         integrator, top = without_integrator(whole.top, whole.bottom)
         direct = _direct(top, whole.bottom)
         gain = not top or (direct != 0.0 and len(top) == len(whole.bottom) == 1)
-        # An integrator has its pole at 0 alone: the others are found once, for the
-        # whole.
+        # The only pole of an integrator is 0; the other poles are computed once, for
+        # the whole quotient.
         rest = None if gain else Quotient(top, whole.bottom, whole.zeros)
         return cls(whole, integrator, rest, direct)
 
@@ -94,8 +91,8 @@ class HeldQuotient:
         """Response to a step or a ramp at single times ≥ 0, without the integrator."""
         if self.rest is None:
             return [self.direct * (t if ramp else 1.0) for t in times]
-        # At 0 itself the parabola has no scale; what the response is there follows from
-        # its highest powers.
+        # At t = 0 the parabola has no scale; the response there follows from the
+        # highest powers.
         start = 0.0 if ramp else self.direct
         quotient = self.rest.integrated() if ramp else self.rest
         later = iter(step_values(quotient, np.array([t for t in times if t > 0.0])))
@@ -156,12 +153,13 @@ class HeldQuotient:
             zeroth = (at - 2.0 * before) / period
             zeroth += integrator * (0.5 * period + ahead - 0.5 * ahead**2 / period)
             one = (next_at - 2.0 * at + before) / period + integrator * period
-            # A hat is a second difference of ramps: (e^x − 1)²/x of each mode, without
-            # the cancellation of three exponentials.
+            # The response to a hat function is a second difference of ramp responses:
+            # (e^x − 1)²/x for each mode, without the cancellation of three
+            # exponentials.
             gains = parts.weights * np.expm1(x) ** 2 / x
             pole_gains = 2.0 * parts.pole_weights * np.expm1(z) ** 2 / z
-        # A sample is `ahead` later than the input that it answers, and each mode has
-        # moved on by as much.
+        # A sample lies `ahead` later than the input that it responds to; each mode has
+        # decayed by that time.
         gains = gains * np.exp(x * ahead / period)
         pole_gains = pole_gains * np.exp(z * ahead / period)
         if integrator:
@@ -171,7 +169,7 @@ class HeldQuotient:
             hold=hold,
             direct=zeroth,
             # The weight at lag 1 is exact by construction: within the first period the
-            # modes are not what they stand for.
+            # modes do not represent the response.
             first=one - float(gains.sum()) - float(pole_gains.sum().real),
             log_decays=x,
             gains=gains,
@@ -190,8 +188,8 @@ class HeldQuotient:
         span = max(len(u), 1) * period
         if self.has_modes:
             parts = self.expansion(period, span, tolerance)
-            # Every response is judged by the contour: whether modes cancel depends on
-            # the span, and not on G alone.
+            # Each response is compared with the contour integral, since cancellation
+            # among the modes depends on the span as well as on G.
             error, peak, step = self.error(parts, period, span)
             if _will_do(error, peak, len(u)):
                 modes = self._recursion(
@@ -200,32 +198,34 @@ class HeldQuotient:
                 output = modes.respond(u)
                 error = _SWING * error + self._unseen(parts, span, len(u))
                 changes = float(np.abs(np.diff(u, prepend=0.0)).sum())
-                # Each jump of the input brings its own error.
+                # Each jump of the input contributes this error.
                 error *= min(changes, _ADDED * largest(u))
                 error += _ROUNDING * largest(output)
                 return Part(output, error, modes.count, "modes")
         return self._by_weights(u, period, hold, delay)
 
     def _by_weights(self, u: Reals, period: float, hold: str, delay: float) -> Part:
-        """The response by one contour a lag, where modes would cancel.
+        """The response by one contour per lag, where modes would cancel.
 
-        A few microseconds a lag: poles and singular powers that are much slower than
-        the whole span need a contour that grows with time.
+        This takes a few microseconds per lag. It is needed for poles and singular
+        powers much slower than the whole span, which need a contour that grows with
+        time.
         """
         lag, ahead = split_delay(delay, period)
         output, count = np.zeros(len(u)), len(u) - lag
         if count <= 0:
             return Part(output, 0.0, 0, "contour")
         quotient, start, held = self.whole, self.direct, u[:count]
-        if hold == "first":  # straight lines are the integral of their slopes, held
+        # the first-order hold of u is the integral of its held slopes
+        if hold == "first":
             slopes = np.diff(u, append=u[-1])[:count] / period
             quotient, start, held = quotient.integrated(), 0.0, slopes
         times = np.arange(count, dtype=np.float64) * period + ahead
         values, error = _sampled(quotient, times, start)
         output[lag:] = convolve(np.diff(values, prepend=0.0), held)
-        # What is common to neighbouring lags enters once with the largest input, what
-        # is not with the root of the sum of squares of the input's changes, here at
-        # four standard deviations.
+        # The error common to neighbouring lags counts once, with the largest input. The
+        # independent part counts with the root of the sum of squares of the input's
+        # changes, at four standard deviations.
         changes = float(np.linalg.norm(np.diff(held, prepend=0.0)))
         error *= 2.0 * largest(held) + 4.0 * changes
         return Part(output, error + _ROUNDING * largest(output), 0, "contour")
@@ -253,9 +253,9 @@ class HeldQuotient:
         value = np.empty(len(t))
         for k in range(0, len(t), _CHUNK):
             value[k : k + _CHUNK] = parts.increments(t[k : k + _CHUNK])
-        # The modes hold increments only: one exact value fixes the constant. At the
-        # first time: there the value is smallest, and a constant that is off shows
-        # most.
+        # The modes hold increments only; one exact value fixes the constant. It is
+        # taken at the first time, where the value is smallest and an error in the
+        # constant shows most.
         value += first - value[int(np.argmin(t))]
         return np.asarray(value + self.integrator * t)
 
@@ -285,22 +285,23 @@ class HeldQuotient:
         return HeldQuotient.of(Quotient(raised, whole.bottom, whole.zeros))
 
     def _unseen(self, parts: Expansion, span: float, steps: int) -> float:
-        """Rounding that the comparison of modes and contour cannot show: a mode is
-        multiplied once for sixteen steps, each time with the same rounded factor.
+        """Rounding that the comparison of modes with the contour cannot show: each mode
+        is multiplied once in sixteen steps, always by the same rounded factor.
         """
         rates = np.concatenate((-parts.rates, parts.poles))
         size = np.concatenate((np.abs(parts.weights), 2.0 * np.abs(parts.pole_weights)))
-        # A mode that dies errs for as long as it lives, and not for the whole span.
+        # A decaying mode accumulates rounding only during its lifetime, not over the
+        # whole span.
         life = 1.0 / np.maximum(1.0, -rates.real * span)
-        # A slow mode moves by its weight times |p| t only: the weight itself, huge
-        # beside 0, is never seen.
+        # A slow mode contributes only its weight times |p| t; the weight itself may be
+        # huge near p = 0 but never shows in the output.
         size *= np.exp(np.maximum(rates.real * span, 0.0))
         size *= np.minimum(np.abs(rates) * span * life, 1.0) * (
             2.0 + steps * life / 16.0
         )
-        # The modes' errors are independent: three times the root of the sum of their
-        # squares. By `hypot`, as the squares of what grows beyond e^355 leave the range
-        # of doubles.
+        # The errors of the modes are independent: three times the root of the sum of
+        # their squares. `hypot`, because squares of growing modes beyond e^355
+        # overflow.
         return 3.0 * sys.float_info.epsilon * math.hypot(*size.tolist())
 
     def error(
@@ -311,12 +312,12 @@ class HeldQuotient:
         """
         if self.rest is None:
             return 0.0, 1.0, self.direct
-        # Even on a logarithmic scale; geomspace by hand, as its own checks cost an
-        # eighth of a short response.
+        # Logarithmic spacing; geomspace is avoided because its own checks take an
+        # eighth of the time of a short response.
         growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
         times = np.asarray(shortest * np.exp(growth * np.arange(_CHECKS)))
-        # The contour integrates the whole function, so that what is lost with the
-        # integrator taken off is seen.
+        # The contour integrates the whole function, so that digits lost by splitting
+        # off the integrator show.
         exact = step_values(self.whole.misplaced, times)
         first = float(exact[0])
         if self.integrator:
@@ -326,18 +327,20 @@ class HeldQuotient:
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
 
 
-# Of a response at single times: as of the samples of `time_response`.
+# The corresponding limit for responses at single times.
 _ENOUGH_OF_ONE = 1e-12
 
 
 def _will_do(error: float, peak: float, count: int) -> bool:
-    """Whether modes with that error are used."""
-    # Modes that overflowed into each other leave nan, which is no small error.
+    """Whether modes with this error are used."""
+    # Modes that overflow give NaN, which must not pass for a small error.
     return error <= _ENOUGH * peak or count > _MOST_WEIGHTS
 
 
 def _sampled(quotient: Quotient, times: Reals, start: float) -> tuple[Reals, float]:
-    """Step response by a contour a time, `start` at 0, and an estimate of its error."""
+    """Step response by one contour per time, with the value `start` at t = 0, and an
+    estimate of its error.
+    """
     values, later = np.where(times == 0.0, start, 0.0), times > 0.0
     if not later.any():
         return values, 0.0
@@ -346,17 +349,17 @@ def _sampled(quotient: Quotient, times: Reals, start: float) -> tuple[Reals, flo
 
 
 def _direct(top: Sequence[Term], bottom: Sequence[Term]) -> float:
-    """What of N/D does not fall at high frequency."""
+    """The direct part of N/D, which does not fall at high frequency."""
     same_degree = bool(top) and top[0].order == bottom[0].order
     return top[0].coefficient / bottom[0].coefficient if same_degree else 0.0
 
 
 def _without_direct(top: Sequence[Term], bottom: Sequence[Term]) -> list[Term]:
-    """Numerator of N/D - D, in falling orders."""
+    """Numerator of N/D minus its direct part, in descending orders."""
     direct = _direct(top, bottom)
     if not direct:
         return list(top)
     rest = collect([*top, *(Term(-direct * t.coefficient, t.order) for t in bottom)])
-    # The leading term cancels by construction; left to rounding it would be a direct
-    # part of 1e-16.
+    # The leading term cancels by construction; rounding would leave a direct part of
+    # 1e-16.
     return [t for t in rest if not same(t.order, bottom[0].order)]

@@ -1,4 +1,6 @@
-"""What may be given as a loop, and where its response has to be looked at."""
+"""The systems accepted as a loop, and the frequencies at which its response must be
+evaluated.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,11 @@ from fracsys._roots import log_zeros, newton_polygon, two_term_zeros
 from fracsys._terms import Complexes, Reals, Term
 from fracsys.errors import FieldError
 
-# Twelve decades around 1 rad/s hold every mechanical and electrical loop a callable can
-# stand for.
+# Twelve decades around 1 rad/s cover every mechanical and electrical loop that is
+# likely to be given as a function.
 _LOW, _HIGH = 1e-6, 1e6
-# Central differences of ln L over 2e-5: exact to 1e-10, and the bracket guards what
-# they get wrong.
+# Central differences of ln L over 2e-5 are exact to 1e-10; the brackets catch their
+# errors.
 _STEP = 1e-5
 
 
@@ -41,7 +43,7 @@ class SampledLoop:
     low: float
     high: float
     seeds: Reals = field(default_factory=lambda: np.empty(0))
-    delayed: bool = True  # for all that is known
+    delayed: bool = True  # assumed where the structure is unknown
     follow: float = -math.inf
     ends: tuple[complex, complex] = (complex(math.nan), complex(math.nan))
     system: FractionalTransferFunction | None = None
@@ -99,9 +101,8 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
     stop at π/dt).
     """
     period = getattr(loop, "dt", None)
-    if (
-        period is True
-    ):  # a response over z; as one over s it would have margins, and wrong ones
+    # a response over z; read as a function of s it would give wrong margins
+    if period is True:
         raise FieldError(
             "loop",
             "dt = True",
@@ -111,7 +112,8 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
         )
     step = float(period) if isinstance(period, (int, float)) else 0.0
     if step > 0.0:
-        # Beyond the Nyquist frequency a sampled response only repeats itself, mirrored.
+        # Beyond the Nyquist frequency a sampled response is only its mirrored
+        # repetition.
         limit = math.pi / step if limit is None else min(limit, math.pi / step)
 
     def response(x: Reals) -> object:
@@ -119,36 +121,36 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
         return loop(np.exp(s * step) if step > 0.0 else s)
 
     high = _HIGH if limit is None else limit
-    # Six decades below the highest frequency, so that a loop at 1e-3 rad/s has as much
-    # of a range below it.
+    # Six decades below the highest frequency, so that a loop at 1e-3 rad/s has the same
+    # range below it.
     return SampledLoop(response, math.log(min(_LOW, high * 1e-6)), math.log(high))
 
 
 # --- A fractional transfer function as a loop: its own range of frequencies, its resonances, exact slopes
 
-# A zero of numerator or denominator at the distance d from the axis (in ln s) bends the
-# response within about d of it: points at d sinh(0.45 k) let its phase turn by 24° and
-# its modulus change by 1.6 at most from one to the next, up to the distance 0.12 of the
-# ordinary points.
+# A zero of numerator or denominator at a distance d from the axis (in ln s) bends the
+# response within about d of it. Points at d sinh(0.45 k), up to the distance 0.12 of
+# the ordinary points, keep the change between neighbours below 24° in phase and a
+# factor of 1.6 in modulus.
 _REACH = 0.15
-_NEAR = 0.3  # zeros farther from the axis than this are resolved by 20 points a decade
+_NEAR = 0.3  # 20 points per decade resolve zeros farther from the axis than this
 _ON_AXIS = 1e-9
-# ln ω up to which a loop is looked at. Corners of neighbouring orders lie anywhere,
-# 1e100 rad/s is nothing to them; e^650 is near the largest double.
+# ln ω up to which a loop is evaluated. Corner frequencies of terms of neighbouring
+# orders may lie anywhere, even at 1e100 rad/s; e^650 is near the largest double.
 _FARTHEST, _LARGEST = 600.0, 650.0
 
 
 def _fractional_loop(
     system: FractionalTransferFunction, limit: float | None
 ) -> SampledLoop:
-    """A transfer function as a loop, with the frequencies that matter."""
+    """A transfer function as a loop, with the frequencies at which to evaluate it."""
     terms = (*system.numerator, *system.denominator)
     span, reach = _marks(system)
     slowest = max(t.delay for t in terms)
     steepest = max(
         abs(system.numerator[i].order - system.denominator[i].order) for i in (0, -1)
     )
-    # The steepest asymptote has to stay a double at the farthest frequency, too.
+    # The steepest asymptote must not overflow at the farthest frequency either.
     farthest = min(_FARTHEST, _LARGEST / max(1.0, steepest))
     within = span[0] >= -farthest and span[1] <= farthest
     span = (max(span[0], -farthest), min(span[1], farthest))
@@ -156,20 +158,19 @@ def _fractional_loop(
     high = min(span[1] + reach, farthest + 1)
     follow = high
     if slowest:
-        # Below a tenth of a radian of the delay's phase the delay moves nothing
-        # that a margin would show.
+        # Where its phase is below 0.1 rad the delay changes no margin visibly.
         low = min(low, math.log(0.1 / slowest))
         # the first two crossings of the phase
         follow = math.log(4 * math.pi / slowest)
         high = max(high, follow, min(_faint(system), farthest))
     if limit is not None:
         high = min(high, math.log(limit))
-        # A limit below every corner leaves a factor e of the low asymptote: a
-        # range that is empty has no margins.
+        # A limit below every corner leaves a factor e of the low asymptote; an empty
+        # range would have no margins.
         low = min(low, high - 1.0)
     bottom, known = _near_axis(system.denominator)
     top, _ = _near_axis(system.numerator)
-    # `bottom` has one of each pair, the upper one; what is real is its own conjugate.
+    # `bottom` holds the upper one of each pair; a real zero is its own conjugate.
     right = [z for z in bottom if z.imag < 0.5 * math.pi - _ON_AXIS]
     end = _limit(system, 0) if limit is None else complex(math.nan)
     return SampledLoop(
@@ -194,13 +195,13 @@ def _values(system: FractionalTransferFunction) -> Callable[[Reals], Complexes]:
     orders = np.array([[t.order] for t in terms])
     delays = np.array([[t.delay] for t in terms])
     late, low, high = delays.any(), orders.min(), orders.max()
-    # (jω)² must be −ω² and not −ω² + 1e-16j: a power of j by an integer is exact.
+    # (jω)² must be −ω², not −ω² + 1e-16j; an integer power of j is exact.
     factors = np.array([t.coefficient * 1j**t.order for t in terms])
     sides = np.zeros((2, len(terms)), complex)
     sides[0, :count], sides[1, count:] = factors[:count], factors[count:]
 
     def values(x: Reals) -> Complexes:
-        # Divided by the power of s that dominates on either side of 1 rad/s, so that
+        # Divided by the power of s that dominates on each side of 1 rad/s, so that
         # nothing overflows.
         powers = np.exp((orders - np.where(x > 0, high, low)) * x)
         if late:
@@ -233,8 +234,8 @@ def _limit(system: FractionalTransferFunction, end: int) -> complex:
     if up.order != down.order or (turning and not end):
         return complex(math.nan)
     sides = (system.numerator, system.denominator)
-    # Several delayed terms may share the lowest order: at ω → 0 no delay turns
-    # anything, and they add up.
+    # Several delayed terms may share the lowest order: at ω → 0 the delays turn no
+    # phase, and the terms add up.
     sums = [
         math.fsum(t.coefficient for t in side if t.order == up.order) for side in sides
     ]
@@ -242,8 +243,8 @@ def _limit(system: FractionalTransferFunction, end: int) -> complex:
 
 
 def _near_axis(terms: Sequence[Term]) -> tuple[list[complex], bool]:
-    """Zeros (in ln s) with an argument up to π/2 + 0.3, and whether they could be
-    found.
+    """Zeros (in ln s) with an argument up to π/2 + 0.3, and whether the search
+    succeeded.
     """
     if len(terms) < 2:
         return [], True
@@ -263,9 +264,8 @@ def around(zero: complex) -> Reals:
     distance = abs(zero.imag - 0.5 * math.pi)
     if distance > _NEAR:
         return np.empty(0)
-    if (
-        distance < _ON_AXIS
-    ):  # a pole on the axis itself: one interval of 0.9e-9 that nothing looks into
+    # a pole on the axis itself: a gap of width 0.9e-9 that is not evaluated
+    if distance < _ON_AXIS:
         steps = 0.45e-9 * 1.7 ** np.arange(37)
     else:
         steps = distance * np.sinh(
@@ -275,8 +275,8 @@ def around(zero: complex) -> Reals:
 
 
 def _marks(system: FractionalTransferFunction) -> tuple[tuple[float, float], float]:
-    """ln of the outermost corners, and how far beyond them the response is its own
-    asymptote.
+    """ln of the outermost corner frequencies, and the distance beyond them at which the
+    response has reached its asymptote.
     """
     marks, reach = [], 1.0
     for terms in (system.numerator, system.denominator):
@@ -284,7 +284,8 @@ def _marks(system: FractionalTransferFunction) -> tuple[tuple[float, float], flo
         marks += corners
         orders = sorted(t.order for t in terms)
         for a, b in itertools.pairwise(orders):
-            # A neighbour order b − a away is 1e-3 of the leading term after 7/(b − a).
+            # A neighbouring term of order b − a away falls to 1e-3 of the leading term
+            # within 7/(b − a).
             reach = max(reach, min(20.0, 7.0 / max(b - a, 0.1)))
     for end in (-1, 0):
         up, down = system.numerator[end], system.denominator[end]

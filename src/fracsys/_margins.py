@@ -137,8 +137,8 @@ class Margins:
         """The gain margin nearest to 1 on a logarithmic scale; inf if there is no phase
         crossing.
         """
-        # Nearest to 1 and not least: a conditionally stable loop is as close to its end
-        # when its gain falls.
+        # Nearest to 1, not smallest: a conditionally stable loop may be as close to
+        # instability when its gain falls.
         values = [
             c.gain_margin for c in self.phase_crossings if 0 < c.gain_margin < math.inf
         ]
@@ -205,7 +205,7 @@ def margins(
     known = as_loop(loop, limit)
     if unstable_poles is None:
         unstable_poles = known.unstable_poles
-    # Poles and zeros on the axis are infinities here and not faults.
+    # Poles and zeros on the axis give infinities here, which are not errors.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         x, values, quiet = sweep(known)
         gain, phase = crossings(known, x, values, quiet)
@@ -213,8 +213,8 @@ def margins(
         stable = None
         if modulus < ON_AXIS:
             stable = False
-        # The swept part of the curve shows no encirclement beyond the limit: the
-        # verdict is that of the whole loop.
+        # The swept part of the curve cannot show an encirclement beyond the limit; the
+        # verdict comes from the whole loop.
         elif limit is not None and known.system is not None:
             stable = _beyond_limit(known.system)
         elif unstable_poles is not None:
@@ -226,8 +226,8 @@ def margins(
 
 
 def _beyond_limit(system: FractionalTransferFunction) -> bool | None:
-    """The verdict where `limit` hides a part of the Nyquist curve, which may encircle
-    −1 there.
+    """The verdict where `limit` cuts off a part of the Nyquist curve that may encircle
+    −1.
     """
     try:
         return is_stable(system.feedback()).stable
@@ -239,7 +239,8 @@ def _beyond_limit(system: FractionalTransferFunction) -> bool | None:
 
 Bracket = tuple[float, float]  # ln ω at both ends
 
-# rad: a phase of −180° at every frequency (1/s²) crosses nothing; this is its rounding
+# [rad] A phase of −180° at every frequency (1/s²) has no crossing; this is its rounding
+# error.
 _FLAT = 1e-12
 
 
@@ -253,8 +254,8 @@ def crossings(
     brackets = _brackets(loop, gain_level, x, level, np.isfinite(level))
     for root, value in zeros_of(loop, gain_level, brackets):
         frequency, margin = math.exp(root), cmath.phase(-value)
-        # A delay turns L clockwise only. Where the margin is negative it has to
-        # go on to −1 the long way round.
+        # A delay turns L clockwise only: where the margin is negative, L must go the
+        # long way round to reach −1.
         gain.append(
             GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency)
         )
@@ -270,9 +271,9 @@ def crossings(
 def _followed(
     loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet: float
 ) -> NDArray[np.bool_]:
-    """Points near the negative real axis whose phase was followed there."""
-    # The phase of −L jumps by 2π on the positive real axis: a change of sign there
-    # is no crossing of the negative.
+    """Points near the negative real axis in the range where the phase was followed."""
+    # The phase of −L jumps by 2π on the positive real axis; a change of sign there is
+    # no crossing of the negative axis.
     near = np.abs(turn) < 0.5 * math.pi
     if quiet:
         near &= (np.abs(values) > quiet) | (x <= loop.follow)
@@ -282,21 +283,21 @@ def _followed(
 def _brackets(
     loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Mask
 ) -> list[Bracket]:
-    """Changes of sign, and the pairs of them that hide around an extreme that almost
-    touches zero.
+    """Brackets of the changes of sign, including pairs that lie on either side of an
+    extreme close to zero.
     """
     place = np.flatnonzero(usable & (y != 0))
     here = y[place]
     if here.size < 2:
         return []
-    # One zero between two signs is a root that a point of the grid hit; a run of them
-    # is a flat response.
+    # A single zero between two signs is a root that a grid point hit; a run of zeros is
+    # a flat response.
     gap = np.diff(place)
     whole = (gap == 1) | ((gap == 2) & usable[np.minimum(place[:-1] + 1, len(x) - 1)])
     change = np.flatnonzero(((here[1:] > 0) != (here[:-1] > 0)) & whole)
     found = [(float(x[place[i]]), float(x[place[i + 1]])) for i in change]
-    # The extreme itself decides: two crossings 1e-5 apart lie between two points of any
-    # grid.
+    # The extreme value itself decides: two crossings 1e-5 apart can lie between two
+    # points of any grid.
     slope = gain_slope if level is gain_level else phase_slope
     near = [
         (float(x[place[i - 1]]), float(x[place[i + 1]]))

@@ -5,7 +5,7 @@ given frequencies.
 
 The worst error is reached through the p-norm with p = 2, 4, … 128: each is a smooth
 problem solved by Newton's method (csrc/kernels/minimax.c, the exact Hessian of the
-p-norm of a linearised error) from the solution of the last, which ends within
+p-norm of a linearised error) from the solution of the previous norm, which ends within
 ln(rows)/128 ≈ 4 % of the minimax error and never leaves the stable half plane.
 """
 
@@ -22,8 +22,8 @@ import numpy as np
 from fracsys import _kernels
 from fracsys._terms import Complexes, Reals
 
-# Straight from 2 to 128 three of six controllers need more poles, and the best of order
-# 8 is twice as far off: each norm is to start beside its minimum. A ladder that ends at
+# Going from 2 to 128 directly, three of six controllers need more poles, and the best
+# fit of order 8 has twice the error: each norm must start near its minimum. Stopping at
 # 32 costs 3 % of the error.
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
 
@@ -36,11 +36,11 @@ class Target:
     weighted.
     """
 
-    omega: Reals  # Ω, the frequency on the plane of x
+    omega: Reals  # Ω, the frequency in the x-plane
     factor: Complexes  # P(jΩ)
     wanted: Complexes
-    # The error is multiplied by this: 1/(offset + wanted), so that Re is nepers and Im
-    # radians.
+    # The error is multiplied by 1/(offset + wanted), so that its real part is in nepers
+    # and its imaginary part in radians.
     turn: Complexes
     weight_real: Reals
     weight_imag: Reals
@@ -110,9 +110,8 @@ class PartialFractions:
         """
         sigma = np.exp(self.real_logs)
         real = sigma / (x + sigma)
-        if not len(
-            self.pair_logs
-        ):  # most fits have none: half of the time would go into empty arrays
+        # most fits have none; the empty arrays would take half of the time
+        if not len(self.pair_logs):
             return real, real[:, :0], real[:, :0]
         q = self.poles_of_pairs()
         return real, q / (x + q), q.conj() / (x + q.conj())
@@ -188,8 +187,8 @@ def improve(
 def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
     columns = target.rows(target.factor[:, None] * at.columns(target.x))
     size = np.linalg.norm(columns, axis=0)
-    # Poles that meet have columns that are equal to rounding: the cut-off gives both
-    # the same residue instead of two huge ones of opposite sign, which no
+    # Poles that coincide have columns that are equal to rounding. The cut-off gives
+    # both poles the same residue instead of two huge ones of opposite sign, which no
     # single-precision law could run.
     solution = (
         np.linalg.lstsq(columns / size, target.rows(target.wanted), rcond=1e-12)[0]
@@ -211,12 +210,9 @@ def score(fit: PartialFractions, target: Target) -> float:
 # needs no random numbers, and gives every lower order.
 
 _KEPT = 3  # fractions kept at each order
-_TRIED = (
-    8  # starts that are iterated; the others are dropped by their least-squares residue
-)
-_NOISY = (
-    20.0  # cancellation above which a smaller error is paid for in single precision
-)
+_TRIED = 8  # starts that are iterated: those with the smallest least-squares error
+# cancellation above which a smaller error is lost again in single precision
+_NOISY = 20.0
 
 
 def grow(
@@ -233,9 +229,9 @@ def grow(
     `band` is the range of Ω to spread poles over, `resonances` are q (poles −q, −q̄)
     that are tried as they are, `pairs` is the largest number of pairs.
     """
-    # Nine places, the last ones beyond the band by up to e³: with none there a
-    # controller with a filter takes 6 poles where 5 do, and an unfiltered one of order
-    # 1.2 is met 12 % worse by 8.
+    # Nine places, the last ones up to e³ beyond the band. Without those, a controller
+    # with a filter takes 6 poles instead of 5, and the best fit of order 8 to an
+    # unfiltered one of order 1.2 is 12 % worse.
     spots = np.linspace(math.log(band[0]), math.log(band[1]) + 3.0, 9)
     most = highest if pairs is None else pairs
     empty = np.zeros(0)
@@ -250,9 +246,9 @@ def grow(
             ]
         spread = log_spaced_start(*band, order % 2, order // 2)
         chosen = [*_promising(starts, target, most), relocate(spread, target, 12)[-1]]
-        # The 8-norm ranks the candidates nearly as their largest errors do. With least
-        # squares alone two of six controllers need a pole more, and a third misses its
-        # tolerance with the best that is found.
+        # The 8-norm ranks the candidates almost as their largest errors do. With least
+        # squares alone, two of six controllers need one more pole, and a third misses
+        # its tolerance.
         found = [improve(c, target, (2, 8)) for c in chosen if len(c.pair_logs) <= most]
         kept.append(_distinct(found, target))
         yield kept[order]
@@ -290,7 +286,8 @@ def _with_real(c: PartialFractions, log: float) -> PartialFractions:
 
 
 def _with_pair(c: PartialFractions, log: float, angle: float = 0.7) -> PartialFractions:
-    # η = 0.7 is 54° off the negative real axis: between two real poles and a resonance.
+    # η = 0.7 lies 54° off the negative real axis: between two real poles and a
+    # resonance.
     return replace(
         c,
         pair_logs=np.append(c.pair_logs, log),
@@ -315,8 +312,8 @@ def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFrac
     ranked = sorted(((_cost(c, target), i) for i, c in enumerate(found)))
     kept: list[tuple[float, PartialFractions]] = []
     for cost, i in ranked:
-        # Starts that met in one minimum have the same cost to 1e-4: both would waste
-        # one of three places.
+        # Starts that ended in the same minimum agree to 1e-4 in cost; keeping both
+        # would waste one of three places.
         if all(abs(cost - other) > 1e-3 * cost for other, _ in kept):
             kept.append((cost, found[i]))
         if len(kept) == _KEPT:
@@ -350,8 +347,9 @@ def relocate(
         )
         rows = target.rows(left)
         size = np.linalg.norm(rows, axis=0) + 1e-300
-        # Columns of one length: poles three decades apart make columns as far apart,
-        # and the cut at 1e-13 is meant for what is dependent, not for what is small.
+        # Columns are scaled to equal length: poles three decades apart give columns of
+        # very different size, and the cut-off at 1e-13 is meant for dependent columns,
+        # not for small ones.
         solution = (
             np.linalg.lstsq(rows / size, target.rows(target.wanted), rcond=1e-13)[0]
             / size
@@ -374,9 +372,9 @@ def _zeros_of_denominator(at: PartialFractions, weights: Reals) -> Complexes:
     c[:n] = weights[:n] * sigma
     for k in range(m):
         i = n + 2 * k
-        # Column Re c: ½[q/(x+q) + q̄/(x+q̄)], column Im c: ½j[q/(x+q) − q̄/(x+q̄)]: the
-        # block of −q with state (Re, Im) driven by b = (1, 0) gives 1/(x+q) = first + j
-        # second.
+        # Column Re c: ½[q/(x+q) + q̄/(x+q̄)], column Im c: ½j[q/(x+q) − q̄/(x+q̄)]. The
+        # block of −q with the state (Re, Im), driven by b = (1, 0), gives 1/(x+q) =
+        # first + j second.
         gain = q[k] * (weights[n + k] + 1j * weights[n + m + k])
         a[i : i + 2, i : i + 2] = [[-q[k].real, q[k].imag], [-q[k].imag, -q[k].real]]
         b[i : i + 2] = [1.0, 0.0]
@@ -388,8 +386,8 @@ def _from_poles(x: Complexes, target: Target) -> PartialFractions:
     x = -np.abs(x.real) + 1j * x.imag
     real = np.sort(-x.real[np.abs(x.imag) <= _REAL * np.abs(x)])
     q = -x[x.imag < -_REAL * np.abs(x)]
-    # A pole three decades outside the band is a constant or an integrator to it;
-    # farther out Newton's method would find no slope to bring it back by.
+    # A pole three decades outside the band acts as a constant or an integrator there;
+    # farther out the slope vanishes and Newton's method could not bring it back.
     low, high = target.omega[0] * 1e-3, target.omega[-1] * 1e3
     angle = np.clip(np.angle(q) * 2 / math.pi, 0.01, 0.995)
     return PartialFractions(

@@ -17,17 +17,16 @@ from fracsys._terms import Complexes, Reals
 from fracsys.checks import Between, checked
 from fracsys.errors import FieldError, value_text
 
-# The parabola s = μ(1 + iu)² passes the origin at μ: rounding is raised by e^μ, and a
+# The parabola s = μ(1 + iu)² crosses the real axis at μ. Rounding grows by e^μ; a
 # smaller μ takes more nodes for the same truncation.
 _VERTEX = 2.0
 _OFFSETS = np.array([0.0, 0.25, 0.5, 0.75])
-# Of the power |ln| of the integrand: what is cut off beyond the last node, and what
-# falls between the nodes.
+# −ln of the truncation error beyond the last node, and of the discretisation error
+# between the nodes.
 _TAIL, _BETWEEN = 40.0, 39.0
-_TINY = (
-    1e-290  # here z/Γ(α+β) is no part of a double any more, but ln z still is a number
-)
-_CHUNK = 4096  # points at once: some 100 nodes each
+# Below this |z| the term z/Γ(α+β) is lost in rounding, while ln z is still finite.
+_TINY = 1e-290
+_CHUNK = 4096  # points evaluated together: about 100 nodes each
 
 
 @checked
@@ -86,8 +85,7 @@ def mittag_leffler(
     """
     given = _numbers(z)
     flat = given.astype(np.complex128).ravel()
-    # E(0) = 1/Γ(β), and 0 where β is a pole of Γ, which 1/Γ gives without a special
-    # case.
+    # E(0) = 1/Γ(β); 1/Γ is 0 at the poles of Γ, without a special case.
     value = np.full(flat.shape, complex(rgamma(beta)))
     far = np.flatnonzero(np.abs(flat) > _TINY)
     with np.errstate(all="ignore"):
@@ -120,10 +118,10 @@ def _numbers(z: ArrayLike) -> NDArray[Any]:
 
 
 def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
-    """E at points that are not 0."""
+    """E at points other than 0."""
     step, count, inside = _rule(beta)
     logs, places = _poles(z, alpha)
-    # A pole beside a node makes two large terms that cancel: the offset that is
+    # A pole close to a node causes two large terms that cancel; take the offset
     # farthest from all poles.
     gaps = np.abs(_frac(places[None] / step - _OFFSETS[:, None, None]))
     offset = _OFFSETS[
@@ -141,8 +139,8 @@ def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
             * (1.0 + 1j * u)
             * np.exp(np.exp(log_s) + (alpha - beta) * log_s)
         )
-        # Points that share an offset share their nodes: one row of exponentials serves
-        # them all.
+        # Points with the same offset have the same nodes: one row of exponentials
+        # serves all of them.
         total[at] = (weights / _denominator(log_s, z[at, None], alpha)).sum(axis=1)
     kernel = 1.0 / (1.0 - np.exp(-2j * math.pi * (places / step - offset)))
     residues = np.exp(np.exp(logs) + (1.0 - beta) * logs) / alpha
@@ -151,27 +149,27 @@ def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
 
 
 def _denominator(log_s: Complexes, z: Complexes, alpha: float) -> Complexes:
-    """s^α − z; for small α the whole parabola lies beside the pole, and the difference
-    would lose 1/α.
+    """s^α − z. For small α the whole parabola lies close to the pole, and the plain
+    difference would lose a factor of 1/α in precision.
     """
-    # Only a z near s^α cancels. Towards z = 0 nothing does, and ln z would raise the
-    # rounding without bound.
+    # Cancellation occurs only for z near s^α. Near z = 0 there is none, and ln z would
+    # amplify the rounding without bound.
     difference = z * np.expm1(alpha * log_s - np.log(z))
     return np.asarray(np.where(np.abs(z) > 0.1, difference, np.exp(alpha * log_s) - z))
 
 
 def _poles(z: Complexes, alpha: float) -> tuple[Complexes, Complexes]:
-    """ln of each pole z^(1/α) of the principal sheet and its place u, shape (poles,
-    points); nan for none.
+    """ln of each pole z^(1/α) on the principal sheet and its position u, both of shape
+    (poles, points); NaN where there is no pole.
     """
     size, error = _modulus(z)
-    # 1/α is rounded, and so is |z|: both errors are multiplied by the logarithm or by
+    # Both 1/α and |z| are rounded; the first error is multiplied by ln z, the second by
     # 1/α.
     inverse = 1.0 / alpha
     lost = float(Fraction(1) / Fraction(alpha) - Fraction(inverse))
     radius = size**inverse * (1.0 + lost * np.log(size) + inverse * error)
-    # z^(1/α) has an argument within ±π for that many turns of z: for α below 1 at most
-    # one pole.
+    # z^(1/α) has an argument within ±π for this many branches of z; for α < 1 there is
+    # at most one pole.
     turns = math.ceil(0.5 * alpha)
     angles = (
         np.angle(z) + 2.0 * math.pi * np.arange(-turns, turns + 1)[:, None]
@@ -184,18 +182,18 @@ def _poles(z: Complexes, alpha: float) -> tuple[Complexes, Complexes]:
 
 
 def _modulus(z: Complexes) -> tuple[Reals, Reals]:
-    """|z| and the relative error that its rounding made."""
+    """|z| and its relative rounding error."""
     size = np.abs(z)
     exponent = np.frexp(size)[1]
-    # Powers of two scale without rounding, and squares of 1e±200 would leave the range
-    # of doubles.
+    # Powers of two scale without rounding; the squares of 1e±200 would overflow or
+    # underflow.
     scaled = [np.ldexp(part, -exponent) for part in (z.real, z.imag, size)]
     (x, dx), (y, dy), (r, dr) = (_square(part) for part in scaled)
     return size, np.asarray(0.5 * (((x - r) + y) + (dx + dy - dr)) / r)
 
 
 def _square(x: Reals) -> tuple[Reals, Reals]:
-    """x² and what its rounding lost (Dekker and Veltkamp)."""
+    """x² and its rounding error (Dekker and Veltkamp)."""
     # 2^27 + 1 splits a double into halves of 26 bits, whose products are exact.
     product, wide = x * x, 134217729.0 * x
     high = wide - (wide - x)
@@ -209,14 +207,14 @@ def _frac(u: Complexes) -> Complexes:
 
 @lru_cache(maxsize=64)
 def _rule(beta: float) -> tuple[float, int, float]:
-    """Step h in u, the number of nodes on either side, and Im u above which a pole is a
-    part of the origin.
+    """Step h in u, the number of nodes on either side, and Im u above which a pole
+    counts as part of the origin.
 
-    Between nodes is lost e^(−A(1 − δ)), A = 2π/h, times the integrand at the distance δ
-    from its singularity u = i, where s = 0; it is least at δ = (2β − 1)/A. A pole
-    nearer to i is enclosed by that circle: its own residue may be huge, and cancels
-    what the cut has. Beyond the nodes is lost e^(μ(1 − u²)), times |s|^(−β) for
-    negative β.
+    The discretisation error is e^(−A(1 − δ)), A = 2π/h, times the integrand at the
+    distance δ from its singularity u = i, where s = 0; it is smallest at δ = (2β −
+    1)/A. The circle of that radius encloses poles nearer to i: their residues may be
+    huge, and cancel against the cut. The truncation error beyond the last node is
+    e^(μ(1 − u²)), times |s|^(−β) for negative β.
     """
     power = max(2.0 * beta - 1.0, 0.0)
     between, wanted = (

@@ -113,8 +113,8 @@ def split_delay(delay: float, period: float) -> tuple[int, float]:
     delayed input [s].
     """
     steps = delay / period
-    # 3 · 0.1 s is 3.0000000000000004 periods of 0.1 s: rounded up to four, every sample
-    # would be a whole period ahead.
+    # 3 · 0.1 s is 3.0000000000000004 periods of 0.1 s; rounded up to four, it would
+    # make `ahead` a whole period.
     lag = (
         round(steps)
         if abs(steps - round(steps)) < 1e-9 * max(1.0, steps)
@@ -137,21 +137,19 @@ def split_delay(delay: float, period: float) -> tuple[int, float]:
 # The constant is left out: held responses use increments only, which makes the integral
 # converge at r → 0 for every G weaker than 1/s there.
 
-# With eight a double pole on the cut and an undamped double resonance are missed:
-# test_servo_and_link_a_double_pole_on_the_cut, test_undamped_double_resonance.
-_SEGMENT = 18  # nodes that stand for a cluster of poles
-# Chebyshev nodes for all rates below 1/longest: e^(-rt) there is a polynomial to 5e-13
+# Eight nodes fail test_servo_and_link_a_double_pole_on_the_cut and
+# test_undamped_double_resonance.
+_SEGMENT = 18  # nodes that represent a cluster of poles
+# Chebyshev nodes for all rates below 1/longest: there e^(-rt) equals a polynomial of
+# this degree to 5e-13.
 _FOLD = 10
 _FOLD_ANGLES = np.pi * (2 * np.arange(_FOLD) + 1) / (2 * _FOLD)
-_FOLD_NODES = 0.5 * (
-    1.0 + np.cos(_FOLD_ANGLES)
-)  # Chebyshev, in units of the largest rate folded
-_FOLD_SHARES = (-1.0) ** np.arange(_FOLD) * np.sin(
-    _FOLD_ANGLES
-)  # their barycentric weights
-_REACH = 42.0  # e-folds after which a double has forgotten
-# a pole this near the negative axis (in ln s) is real: that is the accuracy of
-# log_zeros
+# Chebyshev nodes as fractions of the largest rate folded, and their barycentric weights
+_FOLD_NODES = 0.5 * (1.0 + np.cos(_FOLD_ANGLES))
+_FOLD_SHARES = (-1.0) ** np.arange(_FOLD) * np.sin(_FOLD_ANGLES)
+_REACH = 42.0  # e^-42 is below the rounding of a double
+# A pole this close to the negative axis (in ln s) counts as real; this is the accuracy
+# of log_zeros.
 _REAL = 1e-12
 
 
@@ -185,9 +183,9 @@ def expand(
 ) -> Expansion:
     """Return the modes of G's step response, accurate for shortest ≤ t ≤ longest [s]."""
     _refuse_overflow(quotient, longest)
-    # The trapezoid rule errs by exp(-2π a/h), a = 1.5: nearly the quarter turn after
-    # which e^(st) grows. The factor of that error is below 1/2 for every function
-    # tried.
+    # The error of the trapezoid rule is exp(-2π a/h) with a = 1.5, just below the
+    # quarter turn π/2 beyond which e^(st) grows. The factor before it was below 1/2 for
+    # every function tried.
     step = 2.0 * math.pi * 1.5 / math.log(0.5 / tolerance)
     simple, clusters = quotient.grouped(
         lambda z: (
@@ -206,13 +204,12 @@ def expand(
     def whole(share: float) -> Callable[[Complexes], Complexes]:
         return lambda z: np.full(z.shape, share, np.complex128)
 
-    # A mode that has decayed to e^-3 of the tolerance at the shortest time is not seen
-    # at any later one.
+    # A mode that has decayed to e^-3 of the tolerance at the shortest time is
+    # negligible at all later ones.
     last = math.log((math.log(1.0 / tolerance) + 3.0) / shortest)
     modes = _Modes()
-    if (
-        quotient.is_meromorphic
-    ):  # no cut: a pole counts once, or one half for each of ln s = x ± iπ
+    # without a cut a pole counts once, or by one half at each of ln s = x ± iπ
+    if quotient.is_meromorphic:
         for z in (z for z in simple if z.imag <= math.pi + _REAL):
             modes.add_pole(
                 z, quotient.residue(z) * (0.5 if abs(z.imag - math.pi) < _REAL else 1.0)
@@ -234,7 +231,7 @@ def expand(
 def _refuse_overflow(quotient: Quotient, longest: float) -> None:
     unstable = quotient.zeros[quotient.zeros.imag < 0.5 * math.pi]
     growth = float(np.exp(unstable).real.max(initial=0.0))
-    # e^709 is the largest double; the weights and the input need some of that.
+    # e^709 is the largest double; the weights and the input take a part of that range.
     if growth * longest > 690.0:
         raise FieldError(
             "span",
@@ -246,7 +243,7 @@ def _refuse_overflow(quotient: Quotient, longest: float) -> None:
 
 
 class _Modes:
-    """Modes as they are found: arrays of (rate, weight) and of (pole, weight)."""
+    """The modes collected so far: arrays of (rate, weight) and of (pole, weight)."""
 
     def __init__(self) -> None:
         self.real: list[Reals] = [np.empty((2, 0))]
@@ -258,7 +255,7 @@ class _Modes:
         """
         if abs(z.imag - math.pi) < _REAL:
             self.real.append(np.array([-places.real, 2.0 * weights.real]))
-        elif z.imag == 0.0:  # its own conjugate
+        elif z.imag == 0.0:  # real: its own conjugate
             self.real.append(np.array([-places.real, weights.real]))
         else:
             self.complex.append(np.array([places, weights]))
@@ -285,8 +282,8 @@ class _Modes:
         limit = (
             1e-3 * tolerance * max(seen.max(initial=0.0), seen_pair.max(initial=0.0))
         )
-        # A slow mode's increments are small although it matters in the end: only fast
-        # ones may go.
+        # The increments of a slow mode are small although the mode matters in the end;
+        # only fast modes may be dropped.
         keep = np.flatnonzero(
             ((seen > limit) | (rates * shortest < 1.0)) & (weights != 0.0)
         )
@@ -300,7 +297,7 @@ class _Modes:
 
 
 def _origin(simple: list[complex], clusters: list[Cluster], step: float) -> float:
-    """The place of the grid that keeps its nodes farthest from the poles near the cut."""
+    """The origin of the grid that keeps its nodes farthest from the poles near the cut."""
     near = [
         z
         for z in (*simple, *(c.centre for c in clusters))
@@ -328,8 +325,8 @@ def _add_cut(
     fold = -math.log(longest)
     slowest = min([fold, *quotient.zeros.real.tolist()])
     singular = max(0.0, quotient.bottom[-1].order - quotient.top[-1].order)
-    # Towards r = 0 the integrand falls like r^(1 − a): e-folds of it, not of r, are
-    # what a double forgets.
+    # Towards r = 0 the integrand falls like r^(1 − a): the 42 e-folds are those of the
+    # integrand, not of r.
     first = max(slowest - _REACH / (1.0 - singular), -600.0)
     nodes = origin + step * np.arange(
         math.ceil((first - origin) / step), math.ceil((last - origin) / step)
@@ -349,8 +346,8 @@ def _folded(rates: Reals, weights: Reals, limit: float) -> Reals:
     interpolated.
     """
     gap = (rates / limit)[:, None] - _FOLD_NODES
-    # On a node itself the barycentric formula is 1/0: so small a gap gives that node
-    # all of the weight.
+    # On a node itself the barycentric formula is 1/0; a tiny gap gives that node all of
+    # the weight.
     gap[gap == 0.0] = 1e-300
     basis = _FOLD_SHARES / gap
     basis /= basis.sum(axis=1, keepdims=True)
@@ -374,8 +371,8 @@ def _add_cluster(
     """
     centre = complex(np.exp(cluster.centre))
     half = _half_length(abs(centre.real), longest)
-    # At 0.3 of the segment's half length the Lagrange polynomials are not much larger
-    # than on it.
+    # At 0.3 of the half length from the segment, the Lagrange polynomials are hardly
+    # larger than on it.
     points, weights = quotient.circle(
         cluster, 0.3 * half / abs(centre), clearance, kernel
     )
@@ -387,8 +384,8 @@ def _add_cluster(
 
 
 def _half_length(damping: float, longest: float) -> float:
-    """Half length of a segment on which 18 nodes resolve e^(δt) e^(-σt) to 1e-13 for
-    all t.
+    """Half the length of a segment on which 18 nodes resolve e^(δt) e^(-σt) to 1e-13
+    for all t.
 
     Relative to the damping σ the error is (0.3/2)^18; without damping the span limits,
     (δt/2)^18/18! at δt = 2.5.

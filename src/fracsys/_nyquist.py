@@ -11,7 +11,7 @@ from fracsys._loops import SampledLoop
 from fracsys._sweep import modulus_slope, valleys, zeros_of
 from fracsys._terms import Complexes, Reals
 
-ON_AXIS = 1e-12  # a modulus margin of zero is a closed-loop pole on the axis
+ON_AXIS = 1e-12  # a modulus margin of zero means a closed-loop pole on the axis
 
 
 def modulus_margin(
@@ -24,8 +24,8 @@ def modulus_margin(
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
     smallest, at = float(distance[best]), float(x[best])
-    # The sweep lets 1 + L move by its own size from point to point: part of that may
-    # still be lost.
+    # The sweep lets 1 + L change by up to its own size between neighbours; the distance
+    # to −1 may be smaller between them than at either.
     brackets = [
         (float(x[i - 1]), float(x[i + 1])) for i in valleys(distance, spare=3.0)
     ]
@@ -33,8 +33,8 @@ def modulus_margin(
         if abs(1 + value) <= smallest:
             smallest, at = abs(1 + value), place
     frequency = math.exp(at)
-    # A distance that falls towards an end of the axis has its infimum there and nowhere
-    # on the way.
+    # A distance that decreases towards an end of the axis has its infimum there, not at
+    # a finite frequency.
     for limit, place in zip(loop.ends, (0.0, math.inf), strict=True):
         if abs(1 + limit) < smallest:
             smallest, frequency = abs(1 + limit), place
@@ -43,8 +43,8 @@ def modulus_margin(
 
 # --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------
 
-# |L| on both sides of an interval that turned by more than half a radian: a pole lies
-# between them.
+# |L| on both sides of an interval in which the phase turned by more than half a radian:
+# a pole lies between them.
 _BESIDE_POLE = 1e3
 
 
@@ -66,7 +66,7 @@ def unstable_closed_loop_poles(
     jumps = (np.abs(steps) > 0.5) & (
         np.minimum(modulus[1:], modulus[:-1]) > _BESIDE_POLE
     )
-    # Passing a simple pole of the axis on its right turns L by −π along an arc of
+    # Passing a simple pole on the axis on its right turns L by −π along an arc of
     # infinite radius.
     steps[jumps] -= np.where(steps[jumps] > 0, 2 * math.pi, 0.0)
     change = float(steps.sum()) + _arc(
@@ -75,9 +75,9 @@ def unstable_closed_loop_poles(
     if not ends_real or abs(values[-1]) < 1:
         change -= _arc(complex(values[-1]), loop.slope(x[-1:]).real.item())
     turns = -change / math.pi
-    # The arcs at both ends are those of the leading power alone. Where they do not
-    # close to a whole number it is not yet the leading one there, and any count would
-    # be a guess.
+    # The arcs at both ends assume the leading power alone. Where the turns do not close
+    # to a whole number, that power does not dominate yet, and any count would be a
+    # guess.
     if not math.isfinite(turns) or abs(turns - round(turns)) > 0.2:
         return None
     return open_loop + round(turns)
@@ -88,11 +88,11 @@ def _arc(value: complex, slope: float) -> float:
     s^slope.
     """
     phase = cmath.phase(value)
-    # Beside the origin 1 + L stays in the right half plane: the principal
-    # argument is the change along the arc.
+    # Near the origin 1 + L stays in the right half plane, so the principal argument is
+    # the change along the arc.
     if abs(value) < 1:
         return cmath.phase(1 + value)
-    # L starts at a multiple of π and turns by slope π/2, which the phase itself says
-    # more exactly.
+    # L starts at a multiple of π and turns by slope π/2, which follows more exactly
+    # from the phase itself.
     turned = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
     return turned + cmath.phase(1 + 1 / value)

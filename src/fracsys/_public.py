@@ -32,14 +32,13 @@ def public_names(
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home = homes[name]
-        # `from fraclink import logs as logs` names a package below this one.
+        # `from fraclink import logs as logs` refers to a subpackage.
         value = (
             import_module(f"{package}.{name}")
             if home == package
             else getattr(import_module(home), name)
         )
-        # Loaded once, it is an attribute like any other: __getattr__ is asked only for
-        # what is missing.
+        # Set as an attribute, so that __getattr__ is called for missing names only.
         setattr(sys.modules[package], name, value)
         return value
 

@@ -1,9 +1,9 @@
 """A delay-free quotient N(s)/D(s) on the log-plane z = ln s, and its poles.
 
-There every term is c·exp(a z), entire; the cut of the principal sheet is the line Im z
-= π and what lies above it is the next sheet. Poles are simple, or clusters: zeros of D
-so close to each other that their residues cancel (a double pole, merging resonances). A
-cluster is kept whole.
+There every term is c·exp(a z), an entire function. The cut of the principal sheet is
+the line Im z = π; the next sheet lies above it. Poles are simple, or clusters: zeros of
+D so close to each other that their residues cancel (a double pole, merging resonances).
+A cluster is kept whole.
 """
 
 from __future__ import annotations
@@ -21,18 +21,16 @@ from fracsys._roots import log_zeros, two_term_zeros
 from fracsys._terms import Complexes, Reals, Term, collect, same
 from fracsys.errors import FieldError
 
-SHEET = (
-    1.5 * math.pi
-)  # poles up to a quarter turn beyond the cut bend the integrand on it
-_RANGE = 300.0  # of |ln |s||: squares of poles and of spans stay within doubles
-# points of a circle at half the distance to the next obstacle: 2^-96, 1.5^-96 at worst
+# poles up to a quarter turn beyond the cut bend the integrand on it
+SHEET = 1.5 * math.pi
+_RANGE = 300.0  # limit of |ln |s||: squares of poles and of spans stay within doubles
+# points on a circle of half the distance to the next obstacle: error 2^-96, at worst
+# 1.5^-96
 _CIRCLE = 96
-# a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
+# rounding turns a double zero on the negative axis into a pair about it, 1e-8 apart
 _SYMMETRIC = 1e-7
 _VAGUE = 1e3  # units of rounding
-_NEAR = (
-    0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
-)
+_NEAR = 0.02  # kept apart, zeros closer than this in ln s would lose two digits or more
 
 
 @dataclass(frozen=True)
@@ -56,9 +54,9 @@ class Quotient:
 
     @classmethod
     def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
-        if (
-            len(bottom) == 2
-        ):  # as most links are: by hand it saves a sixth of a short response
+        # most links have one pole pair; the direct formula saves a sixth of a short
+        # response
+        if len(bottom) == 2:
             high, low = bottom
             by_hand = two_term_zeros(
                 low.coefficient / high.coefficient, high.order - low.order, SHEET
@@ -105,7 +103,7 @@ class Quotient:
         units = _moduli(self.bottom, self.zeros) / np.abs(
             _rise(self.bottom, self.zeros)
         )
-        # A pole that is less certain has a neighbour, and their errors cancel.
+        # A pole with a larger error has a close neighbour, and their errors cancel.
         shift = np.finfo(float).eps * np.minimum(units, _VAGUE)
         turns = (-1.0) ** np.arange(len(self.zeros))
         return Quotient(self.top, self.bottom, self.zeros + turns * shift)
@@ -118,7 +116,7 @@ class Quotient:
         """
         lowest = self.bottom[
             -1
-        ].order  # divided out, so that r^a does not underflow to 0/0 far down
+        ].order  # divided out, so that r^a does not underflow to 0/0 for very small r
         with np.errstate(under="ignore"):
             quotient = _sum_on_cut(self.top, x, lowest) / _sum_on_cut(
                 self.bottom, x, lowest
@@ -133,8 +131,8 @@ class Quotient:
     @cached_property
     def is_sparse(self) -> bool:
         """True where no two zeros are close: every pole is simple at any resolution."""
-        # Pair by pair: a thirtieth of what an array of gaps costs for the two or three
-        # zeros of a link, and as much at ten.
+        # A loop over pairs takes a thirtieth of the time of an array of gaps for the
+        # two or three zeros of a link, and the same time for ten.
         return all(
             abs(z - w) >= _NEAR
             for z, w in itertools.combinations(self.zeros.tolist(), 2)
@@ -153,7 +151,7 @@ class Quotient:
             return self.zeros.tolist(), []
         groups: list[list[complex]] = []
         for z in self.zeros.tolist():
-            # A chain is one cluster though its ends be farther apart than `reach`: a
+            # A chain is one cluster even if its ends are farther apart than `reach`: a
             # circle around a part of it would pass between two zeros.
             near = [
                 g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))
@@ -189,8 +187,8 @@ class Quotient:
             for z in self.zeros
             if abs(z - cluster.centre) > cluster.radius
         ]
-        # Never smaller than 1.5 radii of the cluster: the points have to enclose every
-        # zero, and at 1.5^-96 the rule still ends at rounding.
+        # At least 1.5 radii of the cluster: the points must enclose every zero, and at
+        # 1.5^-96 the rule still converges to rounding.
         size = max(
             min(radius, 0.5 * clearance, *(0.5 * o for o in others)),
             1.5 * cluster.radius,
@@ -203,8 +201,7 @@ class Quotient:
 def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
     total = np.zeros(z.shape, np.complex128)
     for t in terms:
-        # Exactly what the exponential gives for a constant, and half of the terms of a
-        # link are constants.
+        # A constant needs no exponential; half of the terms of a link are constants.
         total += t.coefficient * np.exp(t.order * z) if t.order else t.coefficient
     return total
 
@@ -219,8 +216,10 @@ def _rise(terms: Sequence[Term], z: Complexes) -> Complexes:
 
 
 def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
-    """d ln |sum|/d ln |s|, every power formed once for the sum and its derivative."""
-    if len(terms) == 1:  # a power of s is as steep everywhere
+    """d ln |sum|/d ln |s|; each power is computed once for both the sum and its
+    derivative.
+    """
+    if len(terms) == 1:  # a power of s has the same slope everywhere
         return np.full(z.shape, terms[0].order)
     value, rise = np.zeros(z.shape, np.complex128), np.zeros(z.shape, np.complex128)
     for t in terms:
@@ -231,8 +230,8 @@ def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
 
 
 def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
-    """Bound of the error of `_sum` in units of rounding: e^(a z) errs by |a z| units, a
-    product by two.
+    """Bound of the error of `_sum` in units of rounding: |a z| units for e^(a z), two
+    for a product.
     """
     total = np.zeros(z.shape)
     for t in terms:
@@ -253,7 +252,8 @@ def _sum_on_cut(
 
 def _turn(order: float) -> complex:
     """e^{iπa}, exact for integers and halves."""
-    # The period is 2, and `fmod` is exact where the product πa loses digits as a grows.
+    # The period is 2, and `fmod` is exact, while the product πa loses digits as a
+    # grows.
     part = math.fmod(order, 2.0)
     quarter = round(2.0 * part)
     rest = math.pi * (part - 0.5 * quarter)
@@ -267,8 +267,8 @@ def _turn(order: float) -> complex:
 # the branch cut; anything stronger has no modes whose sum stays accurate from one period
 # to the whole span.
 
-# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds.
-# At 0.94 these are 700, and the exponent range of a double ends near.
+# The quadrature along the cut runs down to r^(1-a) below rounding, 42/(1-a) e-folds. At
+# 0.94 that is 700, close to the exponent range of a double.
 STRONG = 0.94
 
 
@@ -281,8 +281,8 @@ def without_integrator(
     if not top or not same(bottom[-1].order - top[-1].order, 1.0):
         return 0.0, top
     gain = top[-1].coefficient / bottom[-1].coefficient
-    # The lowest term cancels by construction, exactly; leaving it to rounding would
-    # leave a pole at 0.
+    # The lowest term cancels exactly by construction; with rounding a pole at 0 would
+    # remain.
     taken = [Term(-gain * t.coefficient, t.order - 1.0) for t in bottom[:-1]]
     return gain, tuple(collect([*top[:-1], *taken]))
 

@@ -1,4 +1,4 @@
-"""Integer-order stand-ins for fractional systems: Oustaloup's filter, and the
+"""Integer-order approximations of fractional systems: Oustaloup's filter, and the
 minimax rational.
 """
 
@@ -136,7 +136,7 @@ def approximate(
     (6, True, True)
     """
     _check(system, band, period)
-    if method == "minimax":  # more poles than this are below the rounding of the fit
+    if method == "minimax":  # beyond 12 poles the fit is limited by rounding
         Between(1, 12).check("order", order)
     if method != "minimax":
         zeros, found, gain = _filtered(system, band, order, period)
@@ -148,16 +148,16 @@ def approximate(
         )
         half = 0.5 * fit.pole_gains
         parts = np.concatenate([fit.gains, half, half.conj()])
-        # The fit's pairs are ½(c/(z − q) + c̄/(z − q̄)): as plain fractions each of
-        # both has half.
+        # The fit writes pairs as ½(c/(z − q) + c̄/(z − q̄)); as plain fractions each
+        # has half the residue.
         found = fit.poles
         zeros, gain = zeros_of_fractions(found, parts, fit.feedthrough)
     made = RationalApproximation(zeros, found, gain, period, band, method)
     # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant
-    # ones the lower end.
+    # points that at the lower end.
     w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
-    # One logarithm gives both errors: its real part in nepers, its imaginary part in
-    # radians without turns.
+    # One logarithm gives both errors: the real part in nepers, the imaginary part in
+    # radians without phase wrap.
     ratio = np.log(made.frequency_response(w) / system(1j * w))
     return replace(
         made,
@@ -217,8 +217,8 @@ def _continuous(
     system: FractionalTransferFunction, band: tuple[float, float], order: int
 ) -> tuple[Complexes, Complexes, float]:
     known = poles(system)
-    # The fit places its poles in the open left half plane only; of an unstable system
-    # it would find the stable function that is nearest on the axis, and say nothing.
+    # The fit places its poles in the open left half plane only. For an unstable system
+    # it would silently return the stable function that is closest on the axis.
     if np.any(known.real >= 0):
         raise FieldError(
             "system",
@@ -227,21 +227,21 @@ def _continuous(
             allowed="stable poles for method='minimax'",
             remedy="use method='oustaloup'",
         )
-    # Few enough that a Newton step costs microseconds, more than ten a pole at the
+    # Few enough for Newton steps of microseconds, and more than ten per pole at the
     # highest order.
     w = np.geomspace(*band, 160)
     near = known[
         (np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)
     ]
     for p in near:  # a resonance needs points of its own
-        # ±4 in sinh are 27 half widths: there the resonance is its own skirt, which the
-        # even points show.
+        # ±4 in sinh are 27 half widths; farther out the even points resolve the skirt
+        # of the resonance.
         width = max(abs(p.real) / abs(p), 1e-6)
         w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
     w = np.unique(w[(w >= band[0]) & (w <= band[1])])
     wanted = system(1j * w)
-    # 0.1 dB weighs as much as 0.5°: the balance of a law's fit, the absolute size does
-    # not matter here.
+    # 0.1 dB weighs as much as 0.5°, as in the fit of a law; the absolute scale does not
+    # matter here.
     nepers, radians = (
         np.full(w.size, 20 / math.log(10) / 0.1),
         np.full(w.size, 180 / math.pi / 0.5),

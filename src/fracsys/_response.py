@@ -29,9 +29,8 @@ SamplePeriod = Annotated[float, Between(1e-12, 1e12, "s")]
 Hold = Literal["zero", "first"]
 
 TOLERANCE = 1e-12
-FFT_BYTES = (
-    2000  # per sample of the numerical inversion: four spans, eight times oversampled
-)
+# bytes per sample of the numerical inversion: four spans, eight times oversampled
+FFT_BYTES = 2000
 _METHODS = ("modes", "contour", "fft")  # from the most to the least direct
 
 
@@ -116,7 +115,8 @@ def time_response(
     values = np.ascontiguousarray(u, np.float64)
     refuse_beyond_memory("u", len(values))
     if hold == "first" and len(values) and values[0]:
-        # The jump to the first sample, and straight lines that begin at 0.
+        # The jump to the first sample is added as a step, since a first-order hold
+        # starts at 0.
         jump = time_response(G, np.full(len(values), values[0]), period)
         lines = time_response(G, values - values[0], period, hold=hold)
         return _added(jump.time, [jump, lines], period, hold)
@@ -258,7 +258,7 @@ def discrete_modes(
 
 
 def _instants(time: object, period: float | None) -> Reals:
-    """The times asked for: a duration and a period, or the times themselves."""
+    """The times given as duration and period, or as times."""
     if isinstance(time, float):
         if period is None:
             raise FieldError(
@@ -269,7 +269,7 @@ def _instants(time: object, period: float | None) -> Reals:
                 remedy="give the period of the samples, or an array of times",
             )
         refuse_beyond_memory("time", time / period)
-        # 0.3/0.1 is 2.9999999999999996: the last sample asked for would be missing.
+        # 0.3/0.1 is 2.9999999999999996; the last sample would be missing.
         return grid(int(time / period * (1.0 + 1e-12)) + 1, period)
     if period is not None:
         raise FieldError(
@@ -301,14 +301,14 @@ def _fixed(
     try:
         for delay, top in delay_groups(G).items():
             late = times - delay
-            # A sample on the jump itself counts as after it, also where k·period -
+            # A sample on the jump itself counts as after it, even where k·period -
             # delay rounds below 0.
             late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
             held = held_quotient(top, G.denominator)
             parts.append(held.at(late) if degree else held.impulse(late))
     except NotConvergedError:
-        # The inversion works on a grid and not at single times, and an impulse has no
-        # samples that it could difference.
+        # The inversion needs a grid, not single times, and an impulse has no samples to
+        # take differences of.
         if period is None or degree == 0:
             raise
         return time_response(G, np.ones(len(times)), period)
@@ -321,7 +321,7 @@ def _added(
     period: float | None,
     hold: str,
 ) -> TimeResponse:
-    """The sum of responses; the least direct method of all parts names the result."""
+    """The sum of responses; the method of the result is the least direct of its parts."""
     output = np.zeros(len(time))
     for part in parts:
         output += part.output
@@ -338,14 +338,13 @@ def _by_inversion(
     period: float,
     hold: Hold,
 ) -> TimeResponse:
-    """The response of `exact`, which has one, plus the numerically inverted rest."""
+    """The exact response of `exact` plus the numerically inverted rest."""
     refuse_beyond_memory("u", len(u), FFT_BYTES)
     base = time_response(exact, u, period, hold=hold)
     if not len(u):
         return base
     degree = 1 if hold == "zero" else 2
-    # One sample more than asked for: the weights of a first-order hold look one period
-    # ahead.
+    # One extra sample: the weights of a first-order hold look one period ahead.
     rest, error = invert(G, exact, len(u) + 1, period, degree)
     weights = np.diff(rest, prepend=0.0)
     if degree == 2:

@@ -34,16 +34,14 @@ from fracsys.errors import NotConvergedError
 Mask = NDArray[np.bool_]
 
 
-# Heights at which the counted strip may end above `angle`: the first that no zero is
-# near is taken. The wide ones are for multiple zeros on the edge: below them D is lost
-# in rounding, 0.13^12 of its terms.
+# Candidate heights above `angle` for the upper edge of the counted strip: the first one
+# without a zero nearby is used. The large ones are for multiple zeros on the edge: at
+# smaller heights D is lost in rounding (0.13^12 of its terms).
 _MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093, 0.2419, 0.3704)
-_ON_EDGE = (
-    1e-12  # a zero computed this far above `angle` (or off the real axis) lies on it
-)
-_BLURRED = (
-    1e-7  # and at most this far where rounding blurs it; a multiple zero has D' = 0
-)
+# a zero computed this far above `angle` (or off the real axis) lies on it
+_ON_EDGE = 1e-12
+# and up to this far where rounding blurs it; a multiple zero has D' = 0
+_BLURRED = 1e-7
 
 
 def log_zeros(
@@ -127,7 +125,7 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
             return angle + margin, count_strip(terms, angle + margin)
         except (
             NotConvergedError
-        ):  # a zero lies near this height, or the phase drowned in rounding beside one
+        ):  # a zero lies near this height, or the phase near one was lost in rounding
             continue
     raise NotConvergedError(
         "counting zeros",
@@ -139,14 +137,14 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
 
 
 def _complete(found: NDArray[np.complex128], count: int) -> bool:
-    """As many as certified, and closed under conjugation (two points on one zero would
-    not be).
+    """Whether the points are as many as certified and closed under conjugation (two
+    points on the same zero are not).
     """
     if len(found) != count:
         return False
     distance = np.abs(found[:, None] - found.conj()[None, :])
-    # Polished conjugates agree to about 1e-14: 1e-9 tells a pair that belongs together
-    # from two points that ran into one zero.
+    # Refined conjugates agree to about 1e-14; 1e-9 distinguishes a pair from two points
+    # that converged to the same zero.
     return bool(np.all(distance.min(axis=1, initial=np.inf) < 1e-9))
 
 
@@ -154,8 +152,8 @@ def _by_bisection(
     terms: ExponentialSum, height: float, count: int
 ) -> NDArray[np.complex128]:
     low, high = terms.bounds
-    # The walls stand a little beyond the bounds so that no side runs along a place of
-    # equal terms.
+    # The walls lie slightly beyond the bounds, so that no side runs along a line where
+    # two terms are equal.
     found = bisect(
         terms, complex(low - 0.1, -height), complex(high + 0.1, height), count
     )
@@ -174,8 +172,8 @@ def _upper(
     terms: ExponentialSum, found: NDArray[np.complex128], angle: float
 ) -> NDArray[np.complex128]:
     z = found.copy()
-    # A zero in a close company is known to ε/|D'| only; left a hair beyond the edge it
-    # would be lost.
+    # In a close group a zero is known to ε/|D'| only; without the tolerance one
+    # slightly beyond the edge would be lost.
     values, moduli = terms.derivatives(z, 2)
     known = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
     reach = np.clip(known, _ON_EDGE, _BLURRED)
@@ -188,11 +186,13 @@ def _upper(
 # --- Where the zeros are: Aberth's iteration from the Newton polygon, and bisection where that is not
 # enough
 
-_ROUNDS = 120  # multiple zeros are approached linearly, halving the distance each time
-# Widest first: twelve points that rounding leaves around a twelvefold zero fill a disc
-# of radius 0.1, and two of them alone would pass for a double zero beside it.
+_ROUNDS = 120  # multiple zeros converge linearly, the distance halves in each round
+# Widest first: the twelve points that rounding leaves around a twelvefold zero fill a
+# disc of radius 0.1, and two of them alone would pass for a double zero.
 _CLUSTERS = (0.25, 0.06, 0.015, 3e-3)
-START_LIMIT = 4096  # zeros in one strip; orders up to about 4000 on the principal sheet
+# limit on the zeros in one strip, reached by orders of about 4000 on the principal
+# sheet
+START_LIMIT = 4096
 
 
 def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
@@ -212,7 +212,9 @@ def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
 
 
 def _starts(sum_: ExponentialSum, height: float) -> Complexes:
-    """Zeros of each edge's two terms alone, in |Im z| ≤ height and one spacing beyond."""
+    """Zeros of the two terms of each edge of the Newton polygon, in |Im z| ≤ height and
+    one spacing beyond.
+    """
     a, nu = sum_.coefficients, sum_.rates
     points: list[complex] = []
     for j, k in newton_polygon(sum_):
@@ -230,8 +232,8 @@ def _starts(sum_: ExponentialSum, height: float) -> Complexes:
         points += [
             complex(x, first + 2 * math.pi * m / gap) for m in range(-reach, reach + 1)
         ]
-    # Exact symmetry about the real axis would hold a conjugate pair of starts on it for
-    # ever.
+    # With exact symmetry about the real axis, starts on it could never leave it for a
+    # conjugate pair.
     return np.array(points) * (1 + 1e-4j) + 1e-3j
 
 
@@ -246,8 +248,8 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complexes:
     (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
     for _ in range(_ROUNDS):
         values, moduli = sum_.derivatives(z, 2)
-        # At rounding level the quotient D/D' is noise and would throw points off a
-        # multiple zero.
+        # At the level of rounding the quotient D/D' is noise and would throw points off
+        # a multiple zero.
         settled = np.abs(values[0]) <= 4e-16 * moduli[0]
         newton = np.where(
             settled, 0, values[0] / np.where(values[1] == 0, 1e-300, values[1])
@@ -255,13 +257,13 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complexes:
         distance = z[:, None] - z[None, :]
         distance[distance == 0] = np.inf
         step = newton / (1 - newton * (1 / distance).sum(axis=1))
-        # A step longer than the zeros' usual spacing leaves the basin of the starting
-        # zero. 2π/ν parts the zeros of two terms, ν ≤ 8 in practice: 0.7 is the least
-        # of these distances.
+        # A step longer than the usual spacing of the zeros leaves the basin of the
+        # starting zero. The zeros of two terms are 2π/ν apart; 0.7 is the smallest
+        # spacing in practice, for ν ≤ 8.
         step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
         z = z - step
-        # Newton's method doubles the digits: after a step of 1e-9 the zero is known to
-        # 1e-18.
+        # Newton's method converges quadratically: after a step of 1e-9 the zero is
+        # known to 1e-18.
         rest = settled | (np.abs(step) < 1e-9)
         inside = np.abs(z.imag) <= height
         if np.count_nonzero(rest & inside) >= count:
@@ -306,7 +308,7 @@ def settle_clusters(sum_: ExponentialSum, points: Complexes) -> Complexes:
 def _cluster(
     sum_: ExponentialSum, points: Complexes, free: Mask, i: int
 ) -> tuple[Mask, complex]:
-    """The points that stand for the same zero as points[i], and that zero."""
+    """The points that represent the same zero as points[i], and that zero."""
     for radius in _CLUSTERS:
         near = free & (np.abs(points - points[i]) < radius)
         m = int(near.sum())
@@ -314,9 +316,9 @@ def _cluster(
             break
         centre = _newton(sum_, points[near].mean(), m)
         values, moduli = sum_.derivatives(np.array([centre]), m)
-        # At the centre of a true multiple zero only the rounding of the lower
-        # derivatives is left, 1e-14 of their terms. 1e-12 would still tell apart zeros
-        # that are 1e-6 away.
+        # At the centre of a true multiple zero only rounding is left of the lower
+        # derivatives, 1e-14 of their terms. A limit of 1e-12 still separates zeros 1e-6
+        # apart.
         if np.all(np.abs(values[: m - 1, 0]) <= 1e-12 * moduli[: m - 1, 0]):
             return near, centre
     alone = np.zeros(len(points), dtype=bool)
@@ -325,16 +327,17 @@ def _cluster(
 
 
 def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
-    """Newton's method for the simple zero of D^(m−1) beside z."""
-    # Newton doubles the digits: from 1e-2 three rounds reach rounding, and a multiple
-    # zero that was taken for a simple one is left early by the length of its step.
+    """Newton's method for the simple zero of D^(m−1) near z."""
+    # Newton's method converges quadratically: from 1e-2, three rounds reach rounding.
+    # The length of the step reveals early a multiple zero that was taken for a simple
+    # one.
     for _ in range(8):
         values, _ = sum_.derivatives(np.array([z]), m + 1)
         if values[m, 0] == 0:
             break
         step = complex(values[m - 1, 0] / values[m, 0])
-        # So long a step has left the cluster: the multiplicity was guessed wrong, and
-        # the caller tries another.
+        # A step this long has left the cluster: the assumed multiplicity is wrong, and
+        # the caller tries another one.
         if abs(step) > 0.1:
             break
         z -= step
@@ -354,9 +357,9 @@ def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Com
         if n == 0:
             continue
         centre, size = 0.5 * (a + b), max(b.real - a.real, b.imag - a.imag)
-        if (
-            size < 1e-3
-        ):  # smaller boxes around a double zero drown in rounding: (1e-3)² · 1e-8 is left of D
+        # around a double zero, smaller boxes are lost in rounding: (1e-3)² · 1e-8 is
+        # left of D
+        if size < 1e-3:
             found += [centre] * n
             continue
         if n == 1:
@@ -380,8 +383,8 @@ def _is_zero(sum_: ExponentialSum, z: complex) -> bool:
 def _halves(
     sum_: ExponentialSum, a: complex, b: complex, n: int
 ) -> list[tuple[complex, complex, int]]:
-    # 0.513…: off every symmetric place where zeros of simple problems lie; the others
-    # are second tries.
+    # 0.5131 avoids every symmetric position where simple problems have zeros; the other
+    # shares are second tries.
     for share in (0.5131, 0.4637, 0.5519, 0.4213, 0.6, 0.38):
         if b.real - a.real > b.imag - a.imag:
             middle_b = complex(a.real + share * (b.real - a.real), b.imag)

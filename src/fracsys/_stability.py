@@ -17,10 +17,10 @@ from fracsys._terms import Complexes, Term
 from fracsys.checks import checked
 from fracsys.errors import FieldError
 
-# relative distance at which a zero cancels a pole: what twelve-digit coefficients can
-# tell
+# relative distance at which a zero cancels a pole: the resolution of twelve-digit
+# coefficients
 _SAME = 1e-10
-_ON_AXIS = 1e-12  # rad between a pole and the imaginary axis below which it lies on it
+_ON_AXIS = 1e-12  # [rad] a pole closer to the imaginary axis than this lies on it
 
 
 @dataclass(frozen=True)
@@ -129,19 +129,18 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     if any(t.delay for t in system.denominator):
         count = _delayed_zeros(system.denominator)
         return _verdict(system, (), integrators, count, delayed=True)
-    # The poles are found, not only counted: `log_zeros` returns as many as the argument
-    # principle certifies, so that counting those with Re s > 0 is counting certified
-    # ones.
+    # `log_zeros` returns exactly as many poles as the argument principle certifies, so
+    # counting those with Re s > 0 gives a certified number.
     logs, cancelled = _pole_logs(system)
     bad = logs[logs.imag < 0.5 * math.pi + _ON_AXIS]
     inside = bad[bad.imag < 0.5 * math.pi - _ON_AXIS]
-    # The upper half plane was searched: each pole off the real axis stands for itself
-    # and its conjugate.
+    # Only the upper half plane was searched: each pole off the real axis counts for
+    # itself and its conjugate.
     winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
     found = tuple(complex(p) for p in _both_halves(bad, 0))
     verdict = _verdict(system, found, integrators, winding, delayed=False)
-    # A cancelled pole is no part of the transfer function, but the plant behind it
-    # still grows: it is told.
+    # A cancelled pole is not part of the transfer function, but the state behind it
+    # still grows; it is therefore reported.
     hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
     if not hidden.size:
         return verdict
@@ -153,11 +152,11 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
 def _delayed_zeros(terms: Sequence[Term]) -> int:
     """Number of zeros with Re s > 0 of a sum with delays, −1 for infinitely many.
 
-    Zeros of A + B, with the delayed terms in B, are the poles of 1/(1 + B/A): the
-    Nyquist criterion counts them. Of the neutral type (delays on the highest order,
-    too) that holds where the delayed coefficients' moduli add up to less than the
-    undelayed one's; otherwise zeros of any size lie in Re s > 0 or come as near to the
-    axis as one likes. Raises `FieldError` for zeros on the axis.
+    Zeros of A + B, with the delayed terms in B, are the poles of 1/(1 + B/A), which the
+    Nyquist criterion counts. For the neutral type (delays on the highest order as well)
+    this holds if the moduli of the delayed coefficients add up to less than that of the
+    undelayed one. Otherwise there are zeros of arbitrarily large modulus in Re s > 0 or
+    arbitrarily close to the axis. Raises `FieldError` for zeros on the axis.
 
     Source: Hale and Verduyn Lunel, Introduction to Functional Differential Equations
     (1993), chapter 9.
@@ -169,9 +168,9 @@ def _delayed_zeros(terms: Sequence[Term]) -> int:
         return -1
     late = tuple(t for t in terms if t.delay)
     plain = tuple(t for t in terms if not t.delay)
-    # An octave above, |B/A| is below 1 on all of the arc that closes the contour.
+    # One octave above, |B/A| is below 1 on the whole arc that closes the contour.
     loop = as_loop(FractionalTransferFunction(late, plain), 2.0 * _largest_zero(terms))
-    # Poles and zeros on the axis are infinities here and not faults.
+    # Poles and zeros on the axis give infinities here, which are not errors.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         x, values, _ = sweep(loop)
         count = None
@@ -193,15 +192,15 @@ def _delayed_zeros(terms: Sequence[Term]) -> int:
 def _largest_zero(terms: Sequence[Term]) -> float:
     """A frequency [rad/s] beyond which a sum with delays has no zero with Re s >= 0.
 
-    There the undelayed leading term outweighs all others, no e^(-sL) being larger
-    than 1: every lower term is at most its share of what the leading ones leave.
+    Beyond it the undelayed leading term exceeds the sum of all others, since |e^(-sL)|
+    ≤ 1: each lower term is at most its share of what the leading terms leave.
     """
     top = terms[0].order
     lower = [t for t in terms if t.order < top]
     spare = 2.0 * abs(terms[0].coefficient) - sum(
         abs(t.coefficient) for t in terms if t.order == top
     )
-    # Without lower terms there is none at all, and any frequency will do.
+    # Without lower terms there is no such zero, and any frequency will do.
     return max(
         (
             (len(lower) * abs(t.coefficient) / spare) ** (1.0 / (top - t.order))
@@ -250,8 +249,8 @@ def _shown(p: complex) -> str:
 
 
 def _integrators(system: FractionalTransferFunction) -> float:
-    """a > 0 where G ~ s^(−a) at s = 0; numerator and denominator may both have terms
-    that cancel there.
+    """a > 0 with G ~ s^(−a) at s = 0; the lowest terms of numerator and denominator may
+    cancel.
     """
     return (
         max(0.0, _lowest(system.denominator) - _lowest(system.numerator))
@@ -266,16 +265,16 @@ def _lowest(terms: Sequence[Term]) -> float:
 
 def _poles_at_origin(system: FractionalTransferFunction) -> int:
     orders = [t.order for t in (*system.numerator, *system.denominator)]
-    # s^2.5 is no pole of any multiplicity but a branch point: only a system of integer
-    # orders has poles at 0.
+    # s^2.5 has a branch point at 0 and no pole; only a system of integer orders has
+    # poles there.
     return (
         int(_integrators(system)) if all(float(a).is_integer() for a in orders) else 0
     )
 
 
 def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes]:
-    """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those that a zero of the
-    numerator cancels.
+    """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those cancelled by a zero of the
+    numerator.
     """
     if any(t.delay for t in system.denominator):
         raise FieldError(
@@ -287,12 +286,11 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes
         )
     left, cancelled = _logs(system.denominator).tolist(), []
     top = system.numerator
-    # A common delay moves no zero; several delays make infinitely many, none of which
-    # cancels a pole exactly.
+    # A common delay moves no zero; several delays give infinitely many zeros, none of
+    # which cancels a pole exactly.
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
         for zero in _logs(top).tolist():
-            # One at a time: a double pole with one zero on it is a simple pole, not
-            # none.
+            # One at a time: a double pole with one zero on it leaves a simple pole.
             near = [p for p in left if abs(p - zero) < _SAME][:1]
             if near:
                 left.remove(near[0])
@@ -311,7 +309,7 @@ def _both_halves(z: Complexes, at_origin: int) -> Complexes:
     found: list[complex] = [0j] * at_origin
     for log in z:
         size, angle = math.exp(log.real), float(log.imag)
-        # `log_zeros` puts zeros on the edges exactly there; e^z would leave an
+        # `log_zeros` puts zeros on the edges exactly there. e^z would leave an
         # imaginary part of 1e-16, and a real pole would count as a pair.
         if angle in (0.0, math.pi):
             found.append(complex(math.copysign(size, math.cos(angle))))

@@ -1,4 +1,4 @@
-"""Following a response: a grid that it refines itself, roots in known brackets,
+"""Sweeps of a frequency response: a self-refining grid, roots in known brackets, and
 extremes.
 """
 
@@ -16,15 +16,15 @@ from fracsys._loops import SampledLoop, as_loop
 from fracsys._terms import Complexes, Reals
 from fracsys.errors import FieldError
 
-# largest change of phase between neighbours [rad]: a crossing is then bracketed surely
+# [rad] largest change of phase between neighbours, so that no crossing is missed
 TURN = 0.5
 RISE = 1.5  # largest change of ln |L| between neighbours: 13 dB
-# neighbours closer than this in ln ω have a pole or zero of the axis between them
+# between neighbours closer than this in ln ω lies a pole or zero on the axis
 CLOSEST = 1e-9
 POINT_LIMIT = 50_000
-# |L| below which a delay's turning is no longer followed, and the points that may be
-# spent on it: a loop that rolls off like ω^(−1/2) would need millions for crossings at
-# −60 dB that say nothing.
+# |L| below which the phase of a delay is not followed, and the largest number of points
+# for it; with more, the next pair applies. A loop that rolls off like ω^(−1/2) would
+# need millions of points for irrelevant crossings at −60 dB.
 _PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
@@ -69,19 +69,17 @@ def _refined(
 def _too_wide(
     loop: SampledLoop, x: Reals, values: Complexes, quiet: float
 ) -> NDArray[np.intp]:
-    """Intervals to halve: ln L moves too far, or 1 + L more than its distance from
-    zero.
-    """
+    """Intervals to halve: ln L changes too much, or 1 + L by more than its modulus."""
     change = np.log(values[1:] / values[:-1])
     fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)
-    # A chord shorter than the distance of its ends from −1 cannot hide a turn around
-    # −1.
+    # A chord shorter than the distance of its ends from −1 cannot hide an encirclement
+    # of −1.
     away = np.abs(1 + values)
     fine &= np.abs(np.diff(values)) <= np.minimum(away[1:], away[:-1])
     width = np.diff(x)
     if quiet:
-        # A delay turns a wide interval by 2π and it looks still: but then its neighbour
-        # was refined.
+        # A delay may turn the phase by 2π within a wide interval, which then looks
+        # constant; but its neighbour was refined in that case.
         fine[1:] &= width[1:] < 2.1 * width[:-1]
         fine[:-1] &= width[:-1] < 2.1 * width[1:]
         loud = np.abs(values) > quiet
@@ -125,28 +123,27 @@ def frequency_grid(
         if known.system is None:
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)
-    # Where the response turns slowly the even points draw it; the others are where it
-    # moves.
+    # The even points cover the range where the phase turns slowly, the others that
+    # where L changes fast.
     grid = np.union1d(even, x[np.isfinite(values)])
     frequencies: Reals = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
     return frequencies
 
 
 def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Complexes]:
-    """Cut the ends where d ln L/dx is constant, leaving one decade of each."""
-    # 0.02 is 0.4 dB a decade: what changes less is one straight line in a Bode plot.
+    """Cut the ends where d ln L/dx is constant, down to one decade each."""
+    # 0.02 is 0.4 dB per decade; a smaller change of slope is not visible in a Bode
+    # plot.
     slope = np.diff(np.log(np.abs(values))) / np.diff(x)
     turn = np.abs(np.angle(values[1:] / values[:-1])) / np.diff(x)
     still = (turn < 0.02) & np.isfinite(slope)
     first = _leading(still & (np.abs(slope - slope[0]) < 0.02))
     last = len(x) - 1 - _leading((still & (np.abs(slope - slope[-1]) < 0.02))[::-1])
-    loud = np.flatnonzero(
-        np.abs(values) > _FAINT
-    )  # above, a delay turns the phase without end
+    # at higher frequencies the delay turns the phase without end
+    loud = np.flatnonzero(np.abs(values) > _FAINT)
     last = min(last, int(loud[-1])) if loud.size else last
-    if (
-        first >= last
-    ):  # a straight line from end to end: four decades around 1 rad/s show it
+    # a straight line from end to end: show four decades around 1 rad/s
+    if first >= last:
         inside = np.abs(x) < _DECADES
     else:
         margin = 0.5 * _DECADES
@@ -155,7 +152,7 @@ def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Comple
 
 
 def _leading(flags: NDArray[np.bool_]) -> int:
-    """How many flags are set before the first that is not."""
+    """Number of flags set before the first that is not."""
     return int(np.argmin(flags)) if not flags.all() else len(flags)
 
 
@@ -178,14 +175,14 @@ def refined(
         length = np.hypot(run, rise)
         angle = np.arctan2(rise, run)
         turn = np.abs((np.diff(angle) + math.pi) % (2 * math.pi) - math.pi)
-        # 0.002 of the axes is a line's width: shorter chords cannot be seen.
+        # 0.002 of the axes is the width of a line; shorter chords are invisible.
         sharp = (turn > bend) & (np.minimum(length[1:], length[:-1]) > 0.002)
         long = length > 0.1
         halve = np.flatnonzero(
             np.concatenate([sharp, [False]]) | np.concatenate([[False], sharp]) | long
         )
-        # A jump, as of a phase at a pole on the axis, stays sharp however short its
-        # interval is.
+        # A jump, such as the phase at a pole on the axis, stays sharp at any
+        # resolution.
         halve = halve[np.diff(x)[halve] > 1e-9 * np.abs(x[halve]) + 1e-12]
         if not halve.size or x.size + halve.size > limit:
             break
@@ -196,10 +193,11 @@ def refined(
 # --- Roots inside known brackets, many at once --------------------------------------------------------
 
 
-_ROUNDS = 100  # bisection alone needs 53; Newton 4 to 6, the secant 6 to 10
-# A step this small, relative, leaves an error of nearly its square. Where the
-# function's own rounding is then more than that of x, its sign is chance: without this
-# bound Newton wandered about in it for fifty rounds.
+# bisection alone needs 53; Newton's method 4 to 6, the secant method 6 to 10
+_ROUNDS = 100
+# A relative step this small leaves an error of nearly its square. If the rounding of
+# the function exceeds that of x, the sign is random there: without this bound Newton's
+# method wandered within the rounding for fifty rounds.
 _NEAR = 1e-8
 
 
@@ -228,8 +226,7 @@ def bracketed_roots(
     """
     a, b = np.array(low, dtype=float), np.array(high, dtype=float)
     at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
-    # A bracket of four units in the last place: nothing lies between its ends that a
-    # double could name.
+    # A bracket of four units in the last place cannot be narrowed any further.
     size = np.abs(a) + np.abs(b)
     done, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -309,7 +306,8 @@ def zeros_of(
         return []
     a, b = np.array(brackets).T
     at_a, at_b = tendency(loop, a), tendency(loop, b)
-    # An end is the extreme itself, or the slope beside a pole of the axis is no number.
+    # The extreme is at an end of the bracket, or the slope next to a pole on the axis
+    # is not a number.
     x = np.where(np.abs(at_a) < np.abs(at_b), a, b)
     changes = at_a * at_b < 0
     x[changes] = bracketed_roots(lambda x: tendency(loop, x), a[changes], b[changes])

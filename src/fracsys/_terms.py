@@ -17,9 +17,9 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
-# Orders that sums of the same numbers give in another sequence differ by a few units of
-# the last place (0.1 + 0.2 and 0.3); no measured order is known to 1e-13. Closer ones
-# are the same order.
+# Orders that are sums of the same numbers in a different sequence differ by a few units
+# in the last place (0.1 + 0.2 and 0.3). No measured order is known to 1e-13, so closer
+# ones count as equal.
 _SAME = 64 * 2.220446049250313e-16
 
 
@@ -39,7 +39,7 @@ class Term:
 
     def __post_init__(self) -> None:
         given = (self.coefficient, self.order, self.delay)
-        # Algebra makes terms by the thousand, of floats: those are looked at once.
+        # The algebra creates thousands of terms from floats; these take a single test.
         if (
             all(type(value) is float for value in given)
             and math.isfinite(sum(given))
@@ -59,8 +59,8 @@ class Term:
 
 
 def finite(name: str, value: object) -> float:
-    # `float` takes True for 1 and "2" for 2, and numpy drops an imaginary part with a
-    # mere warning.
+    # `float` accepts True as 1 and "2" as 2, and numpy drops an imaginary part with
+    # only a warning.
     if isinstance(value, (bool, str, bytes, complex)) or value is None:
         number = math.nan
     else:
@@ -90,13 +90,13 @@ def collect(terms: Iterable[Term]) -> list[Term]:
     terms = tuple(terms)
     if len(terms) == 1:
         return [terms[0]] if terms[0].coefficient != 0.0 else []
-    # Sorted by the coefficient, too, and summed by `fsum` below: the same terms in
-    # another sequence then make the same function to the last bit, which is what `==`
-    # and hashes compare.
+    # Sorted by coefficient as well, and summed with `fsum` below, so that the same
+    # terms in another sequence give the same function to the last bit, which `==` and
+    # hashes compare.
     groups: list[list[Term]] = []
     for term in sorted(terms, key=lambda t: (-t.order, t.delay, t.coefficient)):
-        # Against the first of each group and not by a rounded key: two orders that
-        # rounding has parted may lie on either side of any grid.
+        # Compared with the first of each group, not by a rounded key: two orders that
+        # differ by rounding may fall on different sides of a rounding boundary.
         equal = (
             g
             for g in groups
@@ -133,7 +133,7 @@ def snap(value: float) -> float:
     """The decimal of 12 places that `value` is, but for rounding: 1.92 - 0.92 is
     0.9999999999999999.
     """
-    # Only where the decimal is within rounding: √2 stays √2, and does not become
+    # Only where the decimal number is within rounding: √2 stays √2 and does not become
     # 1.414213562373.
     nearest = round(value, 12)
     return nearest if same(value, nearest) else value
@@ -162,7 +162,7 @@ def cancelled(
     """Both sums, or single terms with the same quotient where one sum is a multiple of
     the other.
     """
-    # Single terms need no search: `normal` divides out what they share.
+    # Single terms need no search: `normal` cancels their common factor.
     if len(bottom) < 2 or not proportional(tuple(top), tuple(bottom)):
         return top, bottom
     order, delay = top[0].order - bottom[0].order, top[0].delay - bottom[0].delay
@@ -215,8 +215,7 @@ def normal(
             allowed="≥ 0 s",
             remedy="the function would answer before its input",
         )
-    # Monic in the highest order: it is the one coefficient that no denominator can
-    # lack.
+    # Monic in the highest order, whose coefficient is never zero.
     lead = bottom[0].coefficient
     numerator, denominator = (
         shifted(top, order, delay, lead),
@@ -243,7 +242,7 @@ class Notation:
 
 PLAIN = Notation(" ", "{:.6g}", "s^{:.10g}", "{} e^(-{:.6g} s)")
 LATEX = Notation(r"\,", "{:.6g}", "s^{{{:.6g}}}", r"{}\,e^{{-{:.6g} s}}")
-# Python reads it back to the last bit, with s the Laplace variable.
+# Python reads this form back to the last bit, with s the Laplace variable.
 PYTHON = Notation("*", "{!r}", "s**{!r}", "({}).delayed({!r})")
 
 
@@ -287,8 +286,8 @@ def evaluate(
     flat = points.astype(np.complex128).ravel()
     with np.errstate(all="ignore"):
         logs = np.log(flat)
-        # Plain first: the scaled sums below cost as much again, and only poles, s = 0
-        # and |s| beyond 1e100 need them.
+        # The plain quotient first: the scaled sums below double the time and are needed
+        # only at poles, at s = 0 and for |s| beyond 1e100.
         value = _sum(numerator, flat, logs, 0.0) / _sum(denominator, flat, logs, 0.0)
         bad = ~np.isfinite(value)
         if bad.any():
@@ -305,14 +304,14 @@ def _sum(
         if order == 0.0:
             value = np.full(s.shape, term.coefficient, np.complex128)
         elif order.is_integer() and 0.0 < order <= 8.0:
-            # Products of small integers are exact where they can be: (2j)² is -4 and
-            # not -4 + 5e-16j, and the sign of that imaginary part would turn the phase
-            # of an undamped link by 360°.
+            # Integer powers of small integers are exact: (2j)² must be -4, not -4 +
+            # 5e-16j, since the sign of that imaginary part would turn the phase of an
+            # undamped link by 360°.
             value = (term.coefficient * s ** int(order)).astype(np.complex128)
         else:
             value = (term.coefficient * np.exp(order * logs)).astype(np.complex128)
-            # numpy multiplies −inf + 0j by the order as by a complex number, and 0·inf
-            # makes that nan.
+            # numpy multiplies −inf + 0j by the order as if it were complex, and 0·inf
+            # gives NaN.
             value[s == 0.0] = 0.0 if order > 0.0 else np.inf
         total += value * np.exp(-term.delay * s) if term.delay else value
     return total
@@ -329,7 +328,7 @@ def _extreme(
     """
     highest = max((t.order for t in (*numerator, *denominator)), default=0.0)
     top, bottom = _sum(numerator, s, logs, 0.0), _sum(denominator, s, logs, 0.0)
-    # Divided by the highest power everywhere: ∞/∞ becomes the ratio of two leading
+    # Divided by the highest power throughout: ∞/∞ becomes the ratio of two leading
     # coefficients.
     large = np.abs(s) > 1.0
     if large.any():
@@ -352,15 +351,16 @@ def grid(count: int, period: float) -> Reals:
     return times
 
 
-_BYTES = 40  # per sample of a response: input, output, time and what a hold needs
+# bytes per sample of a response: input, output, time and the arrays of the hold
+_BYTES = 40
 
 
 def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
     """Raise `SizeError` where `count` samples need more memory than the machine has;
     nothing is allocated.
     """
-    # Where the system does not tell, 8 GiB: every machine that runs numpy in earnest
-    # has them.
+    # 8 GiB where the system does not report its memory; any machine in use for numpy
+    # has that much.
     known = hasattr(os, "sysconf")
     available = (
         os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30

@@ -1,6 +1,6 @@
 """A fractional system as python-control takes it.
 
-python-control is imported at the first call and not before (it costs seconds).
+python-control is imported at the first call only, since that takes seconds.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def to_control(system: FractionalTransferFunction, *, name: str | None = None) -
             remedy="build it from fracsys.s",
         )
     try:
-        # A module of its own, as its class derives from one of python-control's.
+        # A separate module, because its class derives from one of python-control's.
         from fracsys._control_adapter import FractionalResponse
     except ImportError as error:
         raise MissingExtraError("control", "control") from error

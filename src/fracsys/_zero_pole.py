@@ -1,9 +1,9 @@
-"""Rational functions as zeros, poles and gain, and Oustaloup's, which stands for s^f.
+"""Rational functions as zeros, poles and gain, and Oustaloup's filter for s^f.
 
 Multiplied out, polynomials with roots over eight decades have coefficients that double
-precision cannot hold: everything here stays a product of its roots. A system with a
-filter in place of every fractional power is a quotient of sums of such products; its
-poles and zeros are found by Aberth's iteration.
+precision cannot hold: everything here stays in factored form. A system with a filter in
+place of every fractional power is a quotient of sums of such products; its poles and
+zeros are found by Aberth's iteration.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def zeros_of_fractions(
     The eigenvalues are right to 1e-16 of the largest pole; zeros five decades below it
     need the polish.
     """
-    # The realisation's own inverse: its poles are the zeros. Multiplying the fractions
-    # out first would give a polynomial whose coefficients span forty decades.
+    # The poles of the inverse realisation are the zeros. Multiplying out the fractions
+    # would give a polynomial whose coefficients span forty decades.
     matrix = np.diag(poles) - np.outer(np.ones(len(poles)), parts) / direct
     start = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
 
@@ -64,7 +64,8 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
     """All zeros of a real polynomial P of degree len(start) from P′/P = `rate`; exactly
     real or conjugate.
     """
-    # Exact conjugates and reals cannot leave their symmetry: turn the starts a little.
+    # The iteration preserves exact symmetry about the real axis; a small rotation of
+    # the starts breaks it.
     s = start * np.exp(1e-3j) + 0j
     step = np.zeros_like(s)
     for _ in range(300):
@@ -72,14 +73,14 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
         distance[distance == 0] = np.inf
         with np.errstate(all="ignore"):
             step = 1 / (rate(s) - (1 / distance).sum(1))
-        # Where the quotient is not a number, a zero has met a pole of the form that P
-        # is written in.
+        # Where the quotient is not a number, a zero coincides with a pole of the form
+        # in which P is written.
         step = np.where(np.isfinite(step), step, 0)
         s = s - step
         if np.all(np.abs(step) <= 1e-14 * np.abs(s)):
             break
     left = float(np.max(np.abs(step) / np.maximum(np.abs(s), 1e-300), initial=0.0))
-    # Double zeros are known to 1e-8 only, and a double real one may lie on either side
+    # Double zeros are known to 1e-8 only, and a double real zero may end on either side
     # of the axis.
     real = np.abs(s.imag) < 1e-6 * np.abs(s)
     upper = s[~real & (s.imag > 0)]
@@ -99,7 +100,8 @@ def cascade(
     """Real A, B, C, D: sections of second order in series."""
     a, b = np.zeros((0, 0)), np.zeros((0, 1))
     c, d = np.zeros((1, 0)), np.ones((1, 1))
-    # Sections and not one polynomial, whose coefficients would span forty decades.
+    # Second-order sections; the coefficients of a single polynomial would span forty
+    # decades.
     for section in zpk2sos(zeros, poles, gain, pairing="minimal", analog=True):
         a2, b2, c2, d2 = tf2ss(
             *(np.trim_zeros(part, "f") for part in np.split(section, 2))
@@ -152,8 +154,8 @@ def substituted(
     }
     top, bottom = _Sum(numerator, filters), _Sum(denominator, filters)
     zeros, poles = [top.zeros()], [bottom.zeros()]
-    # A filter that only one side has leaves its poles to the quotient: as poles, or as
-    # zeros.
+    # A filter that occurs on one side only contributes its poles as poles or as zeros
+    # of the quotient.
     poles += [filters[f].poles for f in sorted(top.fractions - bottom.fractions)]
     zeros += [filters[f].poles for f in sorted(bottom.fractions - top.fractions)]
     return (
@@ -165,8 +167,8 @@ def substituted(
 
 def _split(order: float) -> tuple[int, float]:
     whole = math.floor(order)
-    # 1.92 − 1 is 0.9199999999999999: without rounding two terms of one fraction would
-    # get two filters.
+    # 1.92 − 1 is 0.9199999999999999; without rounding, two terms with the same fraction
+    # would get two filters.
     return whole, round(order - whole, 12)
 
 
@@ -174,7 +176,7 @@ _NONE = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
 
 
 class _Sum:
-    """Σ c_k s^(n_k) F_k(s) with 0 ≤ a_k − n_k < 1 and F_k the filter of that fraction."""
+    """Σ c_k s^(n_k) F_k(s) with 0 ≤ a_k − n_k < 1 and F_k the filter for that fraction."""
 
     def __init__(
         self, terms: Sequence[Term], filters: dict[float, PowerFilter]
@@ -208,8 +210,8 @@ class _Sum:
         if len(self.terms) == 1:
             return np.concatenate([at_origin, self.terms[0][2].zeros])
         count = self.degree + len(self.down) - len(at_origin)
-        # Alternating sides of the real axis at 34°, across the corners: pairs and real
-        # zeros are both near.
+        # Starts alternate between both sides of the real axis at 34°, near pairs as
+        # well as real zeros.
         sizes = np.abs(self.down) if self.down.size else np.ones(1)
         spread = np.geomspace(0.5 * sizes.min(), 2.0 * sizes.max(), 2 * count + 1)[1::2]
         start = np.asarray(

@@ -19,8 +19,8 @@ __all__ = [
     "UnstableError",
 ]
 
-# What a message repeats of something that came from outside: a cell of 10 MB must not
-# flood a terminal.
+# Limits what a message repeats of external input: a cell of 10 MB must not flood a
+# terminal.
 _VALUE_LIMIT = 80
 _SENTENCE_LIMIT = 400
 
@@ -29,8 +29,8 @@ def value_text(value: object) -> str:
     """Return repr(value), or its type where Python declines: a whole number of over
     4300 digits.
     """
-    # An entry of an array reads nan and 0.5, not np.float64(nan): the reader wrote no
-    # type. By the module's name, as errors load without NumPy.
+    # An entry of an array is shown as nan or 0.5, not as np.float64(nan). The test uses
+    # the name of the module, since this file does not import NumPy.
     if type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0:
         value = getattr(value, "item")()  # noqa: B009
     try:
@@ -40,13 +40,15 @@ def value_text(value: object) -> str:
 
 
 def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
-    """The value as a message prints it: one line, printable characters only, bounded."""
-    # A text stands without quotes, as the user wrote it into a file or a terminal; all
-    # else as Python spells it.
+    """The value as shown in a message: one line of bounded length, printable characters
+    only.
+    """
+    # Text is shown without quotes, as the user wrote it; everything else as Python
+    # writes it.
     text = value if isinstance(value, str) else value_text(value)
-    # Cut before it is escaped: of 10 MB only the part that is shown is looked at. An
-    # escape sequence from a file must not reach the terminal, nor a line end make two
-    # messages of one.
+    # Cut before escaping: only the part shown of 10 MB is processed. An escape sequence
+    # from a file must not reach the terminal, and a line break must not split a
+    # message.
     text = "".join(
         c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: limit + 1]
     )
@@ -57,8 +59,7 @@ def _sentence(text: str) -> str:
     """`text` as a sentence; a leading identifier such as ``read_log(...)`` keeps its
     spelling.
     """
-    # Only a plain word gets a capital: read_log(…) and --force are spelled as they are
-    # typed.
+    # Only a plain word is capitalised: read_log(…) and --force keep their spelling.
     if text and text.split(maxsplit=1)[0].rstrip(",;:").isalpha():
         text = text[0].upper() + text[1:]
     return text if text.endswith((".", "?", "!", "…")) else f"{text}."
@@ -95,8 +96,7 @@ class FieldError(FracsysError, ValueError):
     ) -> None:
         self.field, self.value, self.problem = field, value, problem
         self.allowed, self.remedy = allowed, remedy
-        # Parsers of binary files put raw bytes of the file into the problem; every part
-        # is escaped.
+        # Parsers of binary files put raw bytes into the problem; every part is escaped.
         name, expected = _shown(field), _shown(allowed, _SENTENCE_LIMIT)
         what = _shown(problem, _SENTENCE_LIMIT)
         head = (
@@ -108,8 +108,8 @@ class FieldError(FracsysError, ValueError):
         super().__init__(f"{head}; expected {expected.rstrip('.')}.{advice}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Keyword-only arguments are lost by the default protocol, and errors cross
-        # process borders (file readers run in a child that may be killed).
+        # The default pickle protocol loses keyword-only arguments, and errors cross
+        # process borders (file readers run in a child process that may be killed).
         return _rebuild, (
             type(self),
             self.field,

@@ -1,4 +1,4 @@
-"""Values from outside: a range is written once, in the annotation, and checked where
+"""Validation of inputs: a range is written once, in the annotation, and checked where
 the value enters.
 
     @checked
@@ -10,8 +10,8 @@ the value enters.
         period: Period
         noise: Annotated[float, Between(0.0, 1e6, "N·m")] = 0.0
 
-`checked` reads the annotations at the first call, refuses what they do not admit with a
-FieldError, and hands on plain values: float and int (never a bool or a numpy scalar),
+`checked` reads the annotations at the first call, rejects invalid values with a
+FieldError, and passes on plain values: float and int (never a bool or a numpy scalar),
 tuples, paths, float64 arrays. The same rules write and read files and name the options
 of the command line (`parameters`).
 """
@@ -65,7 +65,7 @@ Payload = Annotated[
     Between(0.0, 1e4, "kg", low_open=True, remedy="give the mass at the tip in kg"),
 ]
 Frequency = Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)]
-# Its unit depends on λ: ω₀² is added to s^λ.
+# The unit depends on λ, because ω₀² is added to s^λ.
 NaturalFrequency = Annotated[float, Between(0.0, 1e6, "s^(-λ/2)", low_open=True)]
 Angle = Annotated[
     float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")
@@ -85,9 +85,9 @@ PhaseMarginDeg = Annotated[
 LinkOrder = Annotated[
     float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")
 ]
-# A billion: more than any count in a file that fits into memory, and exact as a double.
+# Larger than any count in a file that fits into memory, and exact as a double.
 Count = Annotated[int, Between(1, 10**9)]
-# What NumPy's generators take.
+# the range of NumPy's generators
 Seed = Annotated[int, Between(0, 2**64 - 1)]
 Workers = Annotated[int, Between(1, 1024)]
 FilePath = str | os.PathLike[str]
@@ -132,8 +132,8 @@ def checked(
     if not is_dataclass(target):
         remedy = "put checked above dataclass"
         raise TypeError(f"checked: {target.__name__} is not a dataclass; {remedy}")
-    # The class's own `__init__` and not a wrapper class: `replace`, `fields` and
-    # pickles see the dataclass as it is written.
+    # Replaces the `__init__` of the class itself instead of deriving a class:
+    # `replace`, `fields` and pickling see the dataclass as written.
     target.__init__ = _guarded(target.__init__, target, error, prefix)  # type: ignore[method-assign]
     return target
 
@@ -173,10 +173,10 @@ def _guarded(
                 if check is not None:
                     kwargs[name] = check(value, ARGUMENTS)
         except Refused as refused:
-            # Without the inner frames: the mistake is at the call, and the rule that
-            # saw it is no part of the message.
+            # Without the inner frames: the mistake is at the call, and the internals of
+            # the check do not help to find it.
             raise refused.error(prefix + name, error) from None
-        if is_class:  # what a field keeps, nobody else may change
+        if is_class:  # the arrays that an object keeps are read-only
             values = [values[0], *map(_read_only, values[1:])]
             kwargs = {name: _read_only(value) for name, value in kwargs.items()}
         return function(*values, **kwargs)
@@ -195,7 +195,7 @@ def _read_only(value: Any) -> Any:
     """An array itself where it is read-only, a read-only copy otherwise."""
     if not isinstance(value, np.ndarray):
         return value
-    # A read-only view is no promise: whoever holds the base writes through it.
+    # A read-only view is not enough: the owner of its base can still write to it.
     if value.flags.writeable or value.base is not None or not value.flags.c_contiguous:
         value = np.array(value, order="C")
         value.flags.writeable = False
@@ -233,7 +233,7 @@ def checked_series(
 ) -> NDArray[np.float64]:
     """Return `value` as an array of shape (N,), which may hold NaN."""
     series = rule(Annotated[NDArray[np.float64], Array(1, finite=False)])
-    # A copy: what is fitted must not change while its caller goes on recording into
+    # A copy: the data of a fit must not change while the caller goes on recording into
     # the array.
     return np.array(series.check(field, value, error=error))
 

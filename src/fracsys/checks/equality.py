@@ -1,4 +1,4 @@
-"""Results that hold arrays, compared: `a == b` is one answer and not an array of them."""
+"""Equality of results that hold arrays: `a == b` is a single bool, not an array."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def compared(kind: Kind) -> Kind:
 
 
 def _equal(self: Any, other: object) -> Any:
-    # Not isinstance: a subclass has fields of which this class knows nothing, and the
-    # answer would depend on who asks.
+    # Not isinstance: a subclass may have fields unknown here, and `a == b` could differ
+    # from `b == a`.
     if type(other) is not type(self):
         return NotImplemented
     kind: Any = type(self)
@@ -43,12 +43,14 @@ def _equal(self: Any, other: object) -> Any:
 
 
 def _hash(self: Any) -> int:
-    """Of what is neither array nor container: equal results have equal ones."""
+    """Hash of all fields that are neither arrays nor containers: equal results have
+    equal hashes.
+    """
     values = (
         getattr(self, field.name) for field in dataclasses.fields(self) if field.compare
     )
-    # Floats are left out: two NaN are equal here and have, since Python 3.10, different
-    # hashes.
+    # Floats are left out: NaN equals NaN here, but since Python 3.10 two NaN have
+    # different hashes.
     return hash(
         (type(self), *(value for value in values if type(value) in (str, int, bool)))
     )
@@ -57,8 +59,8 @@ def _hash(self: Any) -> int:
 def _same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         a, b = np.asarray(one), np.asarray(other)
-        # NaN equals NaN: a gap in a log is the same gap in the log that was saved and
-        # read.
+        # NaN equals NaN: a gap in a log is still the same gap after the log was saved
+        # and read.
         return a.dtype == b.dtype and np.array_equal(
             a, b, equal_nan=a.dtype.kind in "fc"
         )
@@ -66,10 +68,11 @@ def _same(one: Any, other: Any) -> bool:
         return one.keys() == other.keys() and all(
             _same(value, other[key]) for key, value in one.items()
         )
-    # Entry by entry: `==` of tuples that hold arrays raises.
+    # Entry by entry, because `==` raises for tuples that hold arrays.
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
-    # Its own `==` finds a NaN in it equal to itself up to Python 3.12 only.
+    # Since Python 3.13 the generated `==` no longer treats a NaN in a field as equal to
+    # itself.
     plain = getattr(type(one), "__dataclass_params__", None)
     if plain is not None and plain.eq and type(one) is type(other):
         return bool(_equal(one, other))

@@ -1,4 +1,4 @@
-"""A rule, and what may stand beside a type in an annotation:
+"""Rules, and the classes that may stand next to a type in an annotation:
 ``Annotated[float, Between(0, 1)]``.
 """
 
@@ -50,7 +50,7 @@ class Form:
     """How values are given: as the arguments of a call, or otherwise in a subclass."""
 
     def __call__(self, rule: Rule, value: Any) -> Any:
-        """Return `value` converted; Refused where `rule` does not admit it."""
+        """Return `value` converted; raises Refused if `rule` does not admit it."""
         return rule.convert(value, self)
 
     def entry(self, rule: Rule, value: Any, key: object) -> Any:
@@ -59,7 +59,7 @@ class Form:
             return self(rule, value)
         except Refused as refused:
             refused.keys.append(key)
-            refused.is_type = False  # the container was of the right kind
+            refused.is_type = False  # the container itself was of the right kind
             raise
 
 
@@ -111,8 +111,8 @@ class Rule:
         try:
             return self.convert(value, ARGUMENTS)
         except Refused as refused:
-            # Without the inner frames: the mistake is at the call, and the rule that
-            # saw it is no part of the message.
+            # Without the inner frames: the mistake is at the call, and the internals of
+            # the check do not help to find it.
             raise refused.error(name, error) from None
 
 
@@ -133,7 +133,7 @@ class Between:
     _: KW_ONLY
     low_open: bool = False
     high_open: bool = False
-    # False admits infinities inside the bounds, and NaN where there are no bounds
+    # False admits infinities inside the bounds, and NaN where there are no bounds.
     finite: bool = True
     remedy: str = CHECK_UNIT
 
@@ -173,7 +173,8 @@ class Array:
     ndim: int | None = 1
     finite: bool = True
     min_size: int = 0
-    # whether True and False count as 1 and 0: a condition such as t > 1 is a step
+    # whether True and False count as 1 and 0, so that a condition such as t > 1 is a
+    # step
     flags: bool = False
 
     @property
@@ -222,14 +223,13 @@ def ascending(*, strict: bool = False) -> Where:
 
 
 def _figure(number: float) -> str:
-    """A bound as people write it: 1e6 for 1000000.0, every digit of a whole number that
-    is an int.
-    """
-    # A range of samples is read by its digits, 300000; one of a unit by its size, 1e6.
+    """A bound as people write it: 1e6 for 1000000.0, but all digits of an int."""
+    # A bound on a number of samples is written in full, 300000; one on a physical
+    # quantity as 1e6.
     if isinstance(number, int) and abs(number) < 10**6:
         return str(number)
     mantissa, mark, exponent = f"{number:g}".partition("e")
-    # 1e+06 is what Python writes and nobody else.
+    # Python writes 1e+06.
     return f"{mantissa}e{int(exponent)}" if mark else mantissa
 
 
@@ -264,8 +264,8 @@ def _as_float(value: Any, expected: str, remedy: str) -> float:
         raise Refused(brief(value), "not a number", expected, remedy, is_type=True)
     try:
         return float(value)
-    except OverflowError:  # a whole number of more than 308 digits
-        # As infinity it meets the range's own refusal, which names the bounds.
+    except OverflowError:  # an integer of more than 308 digits
+        # Infinity is then rejected by the range, whose message names the bounds.
         return math.inf if value > 0 else -math.inf
 
 
@@ -284,8 +284,8 @@ def whole_number(bounds: Between = Between()) -> Rule:
             raise Refused(
                 brief(value), "not a whole number", expected, remedy, is_type=True
             )
-        # Python's int: bounds of 64 bits are compared exactly, which a numpy integer
-        # would wrap around.
+        # Python's int compares exactly with 64-bit bounds; a numpy integer would wrap
+        # around.
         plain = int(value)
         if not low <= plain <= high:
             raise Refused(plain, "out of range", expected, remedy)
@@ -314,6 +314,6 @@ def brief(value: object) -> str:
     type.
     """
     scalar = isinstance(value, str | bytes | int | float | complex | np.generic | None)
-    # A message is one line: of a thousand samples the type says enough.
+    # A message is one line: for a thousand samples the type is enough.
     short = isinstance(value, tuple | list) and len(value) <= 8
     return value_text(value) if scalar or short else type(value).__name__

@@ -1,9 +1,9 @@
-"""From annotations to rules: the one walk over type hints.
+"""Conversion of annotations to rules: the only interpreter of type hints.
 
-What a function or a dataclass admits is said once, beside its names. `parameters` reads
-it, and whoever needs it asks the same rules: `checked` for the arguments of a call, the
-codec for the fields of a file, the reader of TOML for keys and their units, the command
-line for its options.
+The values that a function or a dataclass accepts are declared once, in its annotations.
+`parameters` reads these, and all users share the resulting rules: `checked` for the
+arguments of a call, the codec for the fields of a file, the reader of TOML for keys and
+their units, the command line for its options.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def _rule(annotation: Any) -> Rule:
     if kind is np.ndarray:
         return _array(annotation, Array(None, finite=False), None)
     if not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
-        return _SCALARS[Any]  # isinstance cannot ask a protocol; mypy has the say there
+        return _SCALARS[Any]  # isinstance does not work with a protocol; mypy checks it
     return _container(kind, arguments)
 
 
@@ -143,8 +143,8 @@ def _unaliased(annotation: Any) -> Any:
 def _container(kind: type, arguments: tuple[Any, ...]) -> Rule:
     if issubclass(kind, os.PathLike):
         return _PATH
-    # tuple[float, float] is a pair; tuple[float, ...] a sequence of any length, as a
-    # list is.
+    # tuple[float, float] is a pair; tuple[float, ...] is a sequence of any length, like
+    # a list.
     if kind is tuple and arguments and arguments[-1] is not Ellipsis:
         return _fixed(tuple(rule(item) for item in arguments))
     if kind in _SEQUENCES:
@@ -173,8 +173,8 @@ def _narrowed(base: Any, metadata: tuple[Any, ...]) -> Rule:
         narrowed = number(bounds) if base is float else whole_number(bounds)
     else:
         raise TypeError(f"Between stands beside float, int or an array, not {base}")
-    # In the order of the annotation: a later one sees only what the earlier ones let
-    # through.
+    # In the order of the annotation: a later item sees only values that passed the
+    # earlier ones.
     for item in metadata:
         if isinstance(item, Where):
             narrowed = conditional(narrowed, item)
@@ -191,7 +191,7 @@ def conditional(inner: Rule, where: Where) -> Rule:
             raise Refused(brief(plain), where.problem, expected, where.remedy)
         return plain
 
-    # A form that converts the inner rule by itself still meets the condition.
+    # A form with its own conversion of the inner rule must still check the condition.
     return replace(inner, expected=expected, convert=convert, kind=None)
 
 
@@ -202,7 +202,9 @@ def _kind(
     plain: Callable[[Any], Any] = lambda value: value,
     kind: Any = None,
 ) -> Rule:
-    """The rule of a kind of values that `fits` recognises and `plain` makes ordinary."""
+    """The rule for the values that `fits` accepts; `plain` converts them to the
+    ordinary type.
+    """
 
     def convert(value: Any, form: Form) -> Any:
         if fits(value):
@@ -242,8 +244,8 @@ def instance(kind: type) -> Rule:
 
 def _names_a_file(value: Any) -> bool:
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
-    # An empty text would stand for the folder one happens to be in; a NUL ends a name
-    # inside the system.
+    # An empty string would mean the current directory; a NUL ends a name in system
+    # calls.
     return isinstance(text, str) and bool(text) and "\0" not in text
 
 
@@ -278,7 +280,7 @@ def choice(choices: tuple[Any, ...]) -> Rule:
     def convert(value: Any, form: Form) -> Any:
         plain = int(value) if isinstance(value, np.integer) else value
         for word in choices:
-            # True == 1 in Python, and a bool is no choice among numbers.
+            # True == 1 in Python, but a bool must not match a number.
             if word == plain and (type(plain) is type(word) or isinstance(plain, str)):
                 return word
         known, remedy = isinstance(plain, kinds), "choose one of these"
@@ -290,7 +292,7 @@ def choice(choices: tuple[Any, ...]) -> Rule:
 def _union(members: tuple[Any, ...]) -> Rule:
     present = [member for member in members if member not in (None, type(None))]
     kinds = [get_origin(member) or member for member in present]
-    # str | Path: one value, the name of a file, however it is given.
+    # str | Path is a single value: the name of a file, in either form.
     if len(kinds) > 1 and all(kind in (str, os.PathLike, Path) for kind in kinds):
         inner = _PATH
     elif len(present) == 1:
@@ -318,12 +320,12 @@ def _any_of(members: Sequence[Rule]) -> Rule:
             try:
                 return form(item, value)
             except Refused as refused:
-                # Without its traceback: that holds this frame, the frame holds this
-                # list, and so every array of every caller would live on until the next
-                # search for cycles.
+                # Without its traceback, which holds this frame, which holds this list:
+                # every array of every caller would stay alive until the next garbage
+                # collection.
                 refusals.append(refused.with_traceback(None))
-        # A member whose kind fits knows the reason; otherwise no member takes such a
-        # value.
+        # If the kind of a member fits, its message gives the reason; otherwise no
+        # member accepts the value.
         for refusal in refusals:
             if not refusal.is_type:
                 raise refusal
@@ -344,7 +346,7 @@ def _fixed(items: tuple[Rule, ...]) -> Rule:
     each = f", each {words[0]}" if len(words) == 1 else f": {', '.join(words)}"
 
     def convert(value: Any, form: Form) -> tuple[Any, ...]:
-        # A set or a dict of two has no first entry.
+        # A set or a dict of two entries has no first entry.
         is_list = isinstance(value, tuple | list | np.ndarray)
         if not is_list or len(value) != len(items):
             raise Refused(
@@ -361,8 +363,8 @@ def _sequence(item: Rule, as_list: bool) -> Rule:
     expected = f"a list{each}"
 
     def convert(value: Any, form: Form) -> Any:
-        # A text is a sequence of letters and a mapping one of its keys: both are
-        # mistakes where a list is wanted.
+        # A string is a sequence of characters and a mapping one of its keys; both are
+        # mistakes where a list is expected.
         unlike = isinstance(value, str | bytes | Mapping)
         scalar = isinstance(value, np.ndarray) and value.ndim == 0
         if unlike or scalar or not isinstance(value, Iterable):
@@ -373,7 +375,7 @@ def _sequence(item: Rule, as_list: bool) -> Rule:
                 "put a single one in a list",
                 is_type=True,
             )
-        # Once through: a generator cannot be read a second time.
+        # A single pass: a generator cannot be read twice.
         entries = [form.entry(item, entry, place) for place, entry in enumerate(value)]
         return entries if as_list else tuple(entries)
 
@@ -395,8 +397,8 @@ def _mapping(item: Rule) -> Rule:
 
 def _array(annotation: Any, shape: Array, bounds: Between | None) -> Rule:
     dtype = _dtype(annotation)
-    # What goes without loss: integers into floats, floats into complex numbers, never a
-    # float into an index.
+    # Lossless conversions only: integers to floats and floats to complex numbers, but
+    # never a float to an index.
     kinds = {"c": "iufc", "b": "b", "i": "iu"}.get(dtype.kind, "iuf")
     kinds += "b" if shape.flags else ""
     expected = f"{shape.expected}, each {bounds.expected}" if bounds else shape.expected
@@ -415,11 +417,11 @@ def _array(annotation: Any, shape: Array, bounds: Between | None) -> Rule:
             )
         if shape.ndim not in (None, raw.ndim) or raw.size < shape.min_size:
             raise Refused(f"shape {raw.shape}", "of another shape", expected, remedy)
-        # Not copied where it is float64 already: logs of millions of samples pass here
-        # at every call.
+        # Not copied if already float64: logs of millions of samples pass here at every
+        # call.
         array = raw.astype(dtype, copy=False)
-        # One pass without a copy: NaN and infinity show in the sum, and only then every
-        # entry is looked at.
+        # The sum shows NaN and infinity in one pass without a copy; only then is each
+        # entry tested.
         if shape.finite and dtype.kind in "fc" and not _sum_is_finite(array):
             _check_entries(array, np.isfinite(array), "not finite", expected, remedy)
         if bounds is not None:
@@ -448,9 +450,7 @@ def _check_entries(
 
 
 def _dtype(annotation: Any) -> np.dtype[Any]:
-    """The element type of NDArray[...]; float64 where none, or more than one, is
-    stated.
-    """
+    """The element type of NDArray[...]; float64 if none or more than one is given."""
     arguments = get_args(annotation) if get_origin(annotation) is np.ndarray else ()
     scalar = (*get_args(arguments[1]), None)[0] if len(arguments) == 2 else None
     concrete = isinstance(scalar, type) and not inspect.isabstract(scalar)
