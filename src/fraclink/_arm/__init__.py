@@ -1,3 +1,3 @@
-"""What a laboratory has and wants: rig, link, beam, motor loop, controller, reference,
-experiment.
+"""The parts of an experiment: rig, link, beam, motor loop, controller, reference and
+recorded log.
 """

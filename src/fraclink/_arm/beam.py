@@ -49,17 +49,16 @@ __all__ += [
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# 48 cubic elements: the third mode of the lightest payload is exact to 2e-7 and the
-# fifth to 1e-5; doubling the number gains nothing once the eigenvalues are at 1e-8,
-# where rounding takes over.
+# 48 cubic elements: the third mode with the lightest payload is exact to 2e-7, the
+# fifth to 1e-5. Doubling the number gains nothing, since rounding limits the
+# eigenvalues to 1e-8.
 ELEMENTS = 48
 
 
 _LARGEST = 1e9
 
-DEFAULT_MASS = (
-    0.00735  # [kg] of the link where a rig states none: a carbon rod of 3 mm, 1 m long
-)
+# [kg] mass of the link where the rig states none: a carbon rod, 3 mm thick and 1 m long
+DEFAULT_MASS = 0.00735
 
 
 @checked
@@ -242,8 +241,8 @@ class BeamModes:
         return int(self.frequencies.size)
 
 
-# Mass and stiffness of one cubic (Hermite) element, degrees of freedom (w, h·w') at
-# both ends.
+# Mass and stiffness matrices of one cubic (Hermite) element, with the degrees of
+# freedom (w, h·w') at both ends.
 _MASS = (
     np.array(
         [[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]
@@ -264,14 +263,15 @@ def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     stiffness = np.zeros_like(mass)
     for i in range(ELEMENTS):
         block = slice(2 * i, 2 * i + 4)
-        # Neighbouring elements share a node, so their blocks overlap in two of four
-        # places.
+        # Neighbouring elements share a node, so their blocks overlap in a 2 by 2
+        # corner.
         mass[block, block] += _MASS * (beam.link_mass / ELEMENTS)
         stiffness[block, block] += _STIFFNESS * (beam.flexural_rigidity / size**3)
     mass[-2, -2] += beam.payload
-    # The last coordinate is h·w′ and not w′: its inertia is that about the tip over h².
+    # The last coordinate is h·w′ rather than w′: its inertia is that about the tip,
+    # divided by h².
     mass[-1, -1] += beam.payload_inertia / size**2
-    # The clamp takes deflection and slope of the first node away.
+    # The clamp removes the deflection and slope of the first node.
     return mass[2:, 2:], stiffness[2:, 2:]
 
 
@@ -286,37 +286,38 @@ def rigid_rotation(beam: Beam) -> Vector:
     """Return the nodal values of w = x, the straight link that turns by one radian."""
     size = beam.length / ELEMENTS
     rigid = np.full(2 * ELEMENTS, size)
-    # The slope of w = x is one, which in the coordinate h·w′ is h.
+    # The slope of w = x is 1; in the coordinate h·w′ it is h.
     rigid[0::2] = size * np.arange(1, ELEMENTS + 1)
     return rigid
 
 
 @lru_cache(
     maxsize=256
-)  # every run of a twin asks for its vibration period, half of what the run costs
+)  # every run of a twin needs its period of vibration, half of the cost of the run
 def _modes(beam: Beam, count: int) -> BeamModes:
     mass, stiffness = matrices(beam)
     factor = np.linalg.cholesky(stiffness)
-    # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω²: the wanted modes are the largest ones, and
-    # a massless link (singular M) is an ordinary case; the usual K φ = ω² M φ would
-    # need M to be invertible.
+    # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω², so the wanted modes are the largest. A
+    # massless link (singular M) needs no special case, while K φ = ω² M φ would require
+    # M to be invertible.
     half = np.linalg.solve(factor, mass)
     flexibility = np.linalg.solve(factor, half.T)
     values, vectors = np.linalg.eigh(0.5 * (flexibility + flexibility.T))
     order = np.argsort(values)[::-1][:count]
-    # A massless link has one eigenvalue, the others are rounding at 1e-17 of it.
+    # A massless link has one eigenvalue; the others are rounding errors of 1e-17
+    # relative to it.
     order = order[values[order] > 1e-13 * values[order[0]]]
     frequencies = 1.0 / np.sqrt(values[order])
     shapes = (
         np.linalg.solve(factor.T, vectors[:, order]) * frequencies
     )  # unit modal mass
-    # An eigenvector has no sign of its own. The tip moves forward, so that the modes of
-    # two payloads can be compared and the state of one projected on the other.
+    # The sign of an eigenvector is arbitrary. With the tip moving forward, the modes of
+    # two payloads can be compared and the state of one projected onto the other.
     shapes = shapes * np.where(shapes[-2] < 0.0, -1.0, 1.0)
     rigid = rigid_rotation(beam)
-    # EI φ''(0) from the base moment under the inertia load: exact to the order of the
-    # eigenvalue, where differentiating the cubic twice would lose two orders. It is the
-    # moment K φ leaves at the clamp.
+    # EI φ''(0) from the base moment under the inertia load: it has the same order of
+    # accuracy as the eigenvalue, while differentiating the cubic twice would lose two
+    # orders. It is the moment K φ at the clamp.
     curvature = frequencies**2 * (rigid @ (mass @ shapes))
     result = BeamModes(
         frequencies,
@@ -325,7 +326,7 @@ def _modes(beam: Beam, count: int) -> BeamModes:
         curvature,
         shapes,
     )
-    # Results are shared through caches: a change in place would reach everybody.
+    # Results are shared through caches; a change in place would affect all users.
     for array in vars(result).values():
         array.flags.writeable = False
     return result
@@ -333,9 +334,11 @@ def _modes(beam: Beam, count: int) -> BeamModes:
 
 # ---- the modes that a model of the link does not have -----------------------------------------------------
 
-ASSUMED_RATIO = 0.02  # of a model without damping, whose modes would be infinitely high
-# the fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold
-# ends it
+# damping ratio for a model without damping, whose higher modes would have infinite
+# peaks
+ASSUMED_RATIO = 0.02
+# The fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold
+# suppresses it.
 _MODES = 3
 
 

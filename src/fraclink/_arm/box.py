@@ -1,4 +1,4 @@
-"""What nobody knows exactly: intervals of an arm's parameters."""
+"""Parameter uncertainty: intervals of the parameters of an arm."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ __all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "in_loop", "outward"]
 
 Interval = tuple[float, float]
 Complex = NDArray[np.complex128]
-# Where neither the fit nor the rig says more, relative: a damping that two logs of one
-# arm agree on to a tenth is a good one, and a second mode moves with the material by a
-# few per cent.
+# Relative uncertainty where neither the fit nor the rig states one: two logs of the
+# same arm rarely agree on the damping to better than a tenth, and the second mode
+# varies with the material by a few per cent.
 _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
 
 
@@ -39,8 +39,7 @@ def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
     """
     if rig.gauge.delay_in_loop:
         return model
-    # The interval of a delay that is not in the loop would widen what a design has to
-    # bear.
+    # The interval of a delay outside the loop would tighten the design for nothing.
     kept = tuple(row for row in model.intervals if row[0] != "gauge_delay")
     return replace(model, gauge_delay=0.0, intervals=kept)
 
@@ -58,8 +57,8 @@ class Arm:
         """Return the loop that runs on this arm: the PID of a sampled motor loop is the
         one of the rig.
         """
-        # The PID was placed for the motor that the rig states and runs on the true one:
-        # the ratio changes the plant, never the controller.
+        # The PID was placed for the motor that the rig states, and runs on the true
+        # one: the ratio changes the plant, never the controller.
         loop = Loop.of(controller, self.model, rig)
         settings = controller.motor_loop
         if settings is None or settings.kind == "ideal":
@@ -84,8 +83,8 @@ class Arm:
         `higher` is what the model does not know of the link, see `sampled_plant`.
         """
         if settings.kind == "ideal":
-            # M(s) is the closed motor loop, whose pole follows the motor's gain in the
-            # same direction: one ratio serves both kinds.
+            # M(s) is the closed motor loop, whose pole varies with the motor's gain in
+            # the same direction: one ratio serves both kinds of motor loop.
             slower = replace(settings, pole=settings.pole * self.motor_ratio)
             return sampled_plant(self.model, slower, rig.motor, period, higher=higher)
         true = MotorGain(rig.motor.gain * self.motor_ratio, rig.motor.decay)
@@ -194,7 +193,8 @@ class ParameterBox:
                     allowed="models without one, or a model that knows it, too",
                     remedy="begin from the model that knows it, and give the other one beside it",
                 )
-            # ω₀ belongs to its log's payload: two logs can only be compared at one.
+            # ω₀ depends on the payload of its log: two logs can only be compared at the
+            # same payload.
             found = found.hull(
                 ParameterBox.at(
                     with_payload(other, rig).at_payload(_payload(model, rig))
@@ -271,18 +271,18 @@ def _around(model: LinkModel, rig: Rig) -> ParameterBox:
     def share(name: str, value: float, part: float) -> Interval:
         return _hull((value * (1 - part), value * (1 + part)), model.interval(name))
 
-    # The wider of two doubts at either end: an interval is what one log could not tell
-    # apart, a tolerance what a laboratory does not measure at all.
+    # The wider of two uncertainties at each end: an interval is what one log leaves
+    # open, a tolerance what a laboratory does not measure at all.
     order = _hull(
         (model.order - stated.order, model.order + stated.order),
         model.interval("order"),
     )
-    # Without damping the link of order two never comes to rest: the interval ends half
-    # way before it.
+    # An undamped link of order two never comes to rest: the interval ends half way to
+    # it.
     highest = 2.0 if model.damping else 0.5 * (model.order + 2.0)
     gain = share("gauge_gain", model.gauge_gain, stated.gauge_gain)
-    # A torque log calibrates gauge and stiffness as one: what it leaves open of c is
-    # open in the gauge.
+    # A torque log determines the product of gauge gain and stiffness, so the
+    # uncertainty of c is also one of the gauge.
     stiffness = model.interval("stiffness") or (model.stiffness, model.stiffness)
     gain = _hull(gain, tuple(model.gauge_gain * c / model.stiffness for c in stiffness))  # type: ignore[arg-type]
     return ParameterBox(
@@ -310,7 +310,8 @@ def _gauge_delay(model: LinkModel, tolerance: float) -> Interval:
         (model.gauge_delay, model.gauge_delay + tolerance),
         model.interval("gauge_delay"),
     )
-    if model.gauge_delay < -max(tolerance, 1e-4):  # a lead within the tolerance is none
+    # a lead within the tolerance counts as no delay
+    if model.gauge_delay < -max(tolerance, 1e-4):
         raise FieldError(
             "model.gauge_delay",
             model.gauge_delay,
@@ -345,7 +346,7 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
         return 0.0
     digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
     scaled = value * digit
-    # A value of six digits or fewer is itself: its product with a power of ten is whole
-    # but for rounding.
+    # A value of at most six digits stays unchanged: its product with a power of ten is
+    # an integer up to rounding.
     whole = round(scaled) if abs(scaled - round(scaled)) < 1e-6 else towards(scaled)
     return float(f"{whole / digit:.6g}")

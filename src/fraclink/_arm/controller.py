@@ -19,15 +19,13 @@ from fracsys.checks import Between, Period, checked
 
 __all__ = ["Controller"]
 
-# gains and times beyond it are slips of the pen; squaring them must not overflow
+# larger gains and times are typing errors, and their squares must not overflow
 _LARGEST = 1e12
 
-document("margins")(
-    Margins
-)  # here and not beside the class: systems stand below the codec
-document("reference")(
-    Path
-)  # and a reference is needed where mypy has not seen the codec yet
+# here and not beside the class: the classes of systems must not depend on the codec
+document("margins")(Margins)
+# and a reference is needed, because mypy has not seen the codec yet
+document("reference")(Path)
 
 
 @checked
@@ -84,8 +82,8 @@ class Controller:
         ),
     ]
     filter_time: Annotated[float, Between(0.0, 1e6, "s")] = 0.0
-    # A third pole would cost more phase at the crossover than it takes off the noise
-    # behind the two: n = 1 for β < 1, else 2.
+    # A third pole would cost more phase at the crossover than it saves in noise: n = 1
+    # for β < 1, else 2.
     filter_order: Annotated[int, Between(1, 2, remedy="n = 1 for β < 1, else 2")] = 1
     link: LinkModel | None = None
     motor_loop: MotorLoop | None = None
@@ -126,7 +124,7 @@ class Controller:
         6.0
         """
         w = np.asarray(frequency, dtype=float)
-        # k ω^β e^{jπβ/2}: the power of a real base, so that no branch has to be chosen.
+        # k ω^β e^{jπβ/2}: a power with a real base, so that no branch has to be chosen.
         derivative = (
             self.derivative_gain
             * np.power(w, self.derivative_order)

@@ -1,8 +1,8 @@
-"""What a rig does not say yet, and what contradicts it: drafts for reading a first log,
-and doubts.
+"""Incomplete rigs and contradictions: drafts for reading a first log, and doubts about
+a model on a rig.
 
-`Rig.warnings` names values that differ by more than measurements do; here they differ
-by a wrong unit or by being those of another arm.
+`Rig.warnings` reports values that differ by more than measurements do. The doubts here
+are larger: a wrong unit, or the values of another arm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fracsys.checks import checked
 __all__ = ["RigDraft", "doubts_of", "draft_text", "load_rig_or_draft"]
 
 _PARTS = {"motor": Motor, "link": Link, "payloads": Payloads}
-# What `design` cannot do without, beside each blank what a person measures or finds in
+# Entries without which `design` cannot work, each with what to measure or to look up in
 # a data sheet.
 _ASKED = {
     "motor": {
@@ -37,8 +37,8 @@ _ASKED = {
     },
     "payloads": {"low": "lightest payload", "high": "heaviest payload"},
 }
-# ν moves the poles of the closed motor loop by ν/J over their sum, 5 % for the paper's:
-# no need to ask.
+# ν shifts the poles of the closed motor loop by ν/J divided by their sum, 5 % for the
+# paper's motor: no need to ask for it.
 _NO_FRICTION = (0.0, "assumed; ν at the motor, where you know it")
 
 
@@ -72,8 +72,8 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
     try:
         return Rig.load(path)
     except FieldError as error:
-        # Any fault but a blank is a mistake in what was written, and a draft would hide
-        # it until `design`.
+        # Any fault other than a blank is a mistake in the file, which a draft would
+        # hide until `design`.
         faults: tuple[FieldError, ...] = getattr(error, "faults", (error,))
         if not all(_is_blank(fault) for fault in faults):
             raise
@@ -85,9 +85,8 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
         if not {"stiffness_Nm_per_rad", "flexural_rigidity_Nm2"} & set(
             data.get("link", {})
         ):
-            blanks.append(
-                "link.stiffness_Nm_per_rad"
-            )  # seen by Link only once its length is there
+            # Link checks it only once its length is known
+            blanks.append("link.stiffness_Nm_per_rad")
         return RigDraft(columns, tuple(dict.fromkeys(blanks)), Path(path).stem[:100])
 
 
@@ -143,8 +142,8 @@ def draft_text(
 
 
 def _comment(text: str) -> str:
-    """Text from a log as a comment: a control character in a column's name would end
-    it.
+    """Text from a log as a TOML comment, which a control character in a column name
+    would end.
     """
     return "".join(
         character if character.isprintable() else "?"
@@ -153,7 +152,7 @@ def _comment(text: str) -> str:
 
 
 def _inline(channel: object) -> str:
-    """A channel as an inline table, without the values that are usual."""
+    """A channel as an inline table, without default values."""
     usual = {"sign": 1, "scale": 1.0, "offset": 0.0}
     pairs = {
         key: value
@@ -163,12 +162,12 @@ def _inline(channel: object) -> str:
     return ", ".join(f"{key} = {toml_value(value)}" for key, value in pairs.items())
 
 
-# The source paper's stated and computed stiffness differ by 30 %, a gauge's calibration
-# by some 20 %, and a beam rolled 15 % thicker has 1.5 times the stiffness: all of that
-# together stays below 2.
+# The paper's stated and computed stiffness differ by 30 %, the calibration of a gauge
+# is off by some 20 %, and a beam rolled 15 % thicker has 1.5 times the stiffness: all
+# of these together stay below 2.
 _STIFFNESS_MOST = 2.0
-# A link whose mass the rig does not state lowers the frequency: by 1.55 at 60 g and a
-# payload of 10 g.
+# A link mass missing from the rig lowers the frequency: by 1.55 for 60 g and a payload
+# of 10 g.
 _FREQUENCY_MOST = 1.8
 _UNITS = {
     math.degrees(1.0): "as with an angle in degrees that is called radians",
@@ -201,7 +200,7 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     ratio = max(found / stated, stated / found)
     if ratio <= _STIFFNESS_MOST:
         return
-    # A wrong unit on top of an ordinary error: within 60 % of the factor it is named,
+    # A wrong unit may add to an ordinary error: it is named within 60 % of its factor;
     # farther off it would be a guess.
     unit = next(
         (words for factor, words in _UNITS.items() if 0.6 < ratio / factor < 1.6), ""
@@ -221,7 +220,7 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
         return
     moving = model.payload + rig.link.tip_mass
     expected = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
-    # Eq. (5) has ω₀ in s^(−λ/2) where a vibration has |p| in rad/s: either may be
+    # Eq. (5) gives ω₀ in s^(−λ/2), while a vibration has |p| in rad/s: either may be
     # meant.
     found = (model.natural_frequency, abs(model.pole))
     ratios = [

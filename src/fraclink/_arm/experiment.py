@@ -136,8 +136,8 @@ class Experiment:
         >>> log.period, log.duration
         (0.004, 0.008)
         """
-        # A single text can only mean the output: the others are in SI or are stated by
-        # name.
+        # A single string can only be the unit of the output: the other signals are in
+        # SI or are stated by name.
         stated: Mapping[str, str] = (
             {output_kind: units} if isinstance(units, str) else units
         )
@@ -170,8 +170,8 @@ class Experiment:
         """
         if not isinstance(columns, LogColumns):
             columns = parse_columns(f"{role}={text}" for role, text in columns.items())
-        # In SI before the time base is formed: its limits, a second between samples
-        # among them, are in seconds.
+        # Converted to SI before the time base is formed, because its limits are in
+        # seconds (such as one second between samples).
         data = {
             role: channel.in_si(_column(frame, channel), role)
             for role, channel in columns.channels().items()
@@ -216,8 +216,8 @@ class Experiment:
 
     def text(self) -> str:
         """The log as CSV [s, rad, N·m or rad, V]; see `save`."""
-        # The field and not the note that it may have been read from: a corrected
-        # payload must not stand beside the old one.
+        # The field, not the note that it may have come from: a corrected payload must
+        # not stand next to the old one.
         notes = [(key, value) for key, value in self.notes if key != "payload_kg"]
         if self.payload is not None:
             notes.append(("payload_kg", repr(self.payload)))
@@ -228,7 +228,7 @@ class Experiment:
         )
         if self.voltage is not None:
             columns["voltage_V"] = self.voltage
-        # `repr` of a float is the shortest text that reads back as the same bits.
+        # The `repr` of a float is the shortest text that reads back to the same bits.
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
         return "\n".join(
             [*lines, ",".join(columns), *(",".join(map(repr, row)) for row in rows)]
@@ -290,7 +290,8 @@ class Experiment:
         >>> Experiment(period=0.004, motor_angle=[0, 1, 2, 3], output=[0, 1, 2, 3]).split(0.5)
         (slice(0, 2, None), slice(2, 4, None))
         """
-        # The border is rounded: half a sample at either end still leaves a part empty.
+        # The border is rounded: even half a sample from either end would leave a part
+        # empty.
         count = self.motor_angle.size
         edge = 0.5 / count
         inside = Between(
@@ -306,8 +307,8 @@ class Experiment:
 
 def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
     try:
-        # By the name alone, which every kind of frame answers: no frame library is
-        # imported, or needed.
+        # By column name only, which every kind of frame supports: no frame library is
+        # imported.
         values = np.asarray(frame[channel.column], dtype=np.float64)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise LogError(

@@ -73,11 +73,11 @@ class FractionalPid(Saved):
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            # An integer gain would be written as one, and two equal controllers would
-            # differ in their files.
+            # An integer gain would be written as an integer, and the files of two equal
+            # controllers would differ.
             object.__setattr__(self, field.name, float(getattr(self, field.name)))
-        # Zero gains leave their orders free, and a loop without a controller has no
-        # margin to speak of.
+        # Zero gains leave their orders undetermined, and a loop without a controller
+        # has no margins.
         if not (self.proportional or self.integral or self.derivative):
             raise FieldError(
                 "proportional",
@@ -90,8 +90,8 @@ class FractionalPid(Saved):
     @property
     def filter_order(self) -> int:
         """n of the derivative's filter: the least for which the controller is proper."""
-        # s^μ/(1 + T_f s)^n falls or stays for n >= μ; one pole more would cost ω_c T_f
-        # of phase for nothing.
+        # s^μ/(1 + T_f s)^n does not rise for n >= μ; one more pole would cost a phase
+        # of ω_c T_f for nothing.
         return math.ceil(self.derivative_order)
 
     @property
@@ -117,7 +117,7 @@ class FractionalPid(Saved):
         """Return C(s) as a fractional transfer function, for every other function of
         the package.
         """
-        # A function even where k_p is 0 and the sum begins with nothing.
+        # Adding 0·s^0 makes the sum a transfer function even for k_p = 0.
         whole = self.proportional + s**0 * 0.0
         if self.integral:
             whole = whole + self.integral / s**self.integral_order

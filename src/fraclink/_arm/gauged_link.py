@@ -1,5 +1,5 @@
-"""The link as encoder and gauge show it together: B, its logarithm, its level and its
-slope over frequency.
+"""The link as seen by encoder and gauge together: B, its logarithm, magnitude and slope
+over frequency.
 
 The controller reads the tip from two sensors, ``θte = θm − g e^{−τ_g s} Γ/c``, and
 ``Γ/c = θm (1 − G)``. So
@@ -68,8 +68,8 @@ class GaugedLink:
         inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
             return self._gauge_log(np.exp(ln_w), natural_frequency)
-        # log1p: far below the resonance s^λ/ω₀² is the whole of ln G, and 1 + it would
-        # round it away.
+        # log1p: far below the resonance ln G is s^λ/ω₀² alone, which 1 + s^λ/ω₀² would
+        # round away.
         if not self.damping:
             return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
         return np.asarray(
@@ -79,7 +79,7 @@ class GaugedLink:
     def _link_terms(
         self, ln_w: Real, natural_frequency: ArrayLike
     ) -> tuple[Complex, Complex, Complex]:
-        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal
+        """(jω)^λ, μ (jω)^α and ω₀², all in the upper half plane, so that principal
         logarithms stay continuous.
         """
         inertia = np.exp(self.link_order * ln_w) * np.exp(
@@ -110,7 +110,7 @@ class GaugedLink:
         # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay
         # of microseconds.
         turned = np.expm1(-self.gauge_delay * s)
-        # One fraction: far above the resonance X is near one, and 1 − X would cancel.
+        # One fraction: far above the resonance X is close to 1, and 1 − X would cancel.
         bracket = (
             drag
             + spring
@@ -135,10 +135,10 @@ class GaugedLink:
     def _gauge_log(self, w: Real, natural_frequency: ArrayLike) -> Complex:
         """ln B with its unwrapped phase.
 
-        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1 it goes
-        round the origin with X: arg B = arg X − π + arg(1 − 1/X), and the last term
-        stays within ±π/2 again. The whole turns of arg X at the entry to and the exit
-        from such an interval join the pieces.
+        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1, B
+        encircles the origin together with X: arg B = arg X − π + arg(1 − 1/X), and the
+        last term stays within ±π/2 again. The whole turns of arg X at the entry to and
+        the exit from such an interval join the pieces.
         """
         w, frequency = np.broadcast_arrays(
             w, np.asarray(natural_frequency, dtype=float)
@@ -146,8 +146,8 @@ class GaugedLink:
         bracket, _, angle = self.parts(w, frequency)
         phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
         turns = np.zeros(w.shape)
-        # The usual call asks one link at many frequencies; only a mixed one is taken
-        # apart.
+        # The usual call evaluates one link at many frequencies; only a mixed one is
+        # split up.
         single = (
             frequency.flat[0]
             if frequency.size and np.all(frequency == frequency.flat[0])
@@ -162,7 +162,7 @@ class GaugedLink:
         with np.errstate(divide="ignore"):
             size = np.log(np.abs(bracket))
             x = 1.0 - bracket
-            # arg(1 − 1/X) from −B·X̄, which needs no division by an X that vanishes.
+            # arg(1 − 1/X) from −B·X̄, which needs no division by X near zero.
             round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
         value = size + 1j * (
             np.where(outside, round_origin, phase) + 2.0 * math.pi * turns
@@ -174,7 +174,8 @@ class GaugedLink:
         goes round in two.
         """
         count = int(each * abs(self.gauge_delay) * (high - low) / math.pi) + 2
-        # 20 000: a delay of seconds, far beyond any gauge's, must not take all memory.
+        # 20 000 points: a delay of seconds, far beyond that of any gauge, must not fill
+        # the memory.
         return np.linspace(low, high, min(count, 20_000))
 
     def about_mode(self, count: int) -> Real:
@@ -185,8 +186,8 @@ class GaugedLink:
 
     @cached_property
     def _alone(self) -> GaugedLink:
-        """The link without what a subclass adds: loops that differ in Ĉ only share what
-        is cached for it.
+        """The link without the fields of a subclass: loops that differ only in Ĉ share
+        its cached results.
         """
         return GaugedLink(*(getattr(self, field.name) for field in fields(GaugedLink)))
 
@@ -219,19 +220,19 @@ class GaugedLink:
         return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))
 
 
-@lru_cache(maxsize=4096)  # a design asks for the same few links over and over
+@lru_cache(maxsize=4096)  # a design evaluates the same few links repeatedly
 def _unit_gains(
     link: GaugedLink, natural_frequency: float
 ) -> tuple[tuple[float, int, bool], ...]:
     """(ω, whole turns of arg X, whether |X| rises) of every crossing |X| = 1,
     ascending.
 
-    The delay turns X and does not change its size, so a scan about the modes finds all.
-    Their place is needed to the accuracy of a phase only.
+    The delay turns X without changing its modulus, so a scan about the modes finds all
+    crossings. They only need the accuracy of a phase branch.
     """
-    # Seven decades about the resonance, and points that close in on it from both sides
-    # by ratio: |X| of a lightly damped link is steepest there, and a crossing between
-    # two points of the grid would be lost.
+    # Seven decades about the resonance, with points whose distance to it shrinks
+    # geometrically on both sides: |X| of a lightly damped link is steepest there, and a
+    # crossing between two grid points would be lost.
     near = np.geomspace(1e-6, 0.3, 24)
     shape = np.concatenate(
         [np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)]
@@ -242,8 +243,8 @@ def _unit_gains(
     level = np.log(link.parts(grid, natural_frequency)[1])
     found = []
     for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
-        # One secant in ln ω: the place only says on which branch of the phase a point
-        # lies.
+        # One secant step in ln ω: the crossing only decides on which branch of the
+        # phase a point lies.
         share = level[i] / (level[i] - level[i + 1])
         place = float(grid[i] * (grid[i + 1] / grid[i]) ** share)
         angle = float(link.parts(np.asarray(place), natural_frequency)[2])

@@ -61,8 +61,8 @@ STRUCTURES: dict[str, Structure] = {
         ),
     )
 }
-# The paper's four, for the few places that mean one of them; everything else iterates
-# over the table.
+# The four structures of the paper, for the few places that need one of them; all other
+# code iterates over the table.
 UNDAMPED, VISCOUS, FRACTIONAL, FRACTIONAL_DAMPING, *_ = STRUCTURES
 
 
@@ -135,8 +135,8 @@ class SecondMode:
         """Return `count` frequencies about the mode [rad/s], close within its width and
         wider apart to either side.
         """
-        # Eight half-widths at least: beyond, it adds 1/16 of its peak at most. A sharp
-        # peak is high, and its circle comes by -1 far from its middle.
+        # At least eight half-widths: beyond, the mode adds at most 1/16 of its peak. A
+        # sharp peak is high, and its circle passes -1 far from its centre.
         reach = math.asinh(max(8.0, 0.2 / self.damping_ratio))
         shape = self.damping_ratio * np.sinh(np.linspace(-reach, reach, count))
         return np.asarray(self.frequency * np.exp(shape))
@@ -388,7 +388,7 @@ class LinkModel:
             parts.append(
                 f"a second mode at {number(rate)} rad/s ({quantity(rate, 'Hz', 3)})"
             )
-        # Less than a microsecond is rounding of a fit: no log shows it.
+        # Less than a microsecond is the rounding of a fit: no log shows it.
         if abs(self.gauge_delay) > 1e-6:
             side = "late" if self.gauge_delay > 0 else "early"
             parts.append(f"gauge {quantity(abs(self.gauge_delay), 'ms', 2)} {side}")
@@ -414,7 +414,8 @@ class LinkModel:
     def _peak(self, *, inertia: bool) -> float | None:
         if self.damping == 0:
             if self.order <= 1:
-                # cos(πλ/2) < 0 for λ > 1 alone: a link of order one only falls
+                # cos(πλ/2) < 0 for λ > 1 only: the response of a link of order one only
+                # decreases
                 return None
             cosine, square = (
                 -math.cos(math.pi * self.order / 2),
@@ -423,9 +424,10 @@ class LinkModel:
             return float(
                 (square / cosine if inertia else square * cosine) ** (1 / self.order)
             )
+        # imported late: parsers of logs then start in 0.2 s instead of 0.5 s
         from scipy.optimize import (
             minimize_scalar,
-        )  # late: parsers of logs start in 0.2 s, not 0.5 s
+        )
 
         def level(log_frequency: ArrayLike) -> NDArray[np.float64]:
             s = 1j * np.exp(np.asarray(log_frequency, dtype=float))
@@ -438,8 +440,8 @@ class LinkModel:
         centre = math.log(abs(self.pole))
         grid = np.linspace(centre - 3.0, centre + 3.0, 601)
         values = level(grid)
-        # The highest hump, not the highest value: a torque whose damping has nearly the
-        # order of its inertia may pass its peak, dip, and end higher.
+        # The highest local maximum, not the highest value: if the orders of damping and
+        # inertia nearly coincide, the torque may pass its peak, dip, and end higher.
         humps = (
             np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:]))
             + 1
@@ -448,8 +450,8 @@ class LinkModel:
             return None
         best = int(humps[np.argmax(values[humps])])
         found = minimize_scalar(
-            # 1e-9: the square root of the precision, as a maximum is flat to 1e-18
-            # there
+            # 1e-9, the square root of the precision: near a maximum the function is
+            # flat to 1e-18
             lambda x: -float(level(x)),
             bounds=(float(grid[best - 1]), float(grid[best + 1])),
             method="bounded",
@@ -507,8 +509,8 @@ class LinkModel:
 def _damped_pole(
     order: float, damping: float, damping_order: float, square: float
 ) -> complex:
-    """Newton on z ↦ e^{λz} + μ e^{αz} + ω₀², z = ln s, while μ grows from 0 (or ω₀²
-    from 0) to its value.
+    """Newton's method on z ↦ e^{λz} + μ e^{αz} + ω₀², z = ln s, with continuation in μ
+    (or ω₀²) from 0 to its value.
     """
     alone = (
         damping ** (1 / (order - damping_order))

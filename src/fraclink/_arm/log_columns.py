@@ -1,8 +1,7 @@
-"""How the columns of a log state a motion: which is what, in which unit and with which
-sign.
+"""The meaning of the columns of a log: the signal, its unit and its sign.
 
-Nothing about a log is ever guessed: one whose columns and units are not stated is
-refused.
+Nothing about a log is guessed: a log whose columns and units are not stated is
+rejected.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ __all__ += ["ROW_NUMBER", "drive_columns", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
 
-# Unit -> factor to SI and radians, by the quantity it measures.
+# Unit -> factor to SI and radians, grouped by quantity.
 UNITS = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -52,7 +51,7 @@ QUANTITY_OF = MappingProxyType(
         "voltage": "voltage",
     }
 )
-# The column of a log without stamps: 0, 1, 2 …, to be scaled by the period.
+# The column of a log without time stamps: 0, 1, 2 …, to be scaled by the period.
 ROW_NUMBER = "#row"
 SI = {
     "time": "s",
@@ -109,11 +108,10 @@ class Channel:
         """The column in SI units and radians; `role` is time, motor_angle, torque,
         deflection or voltage.
         """
-        # An encoder counts from where it was switched on: the first sample is its zero,
-        # whatever it reads.
+        # An encoder counts from the position at power-up: its first sample is its zero.
         offset = raw[0] if self.offset == "first" else self.offset
         factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
-        # Multiplying by 1.0 is exact, so that a log in SI units is read bit for bit.
+        # Multiplying by 1.0 is exact, so a log in SI units is read bit for bit.
         return np.asarray(
             (raw - offset) * factor if offset else raw * factor, dtype=np.float64
         )
@@ -213,12 +211,12 @@ _RAW = (
 
 
 def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
-    """How to state a signal whose unit its role has not; one of another quantity is no
-    slip of the pen.
+    """Advice for a unit that the role does not accept: a unit of another quantity is
+    not a typing error.
     """
     unit, angle = channel.unit, QUANTITY_OF[role] == "angle"
-    # In this order: a length or an acceleration has its own way to an angle, and a
-    # nearest unit ("mm" → "mrad") would send the user astray.
+    # In this order: a length or an acceleration needs a conversion to an angle, and the
+    # most similar unit ("mm" → "mrad") would mislead the user.
     if unit in _LENGTHS and angle:
         return (
             "a length over the link's length is an angle: for a link of 0.32 m write "
@@ -226,8 +224,8 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         )
     if unit in _ACCELERATIONS and angle:
         return "an accelerometer is no angle: fit it by identify --structure, as k*s**2/(s**a + w)/(T*s + 1)"
-    # Its scale need not be known: a link's frequency and order do not depend on the
-    # gauge's gain.
+    # Its scale need not be known: frequency and order of a link do not depend on the
+    # gain of the gauge.
     if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in (
         "torque",
         "deflection",
@@ -240,14 +238,14 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         unit in units for units in UNITS.values()
     ):
         return f"it measures another quantity; give one of {', '.join(known)}"
-    # Half of the letters: "nm" is "Nm" and "sec" is "s", but "hour" is not "us", nor
-    # "minutes" "ms".
+    # At least half of the letters must match: "nm" is "Nm" and "sec" is "s", but "hour"
+    # is not "us", nor "minutes" "ms".
     near = difflib.get_close_matches(unit, known, n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
 
 
-# The factor stands behind a space or the equals sign: "k*2" without them may be a
-# column's name.
+# The factor follows a space or an equals sign; without one, "k*2" may be the name of a
+# column.
 _NUMBER = r"[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _STATED = re.compile(
     r"(\w+) *= *([-+]?) *(.*?) *(?:(?<=[ =])\* *([-+]?"
@@ -301,7 +299,7 @@ class ColumnStatement:
         )
         scale = _factor(match[4], text)
         if scale is not None and scale < 0.0:
-            # A calibration of -1.3 deg/V states the sign as "-strain * 1.3" does.
+            # A calibration of -1.3 deg/V states the sign just as "-strain * 1.3" does.
             sign, scale = (1 if sign == -1 else -1), -scale
         return ColumnStatement(
             match[1], match[3] or None, match[5] or None, sign, scale
@@ -376,7 +374,7 @@ def drive_columns(texts: Iterable[str]) -> LogColumns:
     stated = list(texts)
     roles = {ColumnStatement.of(text).role: text for text in stated}
     if "motor_angle" in roles and not roles.keys() & {"torque", "deflection"}:
-        # The readers ask for one output; an angle in the unit of the motor's can stand
-        # for it, a torque could not.
+        # The readers require one output: an angle in the motor's unit can take its
+        # place, a torque could not.
         stated.append("deflection=" + roles["motor_angle"].partition("=")[2])
     return parse_columns(stated)

@@ -1,5 +1,5 @@
-"""The loop: controller, motor loop, hold, computation delay, and the link as the gauge
-shows it.
+"""The loop: controller, motor loop, hold, computation delay, and the link as seen by
+the gauge.
 
     L = k_d s^β/(1 + δs)^n · M(s) e^{−τs} · B(s),    B = 1 − g e^{−τ_g s} (1 − G(s) + H(s)),
 
@@ -47,9 +47,10 @@ __all__ = [
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# links at a time; a minimum inside the range is closed in on from its neighbours
+# links evaluated at a time; a minimum inside the range is refined between its
+# neighbours
 _PAYLOADS = 17
-_STEP = 1e-5  # of ln ω: the cube root of the precision, for a central difference
+_STEP = 1e-5  # step in ln ω of a central difference: the cube root of the precision
 
 
 def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
@@ -62,8 +63,8 @@ def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
     if model.payload is not None:
         return model
     nominal, own = rig.payloads.nominal, rig.natural_frequency(rig.payloads.nominal)
-    # Without the interval of the ω₀ that is replaced: a box would reach from there to
-    # the rig's.
+    # The interval of the replaced ω₀ is dropped: a box would extend from there to the
+    # rig's ω₀.
     kept = tuple(row for row in model.intervals if row[0] != "natural_frequency")
     return replace(model, natural_frequency=own, payload=nominal, intervals=kept)
 
@@ -223,8 +224,8 @@ class Loop(GaugedLink):
         )
 
     def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return L(jω); a complex ω with a positive real part gives L(s) beside the
-        axis, at s = jω.
+        """Return L(jω); a complex ω with a positive real part gives L(s) off the axis,
+        at s = jω.
         """
         if self.exact_gauge:
             return np.asarray(
@@ -245,7 +246,7 @@ class Loop(GaugedLink):
         of the phase.
         """
         w = np.asarray(frequency, dtype=float)
-        # A central difference over a step this small is exact to 1e-9, and one formula
+        # A central difference over such a small step is exact to 1e-9, and one formula
         # serves every factor of L.
         up, down = (
             self.log(w * math.exp(step), natural_frequency) for step in (_STEP, -_STEP)
@@ -268,16 +269,15 @@ class Loop(GaugedLink):
         """One row of frequencies per ω₀: eight decades around the mode, and the mode
         itself from both sides.
 
-        Between two crossings the peak of |L| lies within a per cent of the mode of G
-        when it is sharp, so the points that cluster there are what keeps a narrow peak
-        from hiding between two points.
+        A sharp peak of |L| lies within one per cent of the mode of G, so the points
+        that cluster there keep a narrow peak from falling between two points.
         """
         mode = self.peak(w0)
         near = 1.0 + np.geomspace(1e-6, 0.2, 16)
         low, high = 1e-4, 1e4
         if self.order > 0.0:
-            # Far below the mode |L| = k ω^β, far above at most k ω₀² ω^(β-λ): they
-            # cross one where these do.
+            # Far below the mode |L| = k ω^β, far above it at most k ω₀² ω^(β-λ): all
+            # crossings of |L| = 1 lie between those of these two.
             first = math.exp(min(max(-math.log(self.gain) / self.order, -300.0), 300.0))
             low = min(low, float(np.min(0.5 * first / mode)))
         if self.order < self.link_order and not self.damping:
@@ -303,17 +303,16 @@ class Loop(GaugedLink):
             points = self._gauge_points(w0)
             parts.append(np.broadcast_to(points, (w0.size, points.size)))
         grid = np.minimum(np.sort(np.concatenate(parts, axis=1), axis=1), self.highest)
-        needed = (
-            int(np.sum(np.any(grid < self.highest, axis=0))) + 1
-        )  # past it every row stands at `highest`
+        # past `highest` all points of a row coincide there
+        needed = int(np.sum(np.any(grid < self.highest, axis=0))) + 1
         return np.asarray(grid[:, :needed])
 
     def _gauge_points(self, w0: Real) -> Real:
         """Frequencies at which a late gauge or a second mode bends |B| faster than the
         grid of G follows.
 
-        A delay makes |B| oscillate with the period 2π/τ_g in ω, as far up as |L| can
-        still reach one.
+        A delay makes |B| oscillate with the period 2π/τ_g in ω, up to the highest
+        frequency where |L| can reach one.
         """
         mode = self.peak(w0)
         found = [mode[:1], self.about_mode(65)]
@@ -323,8 +322,8 @@ class Loop(GaugedLink):
                 min(self.highest, 1e3 * float(mode.max())),
             )
             scan = np.geomspace(low, high, 80)
-            # Above the modes |X| stays below |g| times 1 and the share of mode 2; the
-            # resonances themselves are met by the grid of G and below.
+            # Above the modes |X| stays below |g| (1 + the share of mode 2); the grid of
+            # G and the points below cover the resonances themselves.
             most = 1.0 + abs(self.gauge_gain) * (
                 2.0 + (self.second_mode.gain if self.second_mode else 0.0)
             )
@@ -338,8 +337,8 @@ class Loop(GaugedLink):
     def _top(self, w0: Real) -> Real:
         """Peak of |Ĉ G|, where the denominator of (49) vanishes: a quadratic in ω^λ.
 
-        As a point of the grid it keeps a peak that only just exceeds one from hiding
-        between its neighbours.
+        As a grid point it keeps a peak just above one from falling between its
+        neighbours.
         """
         if not 0.0 < self.order < self.link_order:
             return self.peak(w0)
@@ -352,7 +351,7 @@ class Loop(GaugedLink):
         return np.asarray((root * w0**2) ** (1.0 / self.link_order))
 
     def _polish(self, low: Real, high: Real, w0: Real) -> Real:
-        """The crossing inside each bracket, sought in ln ω."""
+        """The crossing inside each bracket, computed in ln ω."""
         return np.exp(
             bracketed_roots(
                 lambda x: self.level(np.exp(x), w0),
@@ -382,7 +381,7 @@ class Loop(GaugedLink):
         return crossover, np.where(_turns(found, w0.size) == 0.0, margin, -margin)
 
     def _at_mode(self, found: Crossings, w0: Real) -> NDArray[np.bool_]:
-        """Which crossings are those of the second mode's own resonance."""
+        """Flags of the crossings that belong to the resonance of the second mode."""
         low, high = self.mode_band(w0)
         near = (found.frequency > low[found.row]) & (found.frequency < high[found.row])
         rows, first = np.unique(found.row[near], return_index=True)
@@ -436,8 +435,8 @@ class Loop(GaugedLink):
         """
         w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
         mode = self.peak(w0)[:, None]
-        # A scan from half of the mode to three times of it misses Ms by 1 %: the
-        # crossover may lie far off.
+        # A scan from half to three times the mode misses Ms by 1 %, since the crossover
+        # may lie far from it.
         w = np.minimum(mode * np.geomspace(0.2, 30.0, 240), self.highest)
         if not self.exact_gauge:
             points = self._gauge_points(w0)
@@ -448,8 +447,8 @@ class Loop(GaugedLink):
                 axis=1,
             )
             w = np.minimum(w, self.highest)
-        # Steps of 2 %, then twice sixteenths between the neighbours of the least: 8e-5
-        # of ω, 1e-6 of Ms.
+        # Steps of 2 %, then two refinements to sixteenths between the neighbours of the
+        # minimum: 8e-5 of ω, 1e-6 of Ms.
         rows = np.arange(w0.size)
         for _ in range(3):
             distance = np.abs(1.0 + self(w, w0[:, None]))
@@ -507,13 +506,13 @@ def noise_points(
         [[0.0, nyquist], mode * np.geomspace(0.25, 8.0, 26), loop.about_mode(17)]
     )
     if loop.gauge_delay:
-        # |1 + L| swings with the delay up to the Nyquist frequency: without these
+        # |1 + L| oscillates with the delay up to the Nyquist frequency. Without these
         # panels the noise gain of a design for a gauge 20 ms late was 8 % off; with
-        # them it is 0.7 %, and 2e-3 on four others.
+        # them it is 0.7 % off, and 2e-3 on four others.
         edges = np.concatenate([edges, loop.turns(0.0, nyquist, 2.0)])
     edges = np.unique(edges[edges <= nyquist])
-    # On four designs 3e-4 of the noise gain is lost; three points a panel lose 4e-3,
-    # two 4 %.
+    # The error of the noise gain is 3e-4 on four designs; with three points per panel
+    # it is 4e-3, with two 4 %.
     points, weights = np.polynomial.legendre.leggauss(6)
     half = 0.5 * np.diff(edges)[:, None]
     return (edges[:-1, None] + half * (1.0 + points)).ravel(), (
@@ -521,7 +520,8 @@ def noise_points(
     ).ravel() / nyquist
 
 
-@lru_cache(maxsize=64)  # asked for once to admit a solution and once to report it
+# a design needs the same value when it checks a solution and when it reports it
+@lru_cache(maxsize=64)
 def worst_margins(
     loop: Loop, low: float, high: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -532,8 +532,8 @@ def worst_margins(
     crossover, margin = loop.margins(w0)
     first, place = int(np.argmin(crossover)), int(np.argmin(margin))
     value, at = float(margin[place]), float(w0[place])
-    # Each round leaves an eighth of the interval: after four a margin is known to that
-    # of links 1e-4 apart.
+    # Each round reduces the interval to an eighth: after four, the margin is that of a
+    # link within 1e-4 of the worst one.
     for _ in range(4):
         if place in (0, w0.size - 1):
             break

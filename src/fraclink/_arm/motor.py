@@ -42,7 +42,7 @@ class MotorConstants(Protocol):
     def gain(self) -> float: ...
     @property
     def decay(self) -> float: ...
-    # Corrections of motor loops are cached by their motor.
+    # Corrections of motor loops are cached by motor.
     def __hash__(self) -> int: ...
 
 
@@ -185,8 +185,8 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
             allowed="> 0 rad/(s²·V)",
             remedy="check K and J of the rig",
         )
-    # The four closed-loop poles at −p add up to the open loop's: the motor's B and the
-    # filter's c.
+    # The four closed-loop poles at −p have the same sum as those of the open loop: the
+    # motor's B and the filter's c.
     if not (math.isfinite(pole) and pole > decay / 4):
         raise FieldError(
             "motor_loop.pole",
@@ -200,8 +200,8 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
         pole=p,
         gain=gain,
         decay=decay,
-        # Six unknowns, c among them: the four powers of (s + p)⁴, and the two zeros of
-        # Cm1 at −p.
+        # Six unknowns including c: the four coefficients of (s + p)⁴ and the two zeros
+        # of Cm1 at −p determine them.
         a0=p**4 / gain,
         a1=2 * p**3 / gain,
         a2=p**2 / gain,
@@ -223,7 +223,7 @@ def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, floa
     gain, decay = motor.gain, motor.decay
     e = math.exp(-decay * period)
     # T − (1 − e^(−BT))/B is BT²/2: at BT = 1e-8 the subtraction has lost eight digits,
-    # and to leave B out altogether costs 1e-8. Motors without friction come here, too.
+    # while neglecting B costs 1e-8. This also covers motors without friction.
     if decay * period < 1e-8:
         return 0.5 * gain * period**2, 0.5 * gain * period**2, e
     weight = -math.expm1(-decay * period) / decay
@@ -248,11 +248,12 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     """
     a, b, period = motor.gain, motor.decay, d.period
     weight = period if b == 0 else -math.expm1(-b * period) / b
-    # Angle and speed after a period of a held unit voltage are A·second and A·weight.
+    # A held unit voltage changes the angle by A·second and the speed by A·weight within
+    # a period.
     second = period**2 / 2 if b == 0 else (period - weight) / b
     n = 4 + delay_samples
-    # voltage now, as a row over the state; both filters are kept as their delayed part
-    # s: output = s + now·input, next s = decay·output + before·input.
+    # The voltage of this tick as a row over the state. Both filters store their delayed
+    # part s: output = s + now·input, next s = decay·output + before·input.
     integral_in = np.zeros(n)
     integral_in[0] = -d.integral_gain
     filter_in = np.zeros(n)
@@ -263,8 +264,8 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     filter_out[3] += 1.0
     voltage = integral_out + filter_out
     voltage[0] -= d.direct + d.angle_direct
-    # With a delay the motor gets the oldest voltage of the queue (states 4 on), else
-    # that of this tick.
+    # With a delay the motor receives the oldest voltage of the queue (states 4
+    # onwards), otherwise that of this tick.
     applied = np.eye(n)[4] if delay_samples else voltage
     matrix = np.zeros((n, n))
     matrix[0, :2] = 1.0, weight
@@ -274,6 +275,6 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     matrix[2] = integral_out + d.integral_before * integral_in
     matrix[3] = d.filter_decay * filter_out + d.filter_before * filter_in
     for k in range(4, n):
-        # The queue moves up, and the new voltage enters at its end.
+        # The queue moves up; the new voltage enters at its end.
         matrix[k] = np.eye(n)[k + 1] if k + 1 < n else voltage
     return matrix

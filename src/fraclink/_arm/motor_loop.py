@@ -1,11 +1,11 @@
-"""The motor loop as the outer controller sees it: ideal, or the PID as it is sampled on
-its motor.
+"""The motor loop as seen by the outer controller: ideal, or the sampled PID on its
+motor.
 
 At the period Ts, with x = z⁻¹, e = exp(-B Ts) and d samples of delay, the motor under
 its held voltage is ``P(x) = x^{1+d}(m1 + m2 x)/((1-x)(1-e x))``. The placement "tustin"
 discretises (19), (20); "direct" solves ``(1-x)²(1-e x)(1-r x) + x^{1+d}(m1 + m2 x) S(x)
-= (1-z₀x)³ f(x)`` for the PID itself, z₀ = exp(-p Ts): the delay then stands inside the
-equation instead of eating the margin afterwards.
+= (1-z₀x)³ f(x)`` for the PID itself, z₀ = exp(-p Ts): the placement then takes the
+delay into account instead of losing margin to it.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ __all__ = [
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-LONGEST_DELAY = 100  # samples; beyond it no loop of an arm is worth closing
-# Beyond it the filter rings at the Nyquist frequency for longer than the loop itself
-# takes to settle.
+LONGEST_DELAY = 100  # samples; a motor loop with a longer delay is useless for an arm
+# A faster filter would ring at the Nyquist frequency for longer than the loop takes to
+# settle.
 _FASTEST_FILTER = 0.8
 
 
@@ -82,7 +82,7 @@ class MotorLoop:
 
     pole: Frequency = 80.0
     delay_samples: Annotated[int, Between(0, LONGEST_DELAY, "samples")] = 1
-    # A design assumes these; they are no properties of a rig.
+    # Assumptions of a design, not properties of a rig.
     kind: Literal["ideal", "sampled"] = field(
         default="ideal", metadata={"stated": False}
     )
@@ -114,7 +114,7 @@ class MotorLoop:
         )
 
 
-@lru_cache(maxsize=16)  # the same few motor loops are asked for over and over
+@lru_cache(maxsize=16)  # the same few motor loops recur
 def _correction(
     settings: MotorLoop, motor: MotorConstants, period: float, ratio: float
 ) -> Callable[[Real], Complex]:
@@ -194,7 +194,7 @@ class SampledMotorLoop:
         return np.asarray(self.voltage(w) * hold * motor / ideal)
 
 
-@lru_cache(maxsize=16)  # for every arm of a box the same one
+@lru_cache(maxsize=16)  # the same one for every arm of a box
 def direct_placement(
     motor: MotorConstants, pole: float, period: float, delay_samples: int
 ) -> DiscretePid:
@@ -221,8 +221,8 @@ def direct_placement(
     FieldError
         no filter pole leaves the loop stable: the pole is too fast for this delay.
     """
-    # The largest modulus has a kink wherever two left-over poles meet, so derivatives
-    # lead nowhere. Two grids place r to 1e-3.
+    # The largest modulus has a kink wherever two remaining poles meet, so derivatives
+    # do not help. Two grids determine r to 1e-3.
     grid = np.linspace(-_FASTEST_FILTER, _FASTEST_FILTER, 61)
     radii = [_left_over(motor, pole, period, delay_samples, float(r))[1] for r in grid]
     best = int(np.argmin(radii))
@@ -244,18 +244,18 @@ def direct_placement(
 def _left_over(
     motor: MotorConstants, pole: float, period: float, delay: int, r: float
 ) -> tuple[Real, float]:
-    """(S, modulus of the slowest left-over pole) for one filter pole: a linear system
+    """(S, modulus of the slowest remaining pole) for one filter pole: a linear system
     in S and f(x).
     """
     m1, m2, e = held_motor(motor, period)
     base, target = np.array([1.0]), np.array([1.0])
-    # Open loop: the motor's poles 1 and e, the integral's 1, the filter's r, all as
-    # factors of 1 − p x.
+    # Open loop: the motor's poles 1 and e, the integrator's 1 and the filter's r, all
+    # as factors 1 − p x.
     for place in (1.0, 1.0, e, r):
         base = np.convolve(base, [1.0, -place])
     # Diophantine equation base + x^(1+d) (m1 + m2 x) S(x) = (1 − z₀x)³ f(x) in S and f
-    # = 1 + f1 x + ...: as many unknowns as powers of x, so z₀ is met exactly and f is
-    # what is left over.
+    # = 1 + f1 x + ...: it has as many unknowns as powers of x, so z₀ is met exactly,
+    # and f holds the remaining poles.
     for _ in range(3):
         target = np.convolve(target, [1.0, -math.exp(-pole * period)])
     size = 4 + delay
@@ -266,23 +266,23 @@ def _left_over(
         matrix[k : k + 4, 2 + k] = -target
     right[:4] += target
     right[:5] -= base
-    # The power 0 reads 1 = 1 and is left out.
+    # The equation of the power 0 reads 1 = 1 and is left out.
     solution = np.linalg.solve(matrix[1:], right[1:])
     left_over = np.roots(np.concatenate([[1.0], solution[3:]]))
     return np.asarray(solution[:3], dtype=float), float(np.max(np.abs(left_over)))
 
 
 def _parallel(s: Real, r: float, z0: float, period: float) -> DiscretePid:
-    """S(x) split into Cm1 with a double zero at z₀ and Cm2, as the two one-pole filters
-    of law.c.
+    """S(x) split into Cm1, with a double zero at z₀, and Cm2, in the form of the two
+    one-pole filters of law.c.
     """
     half = 0.5 * period
     rate = (1.0 - r) / (half * (1.0 + r))  # c of 1/(s + c) under Tustin
     scale = half / (1.0 + rate * half)
-    # Both zeros of Cm1 at z₀ cancel two of the three poles, so that the reference sees
-    # one only.
+    # Both zeros of Cm1 at z₀ cancel two of the three poles; only one remains in the
+    # response to the reference.
     first = float(np.sum(s)) * np.array([1.0, -2.0 * z0, z0**2]) / (1.0 - z0) ** 2
-    rest = s - first  # divisible by (1 - x): both have the same value at x = 1
+    rest = s - first  # divisible by (1 - x), since both have the same value at x = 1
     t0, t1 = float(rest[0]), float(-rest[2])
     # first = D(1-x)(1-r x) + I half (1+x)(1-r x) + F scale (1+x)(1-x)
     basis = np.array(

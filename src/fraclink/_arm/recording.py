@@ -1,4 +1,4 @@
-"""Any system, measured: an input and an output sampled together, or lines of a
+"""Measurements of any system: an input and an output sampled together, or lines of a
 frequency response.
 """
 
@@ -19,9 +19,9 @@ from fracsys.checks.equality import compared
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
 
-_HELD = (
-    0.05  # of the whole swing: what moves less at the beginning is held, and trembles
-)
+# share of the whole swing: a link that moves less than this at the beginning is held by
+# hand
+_HELD = 0.05
 Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 
 
@@ -111,11 +111,11 @@ class Recording:
         (1.0, 0.19)
         """
         values = np.asarray(output, dtype=np.float64)
-        # A fiftieth of the record, and ten samples at least: enough to tell a held
-        # link, whose swing is noise, from one that moves.
+        # A fiftieth of the record, but at least ten samples: enough to tell a held
+        # link, which only shows noise, from a moving one.
         lead = max(10, values.size // 50)
-        # Below fifty samples the last fifth, from which the rest is taken, is shorter
-        # than the beginning.
+        # Below fifty samples the last fifth, which determines the rest position, is
+        # shorter than the beginning.
         if values.size < 5 * lead or not np.ptp(values):
             raise LogError(
                 "output",
@@ -125,11 +125,11 @@ class Recording:
                 remedy="record from before the link is let go",
             )
         held = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
-        # The mean of the last fifth: a vibration that has not died yet averages out
-        # over its periods, one sample does not.
+        # The mean of the last fifth averages over the periods of a vibration that is
+        # still decaying; a single sample does not.
         rest = float(values[-(values.size // 5) :].mean())
-        # At its widest swing the speed is zero, as it is in the hand of who lets go;
-        # the first half, lest noise at the end be taken for a swing.
+        # The speed is zero at the widest swing, as at release. Only the first half is
+        # searched, so that noise at the end is not taken for a swing.
         begin = 0 if held else int(np.argmax(np.abs(values[: values.size // 2] - rest)))
         start = float(values[:lead].mean()) if held else float(values[begin])
         moved = start - values[begin:]
@@ -166,8 +166,8 @@ class Recording:
                     ),
                     remedy="name another channel",
                 )
-        # An encoder's first reading is where the arm stood, not a step of the motor
-        # from zero.
+        # The first reading of the encoder is the position of the arm, not a step from
+        # zero.
         start = float(log.motor_angle[0])
         signal = (
             log.motor_angle
@@ -308,7 +308,7 @@ def coherence_weights(response: Complexes, coherence: Reals) -> Reals:
             allowed="|H| > 0",
             remedy="leave that line out",
         )
-    # γ² = 1 would weigh infinitely: a millionth off is an error of 0.1 % of a line,
-    # below any that is measured.
+    # γ² = 1 would have infinite weight. A limit of one millionth below is an error of
+    # 0.1 % of a line, less than any measurement has.
     share = np.minimum(coherence, 1 - 1e-6)
     return np.asarray(np.sqrt(share / (1 - share)) / np.abs(response))

@@ -1,9 +1,8 @@
-"""References: where the tip or the motor shall be, with velocity and acceleration known
-exactly.
+"""References of tip or motor, with exact velocity and acceleration.
 
-A reference is a piecewise polynomial of time (or a chirp), so that the law's
-feed-forward gets the true acceleration and never a difference of samples; or a table of
-samples that brings its own.
+A reference is a piecewise polynomial of time (or a chirp), so that the feed-forward of
+the law gets the true acceleration instead of differences of samples, or a table of
+samples that includes the acceleration.
 """
 
 from __future__ import annotations
@@ -36,26 +35,20 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-# Samples of one reference: 2 h at 4 ms, 48 MB of angle, velocity and acceleration.
+# Samples of one reference: 2 h at 4 ms; angle, velocity and acceleration take 48 MB.
 LONGEST = 2_000_000
-# A quintic divides by the fifth power of its duration: beyond these the quotients leave
-# a float's range.
+# A quintic divides by the fifth power of its duration; beyond these limits the
+# quotients overflow.
 _SHORTEST, _LARGEST = 1e-9, 1e9
 Angle = Annotated[float, Between(-_LARGEST, _LARGEST, "rad")]
 Length = Annotated[float, Between(_SHORTEST, _LARGEST, "s")]
 Start = Annotated[float, Between(0.0, _LARGEST, "s")]
-_SAME_ROW = 1e-6  # of a period
-_QUINTIC = (
-    0.0,
-    0.0,
-    0.0,
-    10.0,
-    -15.0,
-    6.0,
-)  # rest to rest, velocity and acceleration continuous
-# A shift register with feedback from the last stage and this one runs through all its
-# states but zero: x^n + x^k + 1 is primitive. No trinomial of degree 8 is, which is why
-# 8 is not offered.
+_SAME_ROW = 1e-6  # fraction of a period
+# quintic from rest to rest with continuous velocity and acceleration
+_QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
+# A shift register with feedback from its last stage and from this one runs through all
+# states but zero, because x^n + x^k + 1 is primitive. There is no such trinomial of
+# degree 8.
 _TAPS = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}
 
 
@@ -73,8 +66,8 @@ class Reference(ABC):
 
     @staticmethod
     def __made_of__(value: object) -> Reference | None:
-        """A pair of arrays, times [s] and angles [rad], is the spline through them,
-        from rest to rest.
+        """A pair of arrays, times [s] and angles [rad], becomes the spline through
+        them, from rest to rest.
         """
         if not isinstance(value, tuple) or len(value) != 2:
             return None
@@ -131,15 +124,15 @@ class Path(Reference):
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
         t = np.asarray(time, dtype=float)
-        # From the right: at a break the later piece holds, so that a step at t = 0 has
-        # been made at t = 0.
+        # Continuous from the right: at a break the later piece applies, so a step at t
+        # = 0 has been made at t = 0.
         piece = np.clip(np.searchsorted(self.breaks, t, side="right") - 1, 0, None)
         local = np.maximum(t - self.breaks[piece], 0.0)
         value = np.zeros_like(local)
         for power in range(self.coefficients.shape[1] - 1, order - 1, -1):
-            # Horner's rule on the derivative's own coefficients, j!/(j − k)! a_j:
-            # exact, where differences of the angle would lose half of the digits at
-            # each order.
+            # Horner's rule on the coefficients of the derivative, j!/(j − k)! a_j, is
+            # exact; differences of the angle would lose half of the digits at each
+            # order.
             value = (
                 value * local
                 + math.perm(power, order) * self.coefficients[piece, power]
@@ -156,8 +149,8 @@ class Path(Reference):
             np.pad(p.coefficients, ((0, 0), (0, width - p.coefficients.shape[1])))
             for p in (self, later)
         )
-        # What starts later than at once needs this path's rest before it; what starts
-        # at once replaces it.
+        # A second path that starts later follows the rest of this one; one that starts
+        # at 0 replaces it.
         keep = (
             self.breaks <= self.duration
             if later.breaks[0] > 0
@@ -166,7 +159,7 @@ class Path(Reference):
         return Path(
             f"{self.kind}, {later.kind}",
             np.concatenate([self.breaks[keep], self.duration + later.breaks]),
-            # Angles add up: only the constant of each later piece is raised.
+            # Angles add up: only the constant of each later piece changes.
             np.concatenate([first[keep], second + np.eye(1, width) * end]),
             self.duration + later.duration,
         )
@@ -257,8 +250,8 @@ class SampledReference(Reference):
             np.asarray(time, dtype=float) / self.period,
             self.values.shape[1] - 1,
         )
-        # k periods divided by the period is not always k; an acceleration that jumps
-        # there must not be mixed
+        # k periods divided by the period is not always k; values on both sides of a
+        # jump of the acceleration must not be mixed
         nearest = np.rint(place)
         place = np.where(np.abs(place - nearest) < _SAME_ROW, nearest, place)
         found = np.interp(place, np.arange(last + 1), self.values[order])
@@ -304,9 +297,10 @@ def spline(
     >>> float(path.angle(0.4)), float(path.velocity(1.0)), path.duration
     (0.7, 0.0, 1.0)
     """
+    # see LinkModel._peak: a parser of logs must not import scipy
     from scipy.interpolate import (
         CubicSpline,
-    )  # see LinkModel._peak: a parser of logs needs no scipy
+    )
 
     if time.shape != angle.shape:
         raise FieldError(
@@ -324,12 +318,12 @@ def spline(
             allowed="rising from 0 s on",
             remedy="sort them, and leave repeated ones out",
         )
-    # Clamped: at rest at both ends, as an arm is. SciPy has the highest power first, a
-    # `Path` the lowest.
+    # Clamped: at rest at both ends. SciPy stores the highest power first, a `Path` the
+    # lowest.
     pieces = CubicSpline(time, angle, bc_type="clamped").c[::-1].T
     start, end = ([[value, 0.0, 0.0, 0.0]] for value in (angle[0], angle[-1]))
-    # A spline that begins late is preceded by a piece at rest: held at its first break,
-    # the cubic would have its acceleration there from t = 0 on.
+    # A spline that begins late is preceded by a piece at rest; otherwise the
+    # acceleration at its first break would hold from t = 0 on.
     before = ([0.0], start) if time[0] > 0.0 else ([], np.empty((0, 4)))
     return Path(
         "spline",
@@ -386,8 +380,7 @@ def pulse(
     >>> bool(pulse(1.0, 7.0).angle(3.0) == 1.0), float(pulse(1.0, 7.0).angle(7.5))
     (True, 0.0)
     """
-    # No edge at all: a quintic of no duration divides by zero, and a jump is what was
-    # asked for.
+    # A jump instead of an edge: a quintic of zero duration would divide by zero.
     if rise < _SHORTEST:
         return _steps(
             "pulse", [0.0, start, start + width], [0.0, amplitude, 0.0], start + width
@@ -436,7 +429,7 @@ def prbs(
     >>> len(path.breaks), round(path.duration, 1)
     (128, 25.4)
     """
-    # Any start but all zeros, which the register would never leave.
+    # Any start except all zeros, which the register would never leave.
     stages, levels = [1] * register, []
     for _ in range(bits):
         levels.append(amplitude if stages[-1] else -amplitude)

@@ -1,5 +1,5 @@
-"""The rig: everything that is known about one flexible arm before a log is read, in one
-TOML file.
+"""The rig: all that is known about a flexible arm before a log is read, in one TOML
+file.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ __all__ = [
 ]
 
 _FOLDER = Path(__file__).resolve().parents[1] / "data" / "rigs"
-# two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
+# Two measurements of the same stiffness agree to about 2 %; the paper's two values
+# differ by 30 %.
 _AGREEMENT = 0.02
 
 
@@ -217,8 +218,8 @@ class Rig:
     def warnings(self) -> tuple[Finding, ...]:
         """Contradictions between the rig's own values, each with both of them."""
         link, model = self.link, self.model
-        # Each contradiction with both of its values, as only a person can say which of
-        # them is wrong.
+        # Each contradiction is reported with both values, since only a person can tell
+        # which is wrong.
         found = [self._stiffness_finding()]
         if model is not None:
             stated = ("model.stiffness", model.stiffness)
@@ -351,8 +352,8 @@ def _in_seconds(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_usual_model(data: dict[str, Any]) -> dict[str, Any]:
-    """The tables with a model that is complete: what it leaves out follows from the link
-    and the nominal payload, eq. (5).
+    """The tables with a complete model: missing values follow from the link and the
+    nominal payload, eq. (5).
     """
     model = data.get("model")
     if not isinstance(model, dict):
@@ -361,7 +362,8 @@ def _with_usual_model(data: dict[str, Any]) -> dict[str, Any]:
         link: Link = read_table(Link, data.get("link", {}))
         payloads: Payloads = read_table(Payloads, data.get("payloads", {}))
     except FieldError:
-        # The file is refused for its link or payloads: the model's values do not matter.
+        # The file is rejected because of its link or payloads; the values of the model
+        # do not matter.
         link, payloads = Link(1.0, 1.0), Payloads(1.0, 1.0)
     usual = {"stiffness_Nm_per_rad": link.stiffness, "payload_kg": payloads.nominal}
     stiffness, payload = ((usual | model)[key] for key in usual)

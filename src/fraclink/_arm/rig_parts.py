@@ -1,6 +1,4 @@
-"""The parts of a rig: motor, link, payloads, sensors, and how far they may differ from
-what is stated.
-"""
+"""The parts of a rig: motor, link, payloads, sensors, and their tolerances."""
 
 from __future__ import annotations
 
@@ -23,10 +21,10 @@ __all__ = [
     "StatedTolerances",
 ]
 
-# Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond
-# its own range.
+# Gram and kilogram differ by 1000, and no arm carries a hundred times its payload
+# range.
 _ANOTHER_UNIT = 100.0
-# Products of a handful of values between these stay far from overflow (1e308) and
+# Products of a few values within these limits stay far from overflow (1e308) and
 # underflow.
 _SMALLEST, _LARGEST = 1e-15, 1e15
 
@@ -181,8 +179,7 @@ class Link:
     """
 
     length: Annotated[float, positive("m")]
-    # None stands for "not measured" in the call only: the attributes are always
-    # numbers.
+    # None means "not measured" in the call only: the attributes are always numbers.
     flexural_rigidity: Annotated[float, positive("N·m²")] = None  # type: ignore[assignment]
     stiffness: Annotated[float, positive("N·m/rad")] = None  # type: ignore[assignment]
     mass: Annotated[float, at_least_zero("kg")] = 0.0
@@ -197,8 +194,8 @@ class Link:
                 remedy="state stiffness, or flexural_rigidity",
             )
         if self.flexural_rigidity is None:
-            # Eq. (3), c = 3 EI/L: whichever was measured, the twin bends and the lumped
-            # model's torque is the same at rest.
+            # Eq. (3), c = 3 EI/L: whichever was measured, the torque at rest is the
+            # same in the twin and in the lumped model.
             object.__setattr__(
                 self, "flexural_rigidity", self.stiffness * self.length / 3.0
             )
@@ -210,8 +207,8 @@ class Link:
         """What the link's own mass is worth at its tip [kg], 33/140 of it: Rayleigh's
         share.
         """
-        # A cantilever that bends as under a force at its end moves (3x² − x³)/2 of its
-        # tip at x: ∫ of the square over the length is 33/140.
+        # A cantilever with a force at its end deflects by (3x² − x³)/2 of the tip
+        # deflection at x; the integral of the square over the length is 33/140.
         return 33.0 / 140.0 * self.mass
 
     @property
@@ -235,7 +232,7 @@ class Payloads:
 
     low: Annotated[float, positive("kg")]
     high: Annotated[float, positive("kg")]
-    # None stands for "the mean" in the call only.
+    # None means "the mean" in the call only.
     nominal: Annotated[float, positive("kg")] = None  # type: ignore[assignment]
     empty: Annotated[float, positive("kg")] | None = None
 
@@ -275,8 +272,8 @@ class Payloads:
         >>> finding.message
         'a payload of 30 kg is 750 times the heaviest that the rig states'
         """
-        # Both ways: kilograms on a rig that was stated in grams are a hundred times too
-        # light.
+        # In both directions: kilograms on a rig stated in grams are a hundred times too
+        # light or more.
         if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
             return None
         nearest, word = (

@@ -1,11 +1,11 @@
-"""The loop as it is sampled: Ĉ at the period times the zero-order-hold plant, alias sum
-included.
+"""The sampled loop: Ĉ at the period times the zero-order-hold plant, including the
+alias sum.
 
 Between two ticks the motor reference is held, so the computer sees ``P_d(e^{jωTs}) =
 z^{-d} (1 - z^{-1})/Ts · Σ_k F(s_k)/s_k``, ``s_k = j(ω + kω_s)``, ``F = M·B``: the exact
 zero-order-hold discretisation, without a state-space model of an irrational plant. B is
-the bracket of `fraclink._arm.loop`, gauge delay, gauge gain and second mode included;
-none of them need be whole samples.
+the bracket of `fraclink._arm.loop`, with gauge delay, gauge gain and second mode;
+delays need not be whole samples.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ __all__ = ["SampledPlant", "sampled_plant", "tail_sum"]
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-# aliases summed one by one on either side; the rest is 1e-7 of the sum and summed in
+# aliases summed one by one on either side; the rest, 1e-7 of the sum, is summed in
 # closed form
 _TERMS = 12
-# where no closed form sums the rest: F/s falls with s^-3, what is left out is 3e-9 of
-# the sum
+# where there is no closed form for the rest: F/s falls like s^-3, and 3e-9 of the sum
+# is left out
 _UNSUMMED = 60
 
 
@@ -47,8 +47,8 @@ def tail_sum(exponent: float, start: Real | float) -> Real:
     a, q = np.asarray(start, dtype=float), exponent
     third = q * (q + 1.0) * (q + 2.0)
     fifth = third * (q + 3.0) * (q + 4.0)
-    # Euler and Maclaurin: the integral, half the first term, and B₂ₖ/(2k)! times the
-    # odd derivatives.
+    # Euler-Maclaurin formula: the integral, half of the first term, and B₂ₖ/(2k)! times
+    # the odd derivatives.
     series = (
         a / (q - 1.0)
         + 0.5
@@ -78,7 +78,9 @@ class SampledPlant:
     before: Callable[[Real], Complex] | None = None
 
     def __call__(self, frequency: ArrayLike) -> Complex:
-        """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, shape kept."""
+        """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, in the shape of
+        `frequency`.
+        """
         return self._summed(frequency, _UNSUMMED if self.leading is None else _TERMS)
 
     def near(self, frequency: ArrayLike) -> Complex:
@@ -92,15 +94,15 @@ class SampledPlant:
         w = np.asarray(frequency, dtype=float)
         rate = 2.0 * math.pi / self.period
         s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
-        # 1/s is the hold's own integral; its 1 − e^(−sT) is the same for every alias
-        # and stands outside the sum.
+        # 1/s comes from the integral of the hold; its factor 1 − e^(−sT) is the same
+        # for every alias and stands outside the sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
         if terms == _TERMS and self.leading is not None and self._whole_samples:
             total = total + self.leading * self._far(w, rate) * np.exp(
                 -1j * self.delay * w
             )
-        # The hold's 1 − z⁻¹ by expm1: at low frequencies the alias sum is large and
-        # this factor small.
+        # The factor 1 − z⁻¹ of the hold by expm1: at low frequencies the alias sum is
+        # large and this factor small.
         held = -np.expm1(-1j * self.period * w) / self.period * total
         return np.asarray(
             held if self.before is None else held * self.before(w), dtype=np.complex128
@@ -108,8 +110,8 @@ class SampledPlant:
 
     @property
     def _whole_samples(self) -> bool:
-        # e^{-τ s_k} turns with k unless τ is whole samples; its tail is then bounded,
-        # not summed.
+        # e^{-τ s_k} varies with k unless τ is a whole number of samples; the tail is
+        # then bounded instead of summed.
         return abs(self.delay / self.period - round(self.delay / self.period)) < 1e-12
 
     def _far(self, w: Real, rate: float) -> Complex:
@@ -157,8 +159,8 @@ def sampled_plant(
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
-        # With the sampled PID the bare motor stands behind the hold, and the PID ahead
-        # of it (`before`).
+        # With the sampled PID the bare motor stands behind the hold, and the PID before
+        # it (`before`).
         drive: Complex = s * (s + motor.decay) / motor.gain if sampled else ideal
         ln_s: Complex = np.log(s)
         inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
@@ -176,15 +178,15 @@ def sampled_plant(
         read = model.gauge_gain * np.exp(-model.gauge_delay * s)
         return np.asarray((1.0 - read * torque) / drive, dtype=np.complex128)
 
-    # Far out B falls like s^(−λ), or like s^(α−λ) where μ s^α outlives ω₀².
+    # At high frequency B falls like s^(−λ), or like s^(α−λ) where μ s^α exceeds ω₀².
     softest = model.order - (model.damping_order if model.damping else 0.0)
     strength = model.damping if model.damping else spring
-    # The PID's voltage already carries the computation delay.
+    # The voltage of the PID already includes the computation delay.
     return SampledPlant(
         response=response,
         period=period,
         delay=0.0 if sampled else motor_loop.delay_samples * period,
-        # Two powers of the motor loop (or of the motor), one of the hold.
+        # Two powers from the motor loop (or the motor), one from the hold.
         decay=3.0 + softest,
         leading=strength * (motor.gain if sampled else lag**-2) if exact else None,
         before=sampled.voltage if sampled else None,

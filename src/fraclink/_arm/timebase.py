@@ -1,9 +1,9 @@
-"""From stamps to a uniform time base: the stamps are used, never the index.
+"""A uniform time base from time stamps; the row index is never used instead.
 
-On a simulated log 0.5 ms rms of jitter at 4 ms taken
-as uniform moved ω₀ by 0.014 %, 1 % of lost samples taken as uniform by 1.4 %, the same
-interpolated onto the grid by 0.002 %. So jitter is reported and tolerated, gaps are
-refused, and values are interpolated on request only.
+On a simulated log at 4 ms, ω₀ changed by 0.014 % when a jitter of 0.5 ms rms was
+ignored, by 1.4 % when 1 % of lost samples were ignored, and by 0.002 % when these were
+interpolated onto the grid. Jitter is therefore reported and tolerated, gaps are
+rejected, and values are interpolated on request only.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 
-_SILENT = 0.01  # of a period: stamps printed with a few digits
-_TOLERATED = 0.25  # of a period: jitter that moves no parameter, see the figures above
-_GAP = 1.5  # periods between stamps: a sample is missing
-_SLOWEST = (
-    1.0  # s: no vibrating arm is sampled that slowly; milliseconds called seconds
-)
+_SILENT = 0.01  # fraction of a period: stamps printed with few digits
+# fraction of a period: jitter that changes no parameter, see the figures above
+_TOLERATED = 0.25
+_GAP = 1.5  # periods between two stamps: a sample is missing
+# [s] no vibrating arm is sampled this slowly: milliseconds labelled as seconds
+_SLOWEST = 1.0
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def time_base(
     steps = np.diff(stamps)
     _check_order(stamps, steps, resample)
     steps = steps[steps > 0]
-    # The median: a tenth of the samples may be lost, or the clock may have stood for a
-    # minute, and it does not move.
+    # The median is not affected if a tenth of the samples is lost or if the clock stood
+    # still for a minute.
     typical = float(np.median(steps))
     if typical >= slowest:
         raise LogError(
@@ -67,8 +67,7 @@ def time_base(
             allowed=f"< {slowest:g} s",
             remedy='state unit = "ms" for the time column',
         )
-    # Behind the check of the unit: a gap is counted in periods, and these must be
-    # right.
+    # After the check of the unit, because gaps are counted in periods.
     gaps = np.flatnonzero(steps > _GAP * typical)
     if gaps.size:
         finding = _gap(stamps, steps, gaps, typical, resample)
@@ -76,25 +75,25 @@ def time_base(
     if (
         steps.size + 1 < stamps.size
     ):  # repeated stamps, accepted because they are resampled
-        # A sample that repeats its stamp is a whole period off its place.
+        # A sample with a repeated stamp is a whole period off.
         return TimeBase(
             float(stamps[0]), _rounded(typical), _jitter(typical, typical, resample)
         )
-    # From the two ends: N steps average a stamp's rounding down by N, which a median of
-    # steps does not.
+    # From the two ends: over N steps the rounding of a stamp is divided by N, which the
+    # median of the steps does not achieve.
     start, period = (
         float(stamps[0]),
         _rounded(float((stamps[-1] - stamps[0]) / steps.size)),
     )
     if _distance(stamps, start, period) > _SILENT * period:
-        # Jitter of the two end stamps would tilt the whole grid: take the line through
-        # all of them.
+        # Jitter of the two end stamps would tilt the whole grid: fit a line through all
+        # stamps.
         slope, middle = np.polyfit(
             np.arange(stamps.size) - (stamps.size - 1) / 2, stamps, 1
         )
         period = _rounded(float(slope))
         start = float(middle - period * (stamps.size - 1) / 2)
-        # A line leaves N - 2 of N stamps free: of three it follows almost any.
+        # A line leaves N - 2 of N stamps free: it fits almost any three.
         spare = math.sqrt(stamps.size / max(stamps.size - 2, 1))
         worst = spare * _distance(stamps, start, period)
         return TimeBase(start, period, _jitter(worst, period, resample))
@@ -106,8 +105,7 @@ def _distance(stamps: NDArray[np.float64], start: float, period: float) -> float
 
 
 def _rounded(period: float) -> float:
-    # Text stamps carry the rounding of their last digit, and the mean of their steps
-    # carries it on.
+    # Stamps in text are rounded to their last digit, and so is the mean of their steps.
     return float(f"{period:.10g}")
 
 
@@ -210,7 +208,7 @@ def uniform_before(stamps: NDArray[np.float64], first: int, period: float) -> sl
     gap or repeat.
     """
     steps = np.diff(stamps[: first + 1])
-    # Two stamps may each be off by what one may be.
+    # Each of the two stamps may be off by the tolerance.
     odd = np.flatnonzero(np.abs(steps - period) > 2 * _TOLERATED * period)
     return slice(int(odd[-1]) + 1 if odd.size else 0, first)
 
@@ -219,8 +217,8 @@ def resampled(
     stamps: NDArray[np.float64], base: TimeBase, values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """`values` interpolated linearly from their stamps onto the uniform grid of `base`."""
-    # A repeated stamp keeps its first value: `np.interp` needs rising places, and the
-    # second is as likely a copy.
+    # A repeated stamp keeps its first value: `np.interp` needs increasing stamps, and
+    # the second value is probably a copy.
     keep = np.concatenate(([True], np.diff(stamps) > 0))
     count = int(np.floor((stamps[-1] - base.start) / base.period + 1e-6)) + 1
     grid = base.start + base.period * np.arange(count)
