@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from campaigns import small
 from fraclink import LinkModel, SecondMode
 from fraclink._simulate.links import POWERS, batch_links, link_weights
@@ -113,25 +114,49 @@ def link_answers(decay, weight, pair, pair_weight, first, count):
     + [(2.0, 0.3, 1.0), (2.0, 9.0, 1.0), (2.0, 0.5, 0.8), (2.0, 5.0, 0.5)]
     + [(2.0, 13.0, 0.9), (2.0, 4.0, 1.3), (2.0, 0.05, 1.9), (1.9, 0.5, 0.8)],
 )
-def test_batch_links_are_the_links_of_simulate(order, damping, damping_order):
-    stiff = np.array([60.0, 123.1, 400.0])
+def test_links_answer_powers_of_time_as_their_step_response_says(
+    order, damping, damping_order
+):
+    """The motor goes as xʲ in one period, then stands: j ∫ x^(j − 1) S(t − xT) dx, by
+    Gauss's rule, with S computed by fracsys.
+    """
+    T, span = 0.004, 6.0
+    ends = np.array([0, 1, 7, 80, 1499])
+    nodes, sizes = np.polynomial.legendre.leggauss(40)
+    # 1 − x = u⁸, as S begins like a fractional power
+    u = 0.5 * (1.0 + nodes)
+    x, sizes = 1.0 - u**8, 0.5 * sizes * 8.0 * u**7
     model = LinkModel(
         1.56, 11.0, order=order, damping=damping, damping_order=damping_order
     )
-    orders, dampings = np.full(3, order), np.full(3, damping)
-    links = batch_links(model, stiff, orders, dampings, 0.004)
+    stiff = np.array([60.0, 123.1, 400.0])
+    many = batch_links(model, stiff, np.full(3, order), np.full(3, damping), T, span)
     for i, value in enumerate(stiff):
-        exact = link_weights(replace(model, natural_frequency=value**0.5), 0.004, 20.0)
-        names = ("decay", "weight", "pair", "pair_weight", "first")
-        wanted = link_answers(*(getattr(exact, name)[0] for name in names), count=1500)
-        row = [getattr(links, name)[i] for name in names]
-        assert np.abs(link_answers(*row, count=1500) - wanted).max() < 3e-7
+        own = replace(model, natural_frequency=value**0.5)
+        times = (ends[:, None] + u**8) * T
+        steps = fracsys.step_response(own.tip(), times.ravel()).output
+        steps = steps.reshape(times.shape)
+        for links, row, bound in (
+            (link_weights(own, T, span), 0, 5e-9),
+            (many, i, 8e-7),
+        ):
+            names = ("decay", "weight", "pair", "pair_weight", "first")
+            parts = (getattr(links, name)[row] for name in names)
+            answers = link_answers(*parts, count=1500)[:, ends]
+            for j in range(1, POWERS):
+                wanted = steps @ (sizes * j * x ** (j - 1))
+                assert np.abs(answers[j] - wanted).max() < bound
 
 
 def test_a_link_too_fast_for_the_period_is_refused():
     with pytest.raises(FieldError, match="period"):
         batch_links(
-            LinkModel(1.0, 10.0), np.array([1e7]), np.array([1.92]), np.zeros(1), 0.004
+            LinkModel(1.0, 10.0),
+            np.array([1e7]),
+            np.array([1.92]),
+            np.zeros(1),
+            0.004,
+            1.0,
         )
 
 

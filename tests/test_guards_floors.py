@@ -191,7 +191,7 @@ CEILINGS = {
     "_identify": 3157,
     "_law": 985,
     "_reading": 1075,
-    "_simulate": 1284,
+    "_simulate": 1272,
     "lab": 1930,
     "logs": 680,
     "studio": 1360,

@@ -1,13 +1,11 @@
-"""The lumped link of the model, one or many at once: how its tip answers a motor angle
+"""The lumped links of a model, one or many: how their tips answer a motor angle
 between two samples.
 
 Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of
 the link to each power is exact: at the end of its own period by the power series of G =
-θt/θm, later by the modes of the step response (a sum of exponentials, see
-fracsys._response).
+θt/θm, later by the modes of the step response, a sum of exponentials.
 
-The links of many arms at once are the same recursion, vectorised. In the link's own
-time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ) the step response of
+In the link's own time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ) the step response of
 ``G = (M z^α + 1)/(z^λ + M z^α + 1)`` is, with its pole p,
 
 ``S = 1 − 2 Re p^λ/(λ p^λ + α M p^α) e^(x p) + (1/π) ∫ Im G(e^(v + iπ)) e^(−x e^v) dv``,
@@ -28,7 +26,6 @@ from scipy.special import gammaln
 
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink.errors import FieldError
-from fracsys._response import discrete_modes
 
 __all__ = ["LinkWeights", "batch_links", "link_weights", "second_mode_weights"]
 
@@ -41,16 +38,12 @@ POWERS = 6
 # |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no
 # loop passes.
 LONGEST = 2.0
-LINK_TOLERANCE = (
-    1e-9  # of the step response: three digits below what is promised of a move
-)
-# Trapezoidal step in ln r. The integrand's poles lie at distances π(1 − 1/λ) and π(3/λ
-# − 1); the first is corrected exactly, and the second, which cannot be (its exponential
-# grows), leaves e^(−2π·1.57/0.6) = 7e-8.
-STEP = 0.6
-NEGLIGIBLE = (
-    15.0  # e^-15 = 3e-7 of the step response: a Monte Carlo metric is read to 1e-4
-)
+# Of the step response, as e^(−x): three digits below what is promised of a move, and for
+# a campaign, whose metrics are read to 1e-4, three digits below that.
+ALONE, MANY = 21.0, 15.0
+# arg p of a link whose vibration has ζ = cos(π/4) = 0.71: beyond it nothing swings, and
+# the pole of the next sheet, which no exponential can stand for, nears the integrand.
+APERIODIC = 0.75 * np.pi
 
 
 @dataclass(frozen=True)
@@ -89,37 +82,8 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
     >>> weights.decay.shape, weights.pair.shape
     ((1, 0), (1, 1))
     """
-    reach = abs(model.pole) * period
-    if not reach < LONGEST:
-        raise FieldError(
-            "period",
-            period,
-            "too long for this link",
-            allowed=f"< {LONGEST / abs(model.pole):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
-            remedy="simulate at a shorter period",
-        )
-    modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
-    # A sum of exponentials is good from one period on; within the first, where a
-    # fractional response begins like t^λ, the power series is exact.
-    square, order, damping = (
-        np.array([value])
-        for value in (model.natural_frequency**2, model.order, model.damping)
-    )
-    (at_end,) = _powers_at_end(square, order, damping, model.damping_order, period)
-    real = _answers(modes.gains, modes.log_decays)
-    pair = _answers(modes.pole_gains, modes.pole_log_decays)
-    # What the modes of one period would say at its end is taken out of the direct term,
-    # as the recursion adds it.
-    first = at_end - real.sum(axis=1) - pair.sum(axis=1).real
-    second = second_mode_weights(model.second_mode, period)
-    return LinkWeights(
-        modes.decays[None],
-        real[None],
-        modes.pole_decays[None],
-        pair[None],
-        first[None],
-        second,
-    )
+    own = (model.natural_frequency**2, model.order, model.damping)
+    return batch_links(model, *map(np.atleast_1d, own), period, span, ALONE)
 
 
 def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
@@ -170,15 +134,6 @@ def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
     return np.stack([step * (row / rows[0]) for row in rows], axis=-2)
 
 
-# ── many links
-# ──────────────────────────────────────────────────────────────────────────────────────────────
-
-
-# arg p of a link whose vibration has ζ = cos(π/4) = 0.71: beyond it nothing swings, and
-# the pole of the next sheet, which no exponential can stand for, nears the integrand.
-APERIODIC = 0.75 * np.pi
-
-
 def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Complex:
     """Return ln of each link's vibration pole over Ω = ω₀^(2/λ), shape (R,): its
     imaginary part is arg p.
@@ -203,14 +158,20 @@ def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Com
             "damping",
             float(damping[np.argmax(log_pole.imag)]),
             "too large: the link does not vibrate",
-            allowed="a damping ratio below 0.7 of every arm",
-            remedy="draw less damping or a stiffer link",
+            allowed="a damping ratio below 0.7 of every link",
+            remedy="state less damping or a stiffer link",
         )
     return np.asarray(log_pole)
 
 
 def batch_links(
-    model: LinkModel, stiff: Real, order: Real, damping: Real, period: float
+    model: LinkModel,
+    stiff: Real,
+    order: Real,
+    damping: Real,
+    period: float,
+    span: float,
+    digits: float = MANY,
 ) -> LinkWeights:
     """Return the recursions of links ``G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²)`` at
     `period` [s] for a motor angle of degree 5.
@@ -228,6 +189,10 @@ def batch_links(
         μ of each run [s^(α−λ)], shape (R,), >= 0.
     period
         control period [s]; |pole|·period < 2, beyond that no loop at that period holds.
+    span
+        for which the recursions are valid [s].
+    digits
+        natural ones, to which they are.
 
     Raises
     ------
@@ -236,7 +201,7 @@ def batch_links(
 
     >>> import numpy as np
     >>> model, two = LinkModel(1.56, 11.1, damping=0.4), np.ones(2)
-    >>> links = batch_links(model, np.array([123.1, 184.6]), 2 * two, 0.4 * two, 0.004)
+    >>> links = batch_links(model, np.array([123.1, 184.6]), 2 * two, 0.4 * two, 0.004, 4.0)
     >>> links.weight.shape[:2], links.pair_weight.shape
     ((2, 6), (2, 6, 1))
     """
@@ -249,21 +214,28 @@ def batch_links(
         raise FieldError(
             "period",
             period,
-            "too long for the fastest link of the campaign",
-            allowed=f"< {LONGEST / float(speed.max()):.3g} s",
-            remedy="draw heavier payloads or a smaller stiffness",
+            "too long for this link",
+            allowed=f"< {LONGEST / float(speed.max()):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
+            remedy="simulate at a shorter period, or a heavier payload",
         )
-    # One grid for all arms: the smallest exponent needs both ends farthest out, the
-    # slowest link the upper one. Whole exponents have no branch cut.
+    # One grid for all: the smallest exponent needs both ends farthest out. Whole
+    # exponents have no branch cut.
     alpha, damped = model.damping_order, bool(np.any(damping))
     slowest = min(float(order.min()), alpha) if damped else float(order.min())
-    width = STEP
-    if damped:
-        # Where λ nears 2 the next sheet's poles lie as far from the integrand as p.
-        gap = np.pi - float(log_pole.imag.max())
-        width = min(STEP, 2.0 * np.pi * gap / NEGLIGIBLE)
+    # The poles of the next sheet lie π(3/λ − 1) from the integrand without damping; with
+    # it, where λ nears 2, as far as p. A trapezoidal step leaves e^(−2π distance/step).
+    distance = np.pi - float(log_pole.imag.max()) if damped else 0.5 * np.pi
+    width = 2.0 * np.pi * min(distance, 0.5 * np.pi) / digits
     whole = bool(np.all(order == 2.0)) and (not damped or alpha == 1.0)
-    grid = np.zeros(0) if whole else _grid(float(reach.min()), slowest, width)
+    grid = np.zeros(0)
+    if not whole:
+        # The density falls like e^(−λ|v|). Below, a mode hardly moves within the span;
+        # above, it is over within a period. The sooner of the two is enough at either end.
+        still = (digits + math.log(float(speed.max()) * span)) / (1.0 + slowest)
+        over = math.log(digits / float(reach.min()))
+        ends = -min(digits / slowest, still), min(digits / slowest, over)
+        first, last = (math.floor(end / width) for end in ends)
+        grid = width * (np.arange(first, last + 2) + 0.5)
     scaled = damping * speed ** (alpha - order)
     restoring = 1.0 + scaled[:, None] * np.exp(alpha * (grid + 1j * np.pi))
     moving = np.exp(order[:, None] * (grid + 1j * np.pi))
@@ -291,20 +263,6 @@ def batch_links(
         pair_weight=np.ascontiguousarray(pair_weight),
         first=np.ascontiguousarray(first),
         second=np.repeat(second, len(stiff), axis=0),
-    )
-
-
-def _grid(reach: float, order: float, width: float) -> Real:
-    """Nodes v: the density falls like e^(−λ|v|), and above like e^(−e^v ΩT) from one
-    period on.
-    """
-    low = -NEGLIGIBLE / order
-    # Either fall is enough: beyond the sooner of the two the nodes add less than e^-15
-    # of the response.
-    high = min(NEGLIGIBLE / order, math.log(NEGLIGIBLE / reach))
-    return np.asarray(
-        np.arange(math.floor(low / width), math.ceil(high / width) + 1) * width
-        + 0.5 * width
     )
 
 

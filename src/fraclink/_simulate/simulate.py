@@ -397,9 +397,7 @@ def model_run(
         payload=math.nan if link.payload is None else link.payload,
         period=law.period,
         ended=ended,
-        # A link without stiffness, or overdamped, does not swing: its windows are then
-        # longer than any run, and nothing grows in them.
-        vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
+        vibration_period=2 * math.pi / abs(link.pole.imag),
         about=about,
         findings=findings,
         extras=extras,

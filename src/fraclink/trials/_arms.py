@@ -124,7 +124,10 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
     )
     arms = LumpedArms.of(
         rig,
-        batch_links(campaign.model, stiff, order, damping, period),
+        # for twice as long as a run: one that seems to grow is followed so far
+        batch_links(
+            campaign.model, stiff, order, damping, period, 2.0 * campaign.duration
+        ),
         seeds,
         noise=rig.gauge.noise * own["noise"],
         gauge_delay=own["gauge_delay"] / period,
