@@ -1,5 +1,5 @@
-"""Certificates: the sampled loop proved stable, with its distance from -1, in a file
-others can check.
+"""Certificates: a proof that the sampled loop is stable and keeps its distance from -1,
+in a file that others can check.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Arrays of intervals and of discs in the complex plane that hold every value, rounding
-included.
+"""Arrays of intervals and of complex discs that contain every value, including
+rounding.
 
-One operation of IEEE arithmetic is off by at most 2^-50 of its result (a complex
-quotient, the worst of them), numpy's elementary functions by a few units in the last
-place: every result is widened by `ROUNDING` of itself, at least four times as much. The
-proof does not rest on this: the checker computes every leaf anew.
+The relative error of one IEEE operation is at most 2^-50 (for a complex quotient, the
+worst case), that of numpy's elementary functions a few units in the last place. Every
+result is widened by `ROUNDING` of itself, at least four times as much. The proof does
+not rest on this, since the checker recomputes every leaf.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Span:
         have moved them.
         """
         low, high = np.minimum(first, second), np.maximum(first, second)
-        # Outwards on both sides: an interval that is a hair too wide costs a leaf, one
-        # too narrow costs the proof.
+        # Rounded outwards on both sides: an interval that is slightly too wide costs a
+        # leaf, one that is too narrow invalidates the proof.
         return Span(
             low - 4 * ROUNDING * np.abs(low), high + 4 * ROUNDING * np.abs(high)
         )
@@ -53,7 +53,7 @@ class Span:
     def disc(self) -> Disc:
         """The discs about the midpoints that hold the intervals."""
         middle = self.middle
-        # The midpoint is rounded, so the two halves differ: the larger one holds both
+        # The midpoint is rounded, so the two halves differ; the larger one covers both
         # ends.
         half = np.maximum(self.high - middle, middle - self.low)
         return Disc(middle, half * (1 + ROUNDING) + ROUNDING * np.abs(middle))
@@ -82,8 +82,8 @@ class Disc:
     def __add__(self, other: Disc | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         centre = self.c + other.c
-        # By the terms and not by their sum: where they cancel the sum is small and its
-        # error is not.
+        # From the terms instead of their sum: where they cancel, the sum is small but
+        # its error is not.
         rounding = ROUNDING * (np.abs(self.c) + np.abs(other.c))
         slopes = dict(self.d)
         for name, slope in other.d.items():
@@ -102,8 +102,8 @@ class Disc:
     def __mul__(self, other: Disc | Real | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         size, by = np.abs(self.c), np.abs(other.c)
-        # (|a| + r)(|b| + s) − |a||b|: how far the product of two points can be from
-        # that of the centres.
+        # (|a| + r)(|b| + s) − |a||b|: the largest distance of the product of two points
+        # from the product of the centres.
         radius = (size + self.r) * other.r + by * self.r + 2 * ROUNDING * size * by
         slopes = {name: slope * other.plain for name, slope in self.d.items()}
         for name, slope in other.d.items():
@@ -120,9 +120,9 @@ class Disc:
         r²). What the difference loses to rounding is more, the closer the disc comes to
         zero.
         """
-        # The divisor |c|² − r² cancels where the disc nearly holds zero: one with less
-        # room than twice what the difference loses counts as holding it, so that
-        # `share` stays of the order of one.
+        # The divisor |c|² − r² cancels where the disc nearly contains zero. A disc
+        # whose margin is below twice the rounding of the difference counts as
+        # containing it, so that `share` stays of the order of one.
         square = np.abs(self.c) ** 2
         room = square - self.r**2
         lost = 8 * ROUNDING * (square + self.r**2)
@@ -142,8 +142,8 @@ class Disc:
     def exp(self) -> Disc:
         """e^z: |e^(c + h) − e^c| <= |e^c| (e^|h| − 1)."""
         centre = np.exp(self.c)
-        # The library's exponential errs by units of its result and by those of its
-        # argument: |c| of them.
+        # The error of the library's exponential is a few units of its result, plus |c|
+        # units from the rounding of its argument.
         found = Disc(
             centre,
             np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))),
@@ -158,9 +158,9 @@ class Disc:
 
         `steps`: how far each variable may be from its middle.
         """
-        # The mean value theorem along each variable: the slopes hold over the whole
-        # box, which is convex. It wins where a variable enters several times: term by
-        # term each of these adds its own width.
+        # Mean value theorem along each variable: the slopes hold over the whole box,
+        # which is convex. This is the tighter bound where a variable occurs several
+        # times, since term by term each occurrence adds its own width.
         reach = sum(
             (slope.most() * steps[name] for name, slope in self.d.items()), np.zeros(())
         )

@@ -1,24 +1,24 @@
 """Enclosures of the sampled loop and of its slopes over boxes of frequencies and
 parameters.
 
-L = F H. F is what stands in front of the link: with x = 1/z = e^{-jωTs}, ``K = d + Σ
-g/(z − p)`` (so that Ĉ = (1 − x) K) and h = ωTs/2, for the ideal and for the sampled
-motor loop,
+L = F H. F is the part in front of the link: with x = 1/z = e^{-jωTs}, ``K = d + Σ g/(z
+− p)`` (so that Ĉ = (1 − x) K) and h = ωTs/2, for the ideal and for the sampled motor
+loop,
 
     F = 2j K (sin h)(sin h/h) e^{-jω(τ+Ts)} (1 + jω/p)^-2
     F = 2j Ts K C (sin h)(sin h/h)² e^{-jω(τ+3Ts/2)} / ((jω + B)(y²/A + Z)), y = 1 − x
 
 with C = y Cm1 and Z = y² (Cm1 + Cm2) P_τ/A, P_τ the held motor, late by τ: 1/F is
 affine in 1/A. H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E
-(S/(1 + S) + R)``, with the link's ``S = q s^λ/(1 + q μ s^α)``, what is read of the
-torque, ``E = κ c g e^{-jωτ_g}``, and the second mode R.
+(S/(1 + S) + R)``, with the link's ``S = q s^λ/(1 + q μ s^α)``, the reading of the
+torque ``E = κ c g e^{-jωτ_g}``, and the second mode R.
 
 Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L,
 nearly affine in q. One form alone needs a thousand times as many boxes.
 
-An alias is L at ω + 2πn/Ts in place of ω but for what is periodic. Towards the Nyquist
-frequency the nearest few are enclosed as L is, `ALIASES`; of the others, and of all
-further down, the moduli are bounded.
+An alias is L at ω + 2πn/Ts in place of ω, except in the periodic factors. Near the
+Nyquist frequency the nearest few, `ALIASES`, are enclosed in the same way as L; for the
+others, and for all of them at lower frequencies, only the moduli are bounded.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ Real = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
-_HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest that L holds
-_ROOTS = 16  # of unity; the sampled motor loop has up to 14 coefficients
+_HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest ones included in L
+_ROOTS = 16  # roots of unity; the sampled motor loop has up to 14 coefficients
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,13 @@ class BoxLoop:
         self.pid = {name: float(c[name]) for name in layout.PID}
         self.low, self.high = s.box
         self.low["frequency"] = s.lowest
-        # π/Ts is no double: the box ends a hair above it.
+        # π/Ts is not a double: the box ends slightly above it.
         self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (
             1 + ROUNDING
         )
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
-        # Bound of all aliases of L below the lowest frequency, over |K| |y|: leaves
-        # alone hold some in L.
+        # Bound of all aliases of L below the lowest frequency, divided by |K| |y|. Only
+        # leaves include some of them in L.
         low, high = self.root()
         low[:, 0] = 0.0
         self.tail = float(self._alias_sum(self.box(low, high))[0]) * 2 / self.period
@@ -90,8 +90,8 @@ class BoxLoop:
         return {name: Span(low[:, i], high[:, i]) for i, name in enumerate(AXES)}
 
     def _variable(self, name: str, span: Span) -> Disc:
-        """A parameter over boxes, as a disc that knows its slope; a parameter that is
-        exact has none.
+        """A parameter over boxes, as a disc with its slope; an exact parameter has
+        none.
         """
         found = span.disc()
         one = Disc(np.ones(found.c.shape), np.zeros(found.c.shape))
@@ -122,8 +122,8 @@ class BoxLoop:
             return [
                 rest * lag * lag for rest, lag in zip(rests, lags, strict=True)
             ], alias
-        # Near the motor loop's resonance X is small: its own slopes enclose it more
-        # closely than its terms.
+        # Near the resonance of the motor loop X is small; its slopes enclose it more
+        # tightly than its terms.
         middle = box["frequency"].middle
         at_motor = Disc(box["motor"].middle).inverse()
         centre = self.closing(
@@ -131,11 +131,12 @@ class BoxLoop:
         )
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
         lag = self.closing(window, late, slow).closer(centre, steps).inverse()
-        # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the sum has A itself
+        # The transfer function from Ĉ to the voltage is C/X, X = A (y²/A + Z); the sum
+        # contains A itself.
         return [rest * lag for rest in rests], alias * lag.most() * slow.most()
 
     def _window(self, frequency: Span, shifts: Shifts = _MAIN) -> FrequencyWindow:
-        """What frequencies contribute, whatever the parameters."""
+        """The factor that depends on frequency only."""
         w = self._variable("frequency", frequency)
         z, x = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp()
         y = 1 - x
@@ -158,8 +159,8 @@ class BoxLoop:
         return FrequencyWindow(tuple(fronts), alias, x, both)
 
     def _open(self, s: Disc) -> Disc:
-        """Of F what is not periodic, but for delay and ideal motor; beside the PID it
-        has the motor.
+        """The part of F that is not periodic, without delay and ideal motor loop; with
+        the PID it includes the motor.
         """
         return (
             s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)
@@ -230,7 +231,8 @@ class BoxLoop:
                 for angle, scale in zip(angles, scales, strict=True)
             ]
 
-        # Each is half a square, which the difference shows only through its slope.
+        # Each is half a square, a fact that the difference preserves only through its
+        # slope.
         steps = {"delay": late.r}
         n0, n2 = (
             wide.closer(point, steps)
@@ -291,8 +293,8 @@ class BoxLoop:
         return 1 - self._read(box, w) * (share + self._mode(box, w))
 
     def _log(self, frequency: Span, sign: float) -> Disc:
-        """ln(±jω), with its slope along ω, which falls where the alias's frequency
-        rises.
+        """ln(±jω) with its slope along ω, which is negative where the frequency of the
+        alias decreases with ω.
         """
         found = (
             Span.around(np.log(frequency.low), np.log(frequency.high)).disc()
@@ -343,10 +345,10 @@ class BoxLoop:
         s = w * 1j
         ratio = self._variable("mode_frequency", box["mode_frequency"]) * s.inverse()
         share = (1 + ratio * (ratio + 2 * self.statement.mode_damping)).inverse()
-        # Over wide boxes the denominator may seem to vanish; R itself never exceeds its
-        # peak.
+        # Over wide boxes the bound of the denominator may include zero; R itself never
+        # exceeds its peak.
         most = self.mode_peak * (1 + 1e-9)
-        # Negated, so that nan counts as wide.
+        # Negated, so that NaN counts as wide.
         wide = ~(share.r < most)
         share = Disc(
             np.where(wide, 0.0, share.c), np.where(wide, most, share.r), share.d
@@ -361,13 +363,14 @@ class BoxLoop:
     # ---- bounds outside the tree --------------------------------------------------------------------------
 
     def _alias_sum(self, box: dict[str, Span]) -> Real:
-        """Bound of ``Σ_{k≠0} |F(s_k)/s_k|`` but for what every term shares, over boxes.
+        """Bound of ``Σ_{k≠0} |F(s_k)/s_k|`` over boxes, without the common factor of
+        the terms.
 
         The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is
         bounded with the box's own gauge and motor. The others lie at 2jw + ω and (2j +
-        2)w − ω for j = 1, 2, …, where |F(s)/s| falls at least like ω^-3: of t^-3, which
-        is convex, the sum over all j but the first is at most half the integral from
-        one step before the second. Where L holds `ALIASES` these begin with j = 3.
+        2)w − ω for j = 1, 2, …, where |F(s)/s| falls at least like ω^-3. Since t^-3 is
+        convex, the sum over all j but the first is at most half the integral from one
+        step before the second. Where L includes `ALIASES`, these sums begin with j = 3.
         """
         w = math.pi / self.period
         ratio = np.minimum(
@@ -416,7 +419,7 @@ class BoxLoop:
         off = np.maximum(np.abs(1 - gains[0]), np.abs(1 - gains[1]))
         unread = np.sqrt(off**2 + 4 * gains[1] * np.sin(0.5 * turn) ** 2)
         ratio = box["mode_frequency"].high / low
-        # Near the mode |R| is nowhere above its gain times 1/(2ζ sqrt(1 − ζ²)).
+        # Near the mode |R| never exceeds its gain times 1/(2ζ sqrt(1 − ζ²)).
         peak = np.where(ratio < 0.7, 1 / np.maximum(1 - ratio**2, 0.5), self.mode_peak)
         return np.asarray(
             (tip + unread + gains[1] * box["mode_gain"].high * peak) * (1 + 1e-9)
@@ -434,8 +437,8 @@ class BoxLoop:
         """
         s, w = self.statement, self.statement.lowest
         # Below 1 rad/s the smallest order gives the largest power. Far below the
-        # resonance the tip follows the motor but for small parts, and 1/(1 - x) bounds
-        # what they divide by.
+        # resonance the tip follows the motor up to small terms x, and 1/(1 - x) bounds
+        # the quotients.
         soft = self.high["softness"] * w ** self.low["order"]
         drag = self.high["softness"] * self.high["damping"] * w**s.damping_order
         ratio = w / self.low["mode_frequency"] if self.high["mode_gain"] else 0.0
@@ -445,14 +448,15 @@ class BoxLoop:
         tip = 1 + self.read * self.high["gauge_gain"] * (
             soft / (1 - soft - drag) + mode
         )
-        # |e^(−jωTs) − 1| ≤ ωTs: one disc holds the arc from 0 to the lowest frequency.
+        # |e^(−jωTs) − 1| ≤ ωTs: one disc contains the arc from 0 to the lowest
+        # frequency.
         arc = Disc(np.ones(1), np.array([w * self.period]))
         bound = float(self._kernel(arc).most()[0]) * w * self.period * (tip + self.tail)
         voltage = self._low_voltage(arc) if self.motor_loop == "sampled" else 1.0
         return float(bound * voltage * (1 + 1e-9))
 
     def _low_voltage(self, arc: Disc) -> float:
-        """What the sampled motor loop multiplies it with."""
+        """The factor of the sampled motor loop in it."""
         first, both = self.controllers(arc)
         box = self.box(*self.root())
         window = FrequencyWindow((both,), np.zeros(1), arc, both)
@@ -473,8 +477,8 @@ class BoxLoop:
         """
         if self.motor_loop == "ideal":
             return True
-        # The polynomial (1 − e x)(1 − r x) X/A, ascending in x (the highest power of z
-        # first), from its values at the roots of unity, which are more than it has
+        # The coefficients of (1 − e x)(1 − r x) X/A, ascending in x (highest power of z
+        # first), from its values at the roots of unity, which outnumber the
         # coefficients.
         x = Disc(np.exp(2j * math.pi / _ROOTS * np.arange(_ROOTS)))
         both = self.controllers(x)[1]

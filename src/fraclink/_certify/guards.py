@@ -1,5 +1,5 @@
-"""What the rest of a law must be for a claim about its loop to be one about the arm: the
-filters that run beside the loop, the compensations, and every guard.
+"""Conditions on the rest of a law under which a claim about its loop holds for the arm:
+the filters outside the loop, the compensations, and every guard.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fraclink.errors import FieldError
 
 __all__ = ["check_guards"]
 
-# What a person chooses, and what says no more than the resonance does.
+# Chosen by a person, or determined by the resonance alone.
 _FREE = ("swing_angle", "stop_ringing", "payload_limit", "reference_rate")
 
 
@@ -42,7 +42,7 @@ def check_guards(statement: Statement) -> None:
             )
     for name, least in _least(statement, link):
         value = float(statement.coefficients[name])
-        # Negated, so that nan is refused.
+        # Negated, so that NaN is rejected.
         if not value >= least * (1 - 1e-5):
             raise FieldError(
                 f"law.{name}",
@@ -54,17 +54,17 @@ def check_guards(statement: Statement) -> None:
 
 
 def _lead(link: LinkModel, frequency: float) -> complex:
-    """1/G − 1 over s²: what the motor leads the tip by, of its acceleration."""
+    """1/G − 1 over s²: the lead of the motor over the tip per acceleration."""
     s = 1j * frequency
     return complex((1 / link.tip()(s) - 1) / s**2)
 
 
 def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
-    """(field, least value) of every guard: what is derived for the moves of the claim."""
+    """(field, least value) of every guard, as derived for the moves of the claim."""
     c, loop = s.coefficients, _followed(s)
     period = float(c["period"])
-    # Twice, for payloads beyond the nominal one; neither gauge nor trip may stand in
-    # its way.
+    # Doubled for payloads beyond the nominal one; within it neither gauge nor trip may
+    # limit the move.
     push = 2 * s.stiffness * abs(_lead(link, abs(link.pole))) * s.acceleration
     limits = derive_limits(
         link,
@@ -75,8 +75,8 @@ def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
         sticking=0.0,
         kick=abs(c["direct"]),
     )
-    # A resonance that is a hair off rounds to another number of periods. The moves of
-    # the claim do not need the room for a command three times as fast.
+    # A slightly different resonance may round to another number of periods. The moves
+    # of the claim need no margin for a command three times as fast.
     step = s.velocity * period
     least = asdict(limits) | {
         "block_limit": limits.block_limit - 1,
@@ -93,7 +93,9 @@ def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
 
 
 def _followed(s: Statement) -> Following:
-    """How the motor loop in the middle of the box follows, and the law's model of it."""
+    """The tracking of the motor loop in the middle of the box, and the law's model of
+    it.
+    """
     c, period = s.coefficients, float(s.coefficients["period"])
 
     def follows(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -110,7 +112,7 @@ def _followed(s: Statement) -> Following:
 
 
 def _parts(s: Statement, link: LinkModel) -> Iterator[tuple[str, float, float, float]]:
-    """(field, value, least, largest) of what runs beside the loop."""
+    """(field, value, least, largest) of the filters and compensations outside the loop."""
     c = s.coefficients
     period, resonance = float(c["period"]), abs(link.pole)
     poles, gains = c["forward"][::2], c["forward"][1::2]
@@ -120,7 +122,7 @@ def _parts(s: Statement, link: LinkModel) -> Iterator[tuple[str, float, float, f
         value = c["forward_direct"] + sum(
             g / (z - p) for p, g in zip(poles, gains, strict=True)
         )
-        # payloads of half and of twice the law's are what its guards leave room for
+        # the margins of the guards cover half and twice the law's payload
         yield "forward", abs(value / _lead(link, frequency) - 1), 0.0, 0.5
     yield "stiffness", c["stiffness"] * c["compliance"], 1 - 1e-6, 1 + 1e-6
     now, keep = c["motor_now"], c["motor_keep"]
@@ -137,7 +139,8 @@ def _parts(s: Statement, link: LinkModel) -> Iterator[tuple[str, float, float, f
         yield "coulomb_voltage", c["coulomb_voltage"], 0.0, 1.05 * s.friction
         slope = 1.05 / (COULOMB_SPEED * period)
         yield "coulomb_slope", c["coulomb_slope"], 0.0, slope
-        if c["torque_voltage"]:  # 0: a gauge that is too late compensates nothing
-            # of the gauge's own reading, whose gain it has to undo
+        if c["torque_voltage"]:  # 0: a gauge with too much delay compensates nothing
+            # relative to the reading of the gauge, whose gain the compensation must
+            # undo
             ratio = c["torque_voltage"] / s.coupling
             yield "torque_voltage", ratio, 1 / gauge[1], 1 / gauge[0]

@@ -1,6 +1,4 @@
-"""The same sampled loop in plain floating point: where to look before anything is
-proved.
-"""
+"""The same sampled loop in plain floating point: a search that precedes the proof."""
 
 from __future__ import annotations
 
@@ -23,7 +21,9 @@ __all__ = ["loop_values", "motor_loop", "windings", "worst_distance"]
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 _ROWS = 32
-_CORNERS = 512  # of a box with more than nine uncertain parameters a random choice
+# corners of the box; with more than nine uncertain parameters, a random selection of
+# this size
+_CORNERS = 512
 
 
 def loop_values(
@@ -64,8 +64,8 @@ def loop_values(
 def _continuous(
     statement: Statement, frequency: Real, at: Mapping[str, Real]
 ) -> Complex:
-    """Motor, delay and tip angle as the law computes it, over s: what a held command
-    goes through.
+    """Motor, delay and tip angle as the law computes it, divided by s: the path of a
+    held command.
     """
     s = 1j * frequency
     drag = at["softness"] * at["damping"] * s**statement.damping_order
@@ -109,9 +109,9 @@ def motor_loop(
 
     first = c["inner_direct"] + pair("integral") / (1.0 - x) + slow * pair("filter")
     both = first + c["inner_angle"] + slow * pair("filter_angle")
-    # The motor A/(s(s + a)) behind a hold that is `delay` late, at the samples: a
-    # partial fraction each for the integrator and for the pole, with the rest of the
-    # period `left` after the late edge.
+    # The motor A/(s(s + a)) behind a hold with the given delay, at the sampling
+    # instants: one partial fraction each for the integrator and the pole; `left` is the
+    # rest of the period after the delayed edge.
     left = (1 + statement.whole) * period - np.asarray(delay)
     held = (decay * left - 1.0) + decay * period * x / (1.0 - x)
     held = held + np.exp(-decay * left) * (1.0 - x) / (
@@ -123,18 +123,19 @@ def motor_loop(
 
 
 def _grid(statement: Statement, law: Law, points: int) -> Real:
-    """Frequencies up to Nyquist, dense where the modes of the payloads lie."""
+    """Frequencies up to the Nyquist frequency, dense near the modes of the payloads."""
     low, high = statement.box
     modes = [
         end["softness"] ** (-1.0 / order["order"])
         for end, order in ((high, high), (low, low))
     ]
     nyquist = np.pi / law.period
-    # |1 + L| is least beside the falling crossing, which lies above the mode and
-    # within a factor of four of it.
+    # |1 + L| is smallest near the falling crossing, which lies between the mode and
+    # four times its frequency.
     near = np.geomspace(0.5 * min(modes), min(4.0 * max(modes), nyquist), points)
     parts = [near, np.geomspace(0.05, nyquist, points // 2)]
-    if high["mode_gain"]:  # the second mode is narrow, and anywhere in its interval
+    # the second mode is narrow and may lie anywhere in its interval
+    if high["mode_gain"]:
         spread = np.linspace(-6, 6, 49) * statement.mode_damping
         ends = (low["mode_frequency"], high["mode_frequency"])
         parts += [np.minimum(f * np.exp(spread), nyquist) for f in ends]
@@ -142,8 +143,8 @@ def _grid(statement: Statement, law: Law, points: int) -> Real:
 
 
 def _corners(statement: Statement) -> dict[str, Real]:
-    """Corners of the box, each with its lightest, heaviest and middle payload; columns
-    to broadcast.
+    """Corners of the box, each with its lightest, heaviest and middle payload, as
+    columns for broadcasting.
     """
     low, high = statement.box
     names = [name for name in AXES[1:] if low[name] < high[name]]
@@ -151,8 +152,8 @@ def _corners(statement: Statement) -> dict[str, Real]:
     if len(ends) > _CORNERS:
         ends = ends[np.random.default_rng(0).choice(len(ends), _CORNERS, replace=False)]
     if "softness" in names:
-        # The payload is the widest axis by far: a loop may come closest to -1 between
-        # its ends, where no corner is.
+        # The payload has by far the widest interval: a loop may come closest to -1
+        # inside it, where no corner lies.
         middle = np.unique(ends, axis=0)[:: max(1, len(ends) // 64)].copy()
         middle[:, names.index("softness")] = 0.4
         ends = np.concatenate([ends, middle])
@@ -175,7 +176,8 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, flo
     distance = np.abs(1.0 + _over_corners(statement, law, w, place))
     closest = np.min(distance, axis=1)
     best = (math.inf, {name: float(column[0, 0]) for name, column in place.items()})
-    # From three corners: the lowest on the grid need not lead to the lowest of all.
+    # The descent starts at the three closest corners, since the closest one on the grid
+    # need not lead to the global minimum.
     for row in np.argsort(closest)[:3]:
         at = {name: float(column[row, 0]) for name, column in place.items()}
         at["frequency"] = float(w[int(np.argmin(distance[row]))])
@@ -186,7 +188,7 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, flo
 def _downhill(
     statement: Statement, law: Law, start: dict[str, float]
 ) -> tuple[float, dict[str, float]]:
-    """Follow |1 + L| down inside the box, each axis in shares of its width."""
+    """Minimise |1 + L| inside the box, with each axis scaled by its width."""
     low, high = statement.box
     low["frequency"] = 0.5 * start["frequency"]
     high["frequency"] = min(2.0 * start["frequency"], math.pi / law.period)
@@ -212,8 +214,8 @@ def _downhill(
 def _over_corners(
     statement: Statement, law: Law, w: Real, place: dict[str, Real]
 ) -> Complex:
-    """L, a row for each corner; some rows at a time, as all of a rich box's would take
-    200 MB and longer.
+    """L, one row per corner, a few rows at a time: with many uncertain parameters all
+    rows at once would take 200 MB and more time.
     """
     count = len(place["softness"])
     return np.concatenate(
@@ -236,12 +238,12 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     -1 is encircled as often as the phase of 1 + L ends away from zero; L itself is
     open-loop stable.
     """
-    # Five times as fine as for the distance: where 1 + L turns by more than π between
-    # two points, a turn is lost.
+    # Five times as fine as for the distance: if 1 + L turned by more than π between two
+    # points, a turn would be lost.
     w, place = _grid(statement, law, 1200), _corners(statement)
     value = 1.0 + _over_corners(statement, law, w, place)
-    # From 0 to Nyquist 1 + L goes from 1 to a real number: half the encirclements of
-    # the whole unit circle.
+    # From 0 to the Nyquist frequency 1 + L runs from 1 to a real number: half the
+    # encirclements of the whole unit circle.
     turned = np.unwrap(np.angle(value), axis=-1)
     circled = np.round((turned[:, -1] - turned[:, 0]) / np.pi) != 0
     if not np.any(circled):

@@ -1,5 +1,5 @@
 """`certify`: prove that a law keeps its distance from -1 for every payload and delay,
-or say where not.
+or find where it does not.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ __all__ = ["certify"]
 
 PayloadRange = Annotated[tuple[Payload, Payload], ascending()]
 ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
-# Least |1 + L| of a loop that is passed: 14.4° of phase and a factor of 1.33 of gain
-# either way, whatever else differs from the box.
+# Least |1 + L| of a loop that passes: a phase margin of 14.4° and a gain margin of a
+# factor of 1.33, also for deviations not covered by the box.
 LEAST_MODULUS = 0.25
-# Between what a search finds and what is claimed. Half of it costs 3 to 7 % more leaves
-# on four claims, a fifth of it up to 19 %.
+# Gap between the distance found by the search and the distance claimed. Half of it
+# takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Nodes of the first proof, and of those with smaller claims that follow where it ends
-# without one: a claim that leaves more room takes fewer, so these give up early.
+# Limits on the nodes of the first proof and of the following ones with smaller claims.
+# A smaller claim needs fewer nodes, so these attempts give up earlier.
 _NODES = (80_000, *7 * (20_000,))
 
 
@@ -112,8 +112,8 @@ def certify(
     check_guards(claim)
     if modulus_margin is not None:
         claim = replace(claim, modulus=modulus_margin)
-    # In plain floating point first: a loop that is unstable, or too close already, is
-    # told in milliseconds, and the branch and bound would only run out of nodes on it.
+    # In plain floating point first: this detects an unstable loop, or one too close to
+    # -1, in milliseconds, while branch and bound would only run out of nodes.
     unstable = windings(claim, proper)
     if unstable is not None:
         return _refused(claim, "unstable, as L passes left of -1", unstable)
@@ -128,13 +128,13 @@ def certify(
 def _largest_claim(
     claim: Statement, distance: float, place: dict[str, float]
 ) -> Certificate:
-    """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one
-    where that is refuted.
+    """Prove the largest claim of three digits that leaves the gap `_ROOM`, or a smaller
+    claim if that one is refuted.
     """
     loop, step = BoxLoop(claim), _ROOM
     for most in _NODES:
-        # The proof holds fewer aliases than the loop has and allows for the rest by a
-        # bound: that much less is claimed.
+        # The proof includes only some of the aliases and bounds the rest: the claim is
+        # reduced by that bound.
         kept = distance - loop.alias_at(place)
         if kept < LEAST_MODULUS + _ROOM:
             return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
@@ -143,8 +143,8 @@ def _largest_claim(
         outcome = prove(BoxLoop(claim), most=most)
         if isinstance(outcome, MarginProof):
             break
-        # Refuted: the next claim is what is left there. Else the bounds are too wide
-        # somewhere, nobody knows by how much: each step is twice the last.
+        # If the claim is refuted, the next one is the distance at that place. Otherwise
+        # some bounds are too wide by an unknown amount: the step is doubled.
         if outcome.refuted:
             distance, place = outcome.distance, outcome.place
         elif modulus == LEAST_MODULUS:
@@ -178,11 +178,11 @@ def _refused(
     place: dict[str, float],
     distance: float | None = None,
 ) -> Certificate:
-    """The certificate that says no, and where: payload, frequency, delay, and whatever
-    else is not exact.
+    """A certificate without proof, with the place of failure: payload, frequency,
+    delay, and every other uncertain parameter.
     """
-    # Payload and the frequency's own doubt enter as one product q: of the pairs that
-    # give the place, the one whose softness is closest to the middle.
+    # The payload and the uncertainty of ω₀ enter as one product q: of the pairs that
+    # give this q, take the one whose softness is closest to the middle.
     payload = place["softness"] / claim.softness
     payload = min(max(payload, claim.payload_low), claim.payload_high)
     low, high = claim.box
@@ -247,15 +247,15 @@ def _statement(
     # both branches above gave a law
     assert not isinstance(chosen, (Design, Controller))  # noqa: S101
     period = chosen.period
-    # From none to a whole period is what a board may take to compute; the design
-    # counted on one of them, and on whole periods of delay before it.
+    # The board may take between zero and one period to compute; the design assumed one,
+    # after a whole number of periods of other delay.
     motor_loop = subject.motor_loop if isinstance(subject, Design) else rig.motor_loop
     whole = max(motor_loop.delay_samples - 1, 0) * period
     first, last = (whole, whole + period) if delay is None else delay
     first = Between(0.0, 8.0 * period, "s").check("delay[0]", first)
     most = 8.0 * period
     if chosen.motor_loop is not None:
-        # within one period: between two the sampled motor loop has another order
+        # within one period: beyond, the order of the sampled motor loop changes
         most = (math.floor(first / period * (1 + 1e-9)) + 1) * period
         if last == first:
             most = max(most, last)
@@ -269,7 +269,7 @@ def _statement(
         box=box.with_others(others, link, rig),
         payloads=payloads or (rig.payloads.low, rig.payloads.high),
         delay=(first, last),
-        # A placeholder: the caller puts what is to be claimed.
+        # placeholder: the caller sets the claim
         modulus=0.5,
     )
     return replace(claim, nominal_payload=_nominal_payload(chosen, claim.link)), chosen
@@ -282,14 +282,14 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
     It ties the statement's link to the block on the board: a forged link has another
     resonance.
     """
-    # The limits were derived as 1 − e^(−ω T/JUMP) of the link's resonance ω: solved for
-    # it here.
+    # The limits were derived as 1 − e^(−ω T/JUMP) from the resonance ω of the link;
+    # solved for ω here.
     wanted = -JUMP / law.period * math.log1p(-law.limits.reference_rate)
 
     def beyond(log_payload: float) -> float:
         return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / wanted)
 
-    # From a milligram to ten tonnes: whatever arm a link model stands for lies between.
+    # From a milligram to ten tonnes, a range that contains the payload of any arm.
     ends = math.log(1e-6), math.log(1e4)
     if not beyond(ends[0]) > 0.0 > beyond(ends[1]):
         raise FieldError(
@@ -299,6 +299,6 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
             allowed="a law that was made for this link",
             remedy="discretise the controller with this link",
         )
-    # Six digits are written into the statement; the checker forms the resonance from
-    # what is written, not from what was found.
+    # The statement is written with six digits, from which the checker forms the
+    # resonance; the law must use the same rounded value.
     return float(f"{math.exp(brentq(beyond, *ends, xtol=1e-14, rtol=1e-14)):.6g}")

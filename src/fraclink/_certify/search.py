@@ -1,9 +1,9 @@
-"""Branch and bound until every box is proved: the distance from -1.
+"""Branch and bound on the distance from -1, until every box is proved.
 
-A box is proved by one half plane that holds L, or 1/L, and misses every forbidden
-value. Along the plane's normal the loop is bounded by its slopes: a parameter whose
-slope keeps its sign is set to its worse end, the others cost half their width times the
-largest slope. Many boxes are judged at once.
+A box is proved by a half plane that contains L, or 1/L, and no forbidden value. Along
+the plane's normal the loop is bounded by its slopes: a parameter whose slope keeps its
+sign is set to its worse end, the others cost half their width times the largest slope.
+Many boxes are judged at once.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 _DEPTH = 80
-_SLACK = (
-    1.0 + 1e-6
-)  # proved a little more than claimed, so that other arithmetic confirms the same leaves
-# The frequency's arc alone unbounds F beside a pole of Ĉ, where all other cuts are in
-# vain; by 3 instead of 8 a proof takes twice the leaves, by 50 a tenth more.
+# The proof is for slightly more than the claim, so that a different arithmetic confirms
+# the same leaves.
+_SLACK = 1.0 + 1e-6
+# Near a pole of Ĉ the arc of frequencies alone makes F unbounded, and cuts along the
+# other axes do not help. With a factor of 3 instead of 8 a proof takes twice the
+# leaves, with 50 a tenth more.
 _FIRST = 8.0
 _TURNED = (AXES.index("delay"), AXES.index("gauge_delay"))
 
@@ -66,13 +67,13 @@ def _unit(value: Complex) -> Complex:
     return np.asarray(value / np.maximum(np.abs(value), 1e-300))
 
 
-# A half plane Re(n* v) > b misses what is forbidden: |1 + L| <= m and the ray (-∞, -1];
-# of Y = 1/L that is a disc and the segment from it to 0. `value` is the middle of the
-# disc of L or Y; the plane is its normal n and its bound b.
+# A half plane Re(n* v) > b must not contain forbidden values: |1 + L| <= m and the ray
+# (-∞, -1]; for Y = 1/L these are a disc and the segment from it to 0. `value` is the
+# middle of the disc of L or Y; the plane is given by its normal n and its bound b.
 def _plane_of_loop(value: Complex, m: Real) -> tuple[Complex, Real]:
     ahead = 1.0 + value
-    # Beside −1 away from it; left of it straight up or down, as the ray to −∞ is
-    # forbidden too.
+    # To the right of −1 the normal points away from it; to the left straight up or
+    # down, since the ray to −∞ is forbidden too.
     normal = np.where(
         ahead.real >= 0.0, _unit(ahead), np.where(ahead.imag >= 0.0, 1j, -1j)
     )
@@ -80,13 +81,13 @@ def _plane_of_loop(value: Complex, m: Real) -> tuple[Complex, Real]:
 
 
 def _plane_of_inverse(value: Complex, m: Real) -> tuple[Complex, Real]:
-    # |1 + 1/Y| <= m is |Y + 1| <= m |Y|, the disc (of Apollonius) about -1/(1 - m²) of
-    # radius m/(1 - m²). A half plane misses it and 0 where b is the larger of their two
-    # supports along n.
+    # |1 + 1/Y| <= m is |Y + 1| <= m |Y|, the disc (of Apollonius) about -1/(1 - m²)
+    # with radius m/(1 - m²). A half plane contains neither the disc nor 0 if b is the
+    # larger of their two supports along n.
     centre = 1.0 / (1.0 - m**2)
     straight, away = _unit(value), _unit(value + centre)
-    # The hull of disc and 0 has two straight sides, tangents from 0: on their normal,
-    # of cosine m, both supports are zero.
+    # The hull of the disc and 0 has two straight sides, the tangents from 0: along
+    # their normal, of cosine m, both supports are zero.
     kink = m + 1j * np.where(value.imag >= 0.0, 1.0, -1.0) * np.sqrt(1.0 - m**2)
     normal = np.where(
         straight.real >= m, straight, np.where(away.real <= m, away, kink)
@@ -96,8 +97,8 @@ def _plane_of_inverse(value: Complex, m: Real) -> tuple[Complex, Real]:
 
 @dataclass(frozen=True)
 class _Judged:
-    """Of each box: whether it is proved, by 1/L or L; the axis to cut; a point of it
-    and the value there.
+    """For each box: whether it is proved, by 1/L or by L; the axis to cut; a point in
+    it and the value there.
     """
 
     proved: Flags
@@ -112,8 +113,8 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         all="ignore"
     ):  # a box that is too wide gives infinities and NaN, which prove nothing
         plain, inverse, alias = loop.forms(low, high)
-        # Where |L| < 1 its own disc is the smaller one, beyond it that of 1/L: on a
-        # resonance L may be any number, and 1/L is a small disc beside 0.
+        # Where |L| < 1 its own disc is the smaller one, otherwise that of 1/L: at a
+        # resonance L may be arbitrarily large, and 1/L is a small disc near 0.
         soft = np.isfinite(plain.r) & (np.abs(plain.c) < 1.0)
         loud = np.isfinite(inverse.r) & ~soft
         kept = loop.statement.modulus + alias
@@ -125,8 +126,8 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         point, loss, weight, moved = _downhill(
             loop.axes, plain, inverse, loud, normal, low, high
         )
-        # With the aliases that the box holds: the point lies in it, but may lie on the
-        # other side of where they begin.
+        # With the same aliases as the box: the point lies in it, but may lie on the
+        # other side of the frequency at which they begin.
         at_plain, at_inverse, _ = loop.forms(point, point, loop.held(low[:, 0]))
         value = np.where(loud, at_inverse.c, at_plain.c)
         radius = np.where(loud, at_inverse.r, at_plain.r)
@@ -137,8 +138,8 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
             - loss
         )
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
-        # Where sharper slopes could not make up for what is missing, no half plane holds
-        # the whole box: it is cut where the value moves most.
+        # Where even exact slopes would not close the gap, no half plane contains the
+        # whole box: it is cut along the axis that moves the value most.
         missing = least + (_SLACK - 1.0) - reached
         weight = np.where(
             (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], moved, weight
@@ -158,8 +159,8 @@ def _downhill(
     first: Real,
     second: Real,
 ) -> tuple[Real, Real, Real, Real]:
-    """(point to evaluate, what the other axes cost at most, what a cut of each axis would
-    gain, and how far each moves the value).
+    """(point to evaluate, largest loss along the other axes, gain from a cut of each
+    axis, and change of the value along each).
     """
     point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
     weight, moved = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
@@ -170,22 +171,21 @@ def _downhill(
         along = (np.conj(normal) * slope.c).real
         spread = slope.r * (1 + ROUNDING) + 4 * ROUNDING * np.abs(slope.c)
         width = second[:, k] - first[:, k]
-        # The slope along the normal keeps its sign over the box: the worse end is
-        # the minimum, and costs nothing.
+        # If the slope along the normal keeps its sign over the box, the worse end is
+        # the minimum and causes no loss.
         fixed = np.abs(along) >= spread
         point[:, k] = np.where(
             fixed, np.where(along >= 0.0, first[:, k], second[:, k]), point[:, k]
         )
         steep = np.abs(along) + spread
-        # half the width on either side of the middle, with the rounding of the middle
+        # half the width on either side of the middle, plus the rounding of the middle
         # itself
         cost = (
             0.5 * width * (1 + 4 * ROUNDING) + 4 * ROUNDING * np.abs(second[:, k])
         ) * steep
-        # a zero width still has a middle: nothing is lost there, whatever the slope
+        # a zero width causes no loss, whatever the slope
         loss = loss + np.where(fixed | (width == 0.0), 0.0, cost)
-        # Of a fixed slope the spread alone is to be gained by a cut; what it moves is
-        # known already.
+        # With a slope of fixed sign a cut can only gain the spread of the slope.
         weight[:, k] = np.where(
             width > 0.0, width * np.where(fixed, spread, steep), -1.0
         )
@@ -194,13 +194,13 @@ def _downhill(
 
 
 def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
-    """The axis to cut: where the slopes leave most undecided, or the widest where they
-    are unknown.
+    """The axis to cut: the one along which the slopes leave the largest uncertainty, or
+    the widest one where they are unknown.
     """
     width = high - low
     relative = width / np.maximum(np.abs(high), 1e-300)
-    # Where nothing is bounded yet widths decide: of a delay it is the angle ω τ that
-    # changes.
+    # Where nothing is bounded yet, the widths decide; for a delay it is the width of
+    # the angle ω τ.
     relative[:, 0] *= _FIRST
     for axis in _TURNED:
         relative[:, axis] = width[:, axis] * high[:, 0]
@@ -216,9 +216,9 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
     """
     rows = np.arange(low.shape[0])
     a, b = low[rows, axis], high[rows, axis]
-    # The loop changes per octave of frequency, and the checker cuts alike. It matters
-    # at the first cuts only: with the arithmetic middle four claims take between 3 %
-    # fewer and 2 % more leaves.
+    # The loop varies per octave of frequency, and the checker cuts in the same way. It
+    # matters for the first cuts only: with the arithmetic mean four claims take between
+    # 3 % fewer and 2 % more leaves.
     middle = np.where(axis == 0, np.sqrt(a * b), 0.5 * (a + b))
     top, bottom = high.copy(), low.copy()
     top[rows, axis] = bottom[rows, axis] = middle
@@ -235,8 +235,8 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     s = loop.statement
     corner = {name: loop.low[name] for name in AXES}
     if not all(abs(pole) < 1.0 for pole, _ in loop.modes):
-        # The tree shows that the curve keeps away from −1; that no pole lies outside
-        # begins with the law's own ones.
+        # The tree proves that the curve keeps away from −1; that no pole lies outside
+        # the unit circle also requires the poles of the law itself to lie inside.
         return MarginFailure(
             "a pole of the law's correction lies outside the unit circle", corner
         )
@@ -244,7 +244,7 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
         return MarginFailure(
             "the sampled motor loop is not stable for every delay", corner
         )
-    # Written as a negation: a bound that is nan or inf ends here, too.
+    # Negated, so that a bound of NaN or infinity ends here as well.
     if not loop.low_bound() < 1.0 - s.modulus:
         return MarginFailure("the loop gain is not small at low frequency", corner)
 
@@ -254,8 +254,8 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     while low.size:
         found = _judge(loop, low, high)
         nodes += low.shape[0]
-        # A value at a point of the box that breaks the claim ends the search at
-        # once: no cutting would mend it.
+        # A point of the box whose value violates the claim ends the search: further
+        # cuts cannot help.
         wrong = np.abs(1.0 + found.value) < s.modulus
         if wrong.any():
             k = int(np.argmin(np.where(wrong, np.abs(1.0 + found.value), np.inf)))
@@ -278,8 +278,8 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
 
 
 def _preorder(generations: list[NDArray[np.int64]]) -> str:
-    """Letters in preorder, from one row of axes a generation that holds all first, then
-    all second halves.
+    """Letters in preorder, from one row of axes per generation with all first halves
+    before all second halves.
     """
     below: list[str] = []
     for axes in reversed(generations):

@@ -1,6 +1,4 @@
-"""What a certificate states, in exact numbers and in one sentence, and the file that
-carries it.
-"""
+"""The statement of a certificate in exact numbers and in one sentence, and its file."""
 
 from __future__ import annotations
 
@@ -45,8 +43,8 @@ __all__ = [
 ]
 
 KIND, FORMAT = "certificate", 4
-# What a leaf is a box of, and the letter of the tree that cuts it. "softness" is q =
-# 1/ω₀², "motor" p or A.
+# The axes of a box, and the letter of the tree that cuts each. "softness" is q = 1/ω₀²,
+# "motor" is p or A.
 AXES = (
     "frequency",
     "softness",
@@ -60,15 +58,16 @@ AXES = (
     "mode_gain",
 )
 LETTERS = "wmtgdoupfa"
-# Aliases that L holds with their phase, at ω + 2πn/Ts, from this part of the Nyquist
-# frequency on. Without a filter |L| near Nyquist is as large as it likes: there the
-# moduli of all aliases come to 0.4 of it, and of those that are left to 0.02. Further
-# down the nearest alone is less than (1/9)³ of L, and moduli do.
+# Aliases included in L with their phase, at ω + 2πn/Ts, from this fraction of the
+# Nyquist frequency on. Without a filter |L| near the Nyquist frequency is arbitrarily
+# large; there the moduli of all aliases add up to 0.4 of it, and those of the remaining
+# ones to 0.02. At lower frequencies the nearest alias is below (1/9)³ of L, and bounds
+# of the moduli suffice.
 ALIASES = (-1, 1, -2, 2, -3)
 ALIASES_FROM = 0.2
 LEAVES = ".,"  # proved by L, proved by 1/L
-# The checker knows these sentences too: they lie inside the hash, and a file with
-# others is rejected.
+# The checker contains the same sentences: they are part of the hash, and a file with
+# other sentences is rejected.
 ASSUMPTIONS = (
     "the link is G(s) = (1 + q μ s^α)/(1 + q s^λ + q μ s^α), q proportional to the payload",
     "gauge and encoder are linear, and gauge, second mode and motor lie within the intervals of the claim",
@@ -77,7 +76,8 @@ ASSUMPTIONS = (
     "neither the payload nor any other parameter changes during a move",
     "the period is exact and the compiled law computes in IEEE arithmetic",
 )
-# One sentence with every number to its last digit, so that no two claims read alike.
+# One sentence with all digits of every number, so that different claims have different
+# sentences.
 CLAIM = (
     "For every payload from {payload_low} to {payload_high} kg and every computation delay from {delay_low} "
     "to {delay_high} s, every link with 1/ω₀² from {softness_low} to {softness_high} times the payload, "
@@ -94,12 +94,11 @@ CLAIM = (
     "{velocity} rad/s and {acceleration} rad/s² none of a sensor or of the motor (friction {friction} V, coupling "
     "{coupling} V/(N m))."
 )
-COMPLIANCE_TOLERANCE = (
-    1e-6  # of 1/c: what rounding to single precision takes, six times over
-)
-# [rad per sample]: |L| is bounded from 0 to 2^-20 of the Nyquist frequency, 0.7 mrad/s
-# at 4 ms, where |Ĉ| is below 1e-3 of its crossover value; or to a twentieth of the rate
-# of a mode that is slower than that.
+# relative to 1/c: six times the rounding to single precision
+COMPLIANCE_TOLERANCE = 1e-6
+# [rad per sample] From 0 to here |L| is bounded: 2^-20 of the Nyquist frequency, 0.7
+# mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its value at the crossover; or a twentieth
+# of the rate of a mode that is slower than that.
 _LOWEST, _SLOWEST = 2.0**-20 * math.pi, 0.05
 
 
@@ -125,7 +124,8 @@ class Statement:
     stiffness: float  # c [N·m/rad]
     damping_order: float  # α
     mode_damping: float  # ζ of the second mode
-    # [kg], at which the middle link has the resonance that the limits were made for
+    # payload [kg] at which the middle link has the resonance from which the limits were
+    # derived
     nominal_payload: float
     decay: float  # B [1/s]; 0 for the ideal loop
     payload_low: float  # [kg]
@@ -138,7 +138,8 @@ class Statement:
     order_high: float
     damping_low: float  # μ
     damping_high: float
-    gauge_gain_low: float  # measured over true torque, with what the stiffness is off
+    # gain of measured over true torque, including the error of the stiffness
+    gauge_gain_low: float
     gauge_gain_high: float
     gauge_delay_low: float  # [s]
     gauge_delay_high: float
@@ -151,15 +152,15 @@ class Statement:
     gain_low: float  # A [rad/(V s²)]; 0 for the ideal loop
     gain_high: float
     modulus: float
-    lowest: float  # [rad/s]: below it |L| is bounded, above it the tree takes over
+    lowest: float  # [rad/s]: below it |L| is bounded, above it the tree applies
     linear_range: (
-        float  # [rad]: tip errors up to it meet none of the limits of the command
+        float  # [rad]: tip errors up to it stay below all limits of the command
     )
     angle: float  # [rad]: moves up to it, and to the next two, trip no guard
     velocity: float  # [rad/s]
     acceleration: float  # [rad/s²]
     friction: float  # Coulomb friction of the motor [V]
-    coupling: float  # 1/(K n): what compensates the coupling torque [V/(N·m)]
+    coupling: float  # 1/(K n), the compensation of the coupling torque [V/(N·m)]
 
     @property
     def sentence(self) -> str:
@@ -168,7 +169,7 @@ class Statement:
         |1 + L| > m leaves a phase margin above 2 asin(m/2) and a gain margin above
         1/(1 − m); the arms of `intervals` lie inside the claim.
         """
-        # Downwards: a digit that is rounded up would claim what is not proved.
+        # Rounded downwards: rounding up would claim more than is proved.
         modulus = math.floor(1e3 * self.modulus + 1e-9) / 1e3
         angle = math.degrees(2.0 * math.asin(min(1.0, 0.5 * modulus)))
         factor = (
@@ -292,7 +293,8 @@ class Statement:
             statement = Statement(**values)
             if statement.to_json() != data:
                 raise ValueError("other fields")
-            _ = statement.coefficients  # a block that cannot be read is found here
+            # a block that cannot be read raises its error here
+            _ = statement.coefficients
         except (
             KeyError,
             TypeError,
@@ -368,7 +370,7 @@ class Certificate:
             Row("sha256", "", self.sha256 if self.passed else None),
         )
         return Overview(
-            # The sign before the headline says "failed" already.
+            # The sign before the headline already says "failed".
             self.sentence.removeprefix("Not certified: "),
             state_of(self.passed),
             rows,
@@ -441,8 +443,8 @@ def _damaged(field: str, value: object, allowed: str) -> FileFormatError:
 
 
 def _check_law(law: Law, model: LinkModel) -> None:
-    """FieldError where the law's gauge or its limits are not those of the link that the
-    claim is about.
+    """FieldError if the law's gauge or its limits do not belong to the link of the
+    claim.
     """
     c = law.coefficients
     deflection = float(c["compliance"]) * model.stiffness  # type: ignore[arg-type]
@@ -460,8 +462,8 @@ def _check_law(law: Law, model: LinkModel) -> None:
 
 
 def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox) -> None:
-    """FieldError where the formulas of the proof do not describe the arm, with what
-    would make them.
+    """FieldError where the formulas of the proof do not describe the arm, with the
+    remedy.
     """
     if box.order[1] >= 2.0 and not box.damping[0]:
         raise FieldError(
@@ -506,7 +508,7 @@ def state(
     """
     _check_provable(law, model, rig, box)
     _check_law(law, model)
-    # A pole outside the unit circle is refused where the proof begins.
+    # A pole outside the unit circle is rejected when the proof begins.
     gaps = [1 - abs(p) for p, _ in modes_of(law.coefficients) if abs(p) < 1]
     ideal, ratio = law.motor_loop is None, box.motor_ratio
     motor_loop = "ideal" if ideal else "sampled"
@@ -558,8 +560,9 @@ def state(
 
 
 def _moves(model: LinkModel, rig: Rig) -> dict[str, float]:
-    """Two thirds of the largest move that the guards were made for: the rest is room for
-    payloads and vibration; and no more torque than gauge and person allow.
+    """Two thirds of the largest move for which the guards were derived; the rest is a
+    margin for payloads and vibration. The torque stays within the limits of the gauge
+    and of the user.
     """
     moves, resonance = rig.moves, abs(model.pole)
     bend = abs(1 / model.tip()(1j * resonance) - 1) / resonance**2

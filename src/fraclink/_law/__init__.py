@@ -1,5 +1,5 @@
-"""The control law: what is simulated is what is shipped (csrc/law.c), and these are its
-coefficients.
+"""The control law and its coefficients: the law that is simulated is the one that ships
+(csrc/law.c).
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The parameter block of law.c: what it is made of, its fields in their order, its
-bytes, and its modes.
+"""The parameter block of law.c: its contents, the order of its fields, its bytes, and
+its modes.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ COUNTS = (
     "frozen_limit",
     "block_limit",
 )
-# Name and length of every real field, in the order of law.h; a test reads law.h and
-# compares. Modes lie as (pole, gain), pairs as (pole, turn, gain, cross).
+# Name and length of every real field in the order of law.h; a test compares them with
+# law.h. Modes are stored as (pole, gain), pairs as (pole, turn, gain, cross).
 REALS: tuple[tuple[str, int], ...] = (
     ("period", 1),
     ("compliance", 1),
@@ -115,7 +115,7 @@ REALS: tuple[tuple[str, int], ...] = (
     ("scale_step", 1),
 )
 _NAMES = [name for name, _ in REALS]
-# What the motor loop reads; the first nine make the PID.
+# The fields of the motor loop; the first nine are the PID.
 MOTOR_LOOP = tuple(
     _NAMES[_NAMES.index("inner_direct") : _NAMES.index("coulomb_slope") + 1]
 )
@@ -132,7 +132,7 @@ def real_type(precision: Precision) -> Literal["f", "d"]:
 def _format(precision: Precision) -> str:
     reals = sum(length for _, length in REALS)
     body = len(COUNTS) * 4 + reals * struct.calcsize("<" + real_type(precision))
-    # The struct ends on the alignment of its largest member.
+    # The size of the struct is a multiple of the alignment of its largest member.
     return f"<{len(COUNTS)}I{reals}{real_type(precision)}{-body % struct.calcsize(real_type(precision))}x"
 
 
@@ -152,8 +152,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
                 allowed=f"at most {length}",
                 remedy="ask for a lower order",
             )
-        # A mode with gain 0 adds nothing, so shorter lists are padded and the counts
-        # spare the arithmetic.
+        # A mode with gain 0 adds nothing, so shorter lists are padded with them; the
+        # counts keep them out of the arithmetic.
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:
@@ -167,7 +167,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
             remedy="use double",
         ) from error
     width, crc = (4 if precision == "single" else 8), zlib.crc32(body)
-    if crc == 0:  # the stamp of a state that was never started; one block in 4 billion
+    # 0 marks a state that was never started; one block in 4 billion has this CRC
+    if crc == 0:
         raise FieldError(
             "law",
             0,
@@ -251,10 +252,10 @@ class Tracking:
     The tip then follows the reference as the motor follows its own (`MotorModel`).
     """
 
-    # mass that the feed-forward was made for, with the link's own where its model has
-    # it [kg]
+    # mass [kg] for which the feed-forward was made, including the link's own if its
+    # model has it
     nominal: float
-    link: float  # what the link itself weighs, taken to the tip [kg]
+    link: float  # equivalent mass of the link at the tip
     gauge_delay: float = 0.0  # [s]
     gauge_gain: float = 1.0
 
@@ -297,8 +298,8 @@ def block_values(
             | (STOP_RINGING if limits.stop_ringing else 0),
             "period": period,
             "compliance": 1 / stiffness,
-            # Infinite where there is no gauge: a block holds finite numbers, and no
-            # torque is looked at then.
+            # Infinite without a gauge; but a block holds finite numbers, and no torque
+            # is read then.
             "stiffness": stiffness if math.isfinite(stiffness) else 0.0,
             "motor_now": motor.now,
             "motor_next": motor.next,
@@ -335,7 +336,7 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
 
 
 def _tracking(tracking: Tracking | None, period: float) -> dict[str, float]:
-    """Without tracking the payload's limit is 0, and none of these is read."""
+    """Without tracking, the payload limit is 0 and none of these is used."""
     t = tracking or Tracking(nominal=1.0, link=0.0)
     keep = math.exp(-period / t.gauge_delay) if t.gauge_delay > 0 else 0.0
     return {
@@ -354,13 +355,14 @@ def _motor_loop(
     loop = motor_loop.pid
     friction = motor_loop.coulomb_voltage
     if pole > 0:
-        # The motor follows at the reference's largest speed with the loop's lag, and a
-        # model's error behind.
+        # At the largest speed of the reference the motor lags by the loop's lag, plus
+        # the error of its model.
         error = (
             2 / (pole * loop.period) + 1.5
         ) * limits.motor_step + limits.residual_angle
         credible = loop.direct * error
-    else:  # no motor: the largest error, and as much again that the integral holds against it at the limit
+    # no motor: the largest error, plus the same again held by the integral against it
+    else:
         error = limits.motor_limit + limits.angle_limit
         credible = (
             2 * error * (loop.direct + 2 * loop.integral_gain * loop.integral_now)
@@ -382,8 +384,8 @@ def _motor_loop(
         motor_loop.voltage_limit,
         motor_loop.torque_voltage,
         friction,
-        # The slope of the sign that is softened, in reference angle a period; 0 without
-        # friction compensates none.
+        # The slope of the softened sign function, per reference angle in a period; 0
+        # without friction compensation.
         1 / (motor_loop.coulomb_speed * loop.period)
         if motor_loop.coulomb_voltage > 0
         else 0.0,
@@ -391,7 +393,7 @@ def _motor_loop(
     return dict(zip(MOTOR_LOOP, values, strict=True))
 
 
-# [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
+# [rad]: a law whose limits act on errors below 10 µrad would never correct anything
 LEAST_RANGE = 1e-5
 
 
@@ -405,7 +407,8 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
     ]
     for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):
         if g or x:
-            # The block holds c of ½(c/(z − q) + c̄/(z − q̄)): each of the two has half.
+            # The block stores c of ½(c/(z − q) + c̄/(z − q̄)): each fraction has half
+            # of it.
             pole, gain = complex(re, im), complex(g, x) / 2
             found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
     return found

@@ -1,4 +1,4 @@
-"""What a design is asked for, and what it is: `Specification` and `Design`."""
+"""A design and its requirements: `Specification` and `Design`."""
 
 from __future__ import annotations
 
@@ -210,7 +210,8 @@ class Design(Saved):
         if late and late[0] > 0.0:
             parts.append(f"stays stable with {quantity(late[0], 'ms', 2)} more delay")
         parts += [f"missed: {requirement}" for requirement in self.missed]
-        # The two that were asked for are met exactly; what else may give way first?
+        # Crossover and phase margin are met exactly; the sentence names the tightest of
+        # the others.
         others = [
             r
             for r in self.requirements
@@ -237,8 +238,8 @@ class Design(Saved):
             Row("notch", "notch", c.notch and c.notch.frequency, "rad/s"),
             Row("gain_crossover_upper", "ω̄_c", self.gain_crossover_upper, "rad/s"),
         )
-        # A doubt about the input outweighs requirements that are met, for they are met
-        # by a model in doubt; one that is missed fails whatever the input.
+        # A doubt about the input outranks requirements that are met, because they are
+        # met by a doubtful model; a missed one fails in any case.
         state = "failed" if self.missed else "not shown" if self.doubts else "passed"
         return Overview(
             self.sentence,
@@ -278,7 +279,7 @@ class Design(Saved):
         """Return the design with the errors among `findings`, such as those of the fit
         that it rests on.
         """
-        # Errors only: a warning of a fit is the fit's to report. Each once.
+        # Errors only, each once: its warnings belong to the report of the fit.
         return replace(
             self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings)))
         )
@@ -333,8 +334,8 @@ class Design(Saved):
         """Return what the law sees from its motor reference to the tip estimate,
         exactly sampled.
         """
-        # ω₀ alone: the plant knows no payload, and a design for ω₀ in its own right has
-        # none to be converted.
+        # ω₀ alone: the plant has no payload, and a design for a given ω₀ has none to be
+        # converted.
         link = replace(
             self.model, natural_frequency=_checked_frequency(natural_frequency)
         )
@@ -401,12 +402,12 @@ class Design(Saved):
         try:
             margin, modulus = law_rows(self)
         except FieldError as error:
-            # "order" is the field of `modes_from`, for a fit of more modes than law.c
-            # holds; any other fault is the caller's.
+            # `modes_from` raises "order" if the fit has more modes than law.c can hold;
+            # any other error belongs to the caller.
             if error.field != "order":
                 raise
             findings = tuple(dict.fromkeys((*findings, no_law(error))))
-        # Asked twice, it is still one requirement each.
+        # Applied twice, each is still a single requirement.
         others = [
             item
             for item in self.requirements
@@ -417,12 +418,10 @@ class Design(Saved):
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:
-    """Raise FieldError where `response` does not turn frequencies into as many complex
-    values.
-    """
+    """Raise FieldError if `response` does not return one complex value per frequency."""
     try:
-        # Tried on two frequencies: a function of one number would fail deep inside the
-        # search for margins.
+        # Tested with two frequencies: a function of a single number would fail deep
+        # inside the margin search.
         shape = np.asarray(response(np.array([1.0, 2.0])), dtype=np.complex128).shape
     except (TypeError, ValueError):
         shape = ()

@@ -1,4 +1,4 @@
-"""From the designed controller to the law at its period."""
+"""Discretisation of the designed controller as a law at its period."""
 
 from __future__ import annotations
 
@@ -50,27 +50,28 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-# A slow pole must not round to an integrator.
+# A slow pole must not round to 1, an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
-# [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the
+# [rad/s]: below it Ĉ is under 1e-2 of its value at the crossover, and C is 1 within the
 # tolerance
 LOWEST = 0.05
-STICTION = (
-    3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
-)
-# [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
+# largest multiple of the Coulomb friction: a motor that sticks beyond it has a fault
+STICTION = 3.0
+# [rad/s]: with a wider band friction stops small corrections, with a sharp sign the
+# voltage chatters
 COULOMB_SPEED = 0.02
-# Around the crossover an error of C counts this many times over |1 + Ĉ|/|Ĉ|: 0.5° of C
-# is 1.2° of the margin where |Ĉ| is 0.4, a third of 0.5° of Ĉ is 0.2°. The largest that
-# C's 0.1 dB leaves room for is taken.
+# Weight of an error of C around the crossover, over |1 + Ĉ|/|Ĉ|: an error of 0.5° of C
+# changes the margin by 1.2° where |Ĉ| is 0.4; a third of 0.5° of Ĉ changes it by 0.2°.
+# The largest weight that keeps C within 0.1 dB is used.
 EMPHASES = (3.0, 2.0, 1.0)
-# either side of the nominal crossover: a factor of 5 in ω_c is one of 15 and more in
-# payload
+# factor on either side of the nominal crossover: a range of 5 in ω_c is one of 15 or
+# more in payload
 REACH = 2.5
-# of the relative tolerance of Ĉ in its notch, 0.1 dB and 0.5°: a dB is enough there
+# weight of the relative error of Ĉ inside its notch, relative to 0.1 dB and 0.5°: 1 dB
+# is enough there
 _NOTCHED = 0.1
-STATES = 6  # spent on the margin at most; more only where C itself needs them
-MOST_STATES = 8  # what law.c holds
+STATES = 6  # largest number spent on the margin; more only where C itself needs them
+MOST_STATES = 8  # capacity of law.c
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
 
 
@@ -138,7 +139,8 @@ def discretize_controller(
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = forward_fit(model, period)
-    # Without one of its own: the paper's motor loop and its one period of computation.
+    # A controller without a motor loop gets the paper's, with one period of
+    # computation.
     settings = controller.motor_loop or MotorLoop()
     modes = modes_from("link.order", forward, FORWARD_MODES, 0)
     loop = following(
@@ -168,7 +170,9 @@ def discretize_controller(
 
 
 class _Designed(Protocol):
-    """What a design has: its controller, and the arm it was designed for."""
+    """The fields of a design that are used here: its controller, and the arm it was
+    designed for.
+    """
 
     @property
     def controller(self) -> Controller: ...
@@ -324,7 +328,7 @@ def discrete_motor_loop(
         pid=pid,
         voltage_limit=min(
             motor.voltage_limit, 1e4
-        ),  # a block holds finite numbers; 10 kV is no limit
+        ),  # a block holds finite numbers; 10 kV never limits anything
         torque_voltage=1 / (motor.torque_constant * motor.gear_ratio * link.gauge_gain)
         if helps
         else 0.0,
@@ -344,8 +348,8 @@ def _check_period(controller: Controller, period: float) -> None:
             allowed=f"{designed} s",
             remedy="design again for this period, or use controller.period",
         )
-    # The fit's band begins at LOWEST: five times that must lie below the Nyquist
-    # frequency.
+    # The band of the fit begins at LOWEST; five times that frequency must lie below the
+    # Nyquist frequency.
     if period > 0.2 * math.pi / LOWEST:
         raise FieldError(
             "period",
@@ -358,9 +362,10 @@ def _check_period(controller: Controller, period: float) -> None:
 
 def _band(controller: Controller, period: float) -> tuple[float, float]:
     nyquist = math.pi / period
-    # 600 rad/s is 0.764 of the Nyquist frequency at the paper's 4 ms. To 0.95 of it
-    # eight states err four times as much. Without a filter |Ĉ| grows on: a band to 600
-    # rad/s leaves 0.2 to 0.5 dB where one to 300 keeps 0.1 dB with six to eight states.
+    # 600 rad/s is 0.764 of the Nyquist frequency at the paper's 4 ms. With a band up to
+    # 0.95 of it, the error of eight states is four times as large. Without a filter |Ĉ|
+    # keeps growing: a band up to 600 rad/s leaves 0.2 to 0.5 dB, one up to 300 stays
+    # within 0.1 dB with six to eight states.
     high = (
         min(600.0, 0.764 * nyquist)
         if controller.is_strictly_proper
@@ -381,8 +386,8 @@ def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Mod
             allowed=f"{reals} real modes and {pairs} pairs",
             remedy="ask for a lower order",
         )
-    # In an order of their own, so that one controller gives one block, and one digest,
-    # whatever order the fit ends in.
+    # Sorted, so that a controller gives the same block, and the same digest, whatever
+    # order the fit ends in.
     slowest_last = np.argsort(fit.decays)
     return Modes(
         _single(fit.feedthrough),
@@ -394,14 +399,14 @@ def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Mod
 
 
 def _single(value: float) -> float:
-    """The nearest number of single precision: both precisions then run the same filter,
-    and what a double simulation shows differs from the board by rounding alone.
+    """The nearest single-precision number: both precisions then run the same filter,
+    and a double-precision simulation differs from the board by rounding alone.
     """
     return float(np.float32(value))
 
 
-# The design's margins, moves, arms and certificate ask for the same law in turn: five
-# fits of 0.05 to 0.2 s.
+# The margins, moves, arms and certificate of a design all need the same law: five fits
+# of 0.05 to 0.2 s each.
 @lru_cache(maxsize=64)
 def fit_correction(
     controller: Controller,
@@ -442,18 +447,18 @@ def fit_correction(
     if first is not None and _is_met(first):
         return first
     plain = fit(None, MOST_STATES)
-    # An emphasis is a weight of one or more: it cannot meet what C alone misses by far.
-    # "By far", because the search is not global: on the paper's link at 16 rad/s and
-    # 50° it finds 0.11 dB with 6 states and an emphasis of 1, and without one 0.14 dB
-    # with 7.
+    # An emphasis is a weight of at least one, so it cannot succeed where C alone fails
+    # clearly. "Clearly", because the search is not global: on the paper's link at 16
+    # rad/s and 50° it finds 0.11 dB with 6 states and an emphasis of 1, and 0.14 dB
+    # with 7 states without one.
     if inside and _is_met(plain, slack=1.2):
         for emphasis in EMPHASES[1:]:
             if _is_met(found := emphasised(emphasis, STATES)):
                 return found
     if _is_met(plain):
         return plain
-    # Nothing meets C everywhere: then where the loop crosses counts more than the end
-    # of the band.
+    # No fit meets the tolerance of C everywhere: the crossover then counts more than
+    # the end of the band.
     near = (
         first
         if first is not None and order is not None
@@ -477,8 +482,8 @@ def _weight(
         relative = np.abs(1.0 + correction) / np.abs(correction)
         value = np.where(near, np.maximum(1.0, emphasis * relative), 1.0)
         if controller.notch is not None:
-            # C is one there, whatever Ĉ is: what the notch takes off would be lost in
-            # the tolerance of C.
+            # C is close to 1 in the notch, whatever Ĉ is: the attenuation of the notch
+            # would be lost within the tolerance of C.
             depth = np.exp(controller.notch.log(frequency).real)
             value = np.where(depth < 0.5, np.maximum(value, _NOTCHED * relative), value)
         return value
@@ -497,13 +502,13 @@ def _about_notch(controller: Controller, band: tuple[float, float]) -> Real:
 
 
 def _crossover(controller: Controller, link: LinkModel) -> float:
-    """Where |Ĉ G| last falls through one [rad/s]; the link's resonance where it never
-    does.
+    """Highest frequency at which |Ĉ G| falls through 1 [rad/s]; the link's resonance if
+    it never does.
     """
     resonance = abs(link.pole)
     w = resonance * np.geomspace(0.2, 30.0, 500)
-    # On a grid of 1 %: the place is the middle of a factor of 2.5 either way, and a few
-    # per cent of it move no fit.
+    # On a grid of 1 %: the crossover is the centre of a band of a factor of 2.5 either
+    # way, so a few per cent do not affect the fit.
     above = np.abs(controller.response(w) * link.tip()(1j * w)) > 1.0
     falls = np.nonzero(above[:-1] & ~above[1:])[0]
     return float(w[falls[-1]]) if falls.size else resonance

@@ -3,11 +3,12 @@ signals.
 
 A bank of models, one for each of a row of payloads, predicts the torque from the motor
 angle. Model k is a vibration and one real mode, B_k(z)(1 − z⁻¹)/A_k(z), fitted to the
-fractional Γ/θm over what a move excites; its error is seen through A_k/C_k, whose C_k
-forgets within half a vibration. For a gauge of gain 1 + x and offset y the error is e =
-u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least squares over x and y,
-with what the rig says of the gain, gives the model's cost, and the parabola through the
-costs of three neighbours the payload and its variance.
+fractional Γ/θm over the frequencies that a move excites; its error is filtered by
+A_k/C_k, whose C_k forgets within half a vibration. For a gauge of gain 1 + x and offset
+y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least
+squares over x and y, with the rig's uncertainty of the gain, gives the cost of the
+model. The parabola through the costs of three neighbouring models gives the payload and
+its variance.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ __all__ = [
 Real = NDArray[np.float64]
 
 VERSION, MODELS = 1, 14
-# Names in the order of payload_estimator.h; a test reads that file and compares.
+# Names in the order of payload_estimator.h; a test compares them with that file.
 HEADER = ("version", "size", "precision", "crc")
 COUNTS = ("together", "chunk", "quiet_limit", "gap_limit")
 REALS = (
@@ -70,47 +71,44 @@ REALS = (
 )
 MODEL = ("a1", "a2", "a3", "b0", "b1", "b2", "c1", "c2", "c3", "rest", "mass")
 
-# What follows was found on the twin of the geared rig, 8 to 80 g
+# The following values were determined on the twin of the geared rig, 8 to 80 g
 # (benchmarks/bench_estimator.py).
-LIGHTEST, HEAVIEST = (
-    0.25,
-    1.15,
-)  # of the lightest payload designed for, and of the law's largest
-TURN = (
-    0.5  # of the lightest payload's vibration in a sample [rad]: 12 samples a vibration
-)
-# damping ratio of C; 0.25 is hardly more exact and forgets a start in motion later
+# relative to the lightest payload of the design, and to the largest of the law
+LIGHTEST, HEAVIEST = (0.25, 1.15)
+# phase of the lightest payload's vibration per sample [rad]: 12 samples per vibration
+TURN = 0.5
+# Damping ratio of C; 0.25 is hardly more accurate and takes longer to forget a start in
+# motion.
 FORGETTING = 0.35
-# its real pole over the vibration's frequency: at 0.3 two estimates in a hundred were
-# 20 % off
+# The real pole of C relative to the frequency of the vibration: at 0.3 two estimates in
+# a hundred were 20 % off.
 SLOW = 1.0
-HIGHEST = (
-    3.0  # of each model's own frequency: what a move excites above is the second mode's
-)
-NOISE_GAIN = 0.003  # weight of the encoder's counts in the fit of the models
-MEMORY = 0.5  # [s] of motion that the estimate remembers
-GAIN_DOUBT = (
-    0.05  # standard deviation of a gauge's gain that no identified interval states
-)
+# Upper end of the fit relative to each model's own frequency: above it a move excites
+# the second mode.
+HIGHEST = 3.0
+NOISE_GAIN = 0.003  # weight of the encoder's quantisation in the fit of the models
+MEMORY = 0.5  # [s] of motion used by the estimate
+# standard deviation of the gauge's gain if no identified interval states it
+GAIN_DOUBT = 0.05
 LEAST_GAIN_DOUBT = 0.03
-NOT_STATED = (
-    0.01  # of the largest credible torque: noise of a gauge whose rig states none
-)
-OFFSET_DOUBT = (
-    0.1  # of the largest credible torque: the offset before the arm has stood still
-)
-MOVED = 4.0  # standard deviations of a sample beyond which a torque is motion
-# a fifth of the torque: no right model errs by more; a payload that is half or twice
-# does
+# noise of a gauge if the rig states none, relative to the largest credible torque
+NOT_STATED = 0.01
+# offset before the arm has stood still, relative to the largest credible torque
+OFFSET_DOUBT = 0.1
+MOVED = 4.0  # standard deviations of a sample: a larger torque counts as motion
+# Square of the relative error of the torque, a fifth: the right model never has a
+# larger error, one for half or twice the payload does.
 SURPRISE = 0.05
-CONTACT = 0.01  # a tenth: the best of all models errs by less, whatever the payload
-# the errors of a right model are smaller than the gauge's noise: the filter takes its
-# band out
+# square of a tenth: the best of all models has a smaller error, whatever the payload
+CONTACT = 0.01
+# The errors of a right model are smaller than the noise of the gauge, because the
+# filter removes a part of its band.
 SPREAD = 0.4
-DOUBT = 0.005  # relative error of a mass that the models themselves make
-# relative standard deviation up to which an estimate serves the law better than none
+DOUBT = 0.005  # relative error of a mass caused by the models themselves
+# Largest relative standard deviation at which an estimate is better for the law than
+# none.
 NARROW = 0.09
-QUIET = 0.12  # [s] without motion until the estimate is frozen
+QUIET = 0.12  # [s] without motion before the estimate is frozen
 
 
 class Estimates(NamedTuple):
@@ -326,8 +324,8 @@ def payload_estimator(
         )
     nominal, own = masses_of(link, rig)
     largest = law.limits.payload_limit
-    # Evenly in ln m, as the frequency goes with m^(−1/2): neighbours differ by the same
-    # ratio everywhere, and the interpolation between them errs by the same share.
+    # Evenly spaced in ln m, since the frequency varies with m^(−1/2): the ratio between
+    # neighbours is constant, and so is the relative error of the interpolation.
     masses = np.geomspace(
         LIGHTEST * payloads[0] + own, HEAVIEST * largest + own, MODELS
     )
@@ -335,8 +333,8 @@ def payload_estimator(
         replace(link, natural_frequency=link.natural_frequency * math.sqrt(nominal / m))
         for m in masses
     ]
-    # The lightest payload vibrates fastest: its vibration sets how many periods may be
-    # added up to one sample.
+    # The lightest payload vibrates fastest; its vibration limits how many periods may
+    # be combined into one sample.
     together = max(1, int(TURN / (abs(links[0].pole) * law.period)))
     sample = together * law.period
     values = _values(rig, law, together, doubt, own, payloads)
@@ -344,8 +342,8 @@ def payload_estimator(
         period=law.period,
         precision=law.precision,
         together=together,
-        # Rounded up: all models are up to date when the next sample is whole, and no
-        # period has more work than another.
+        # Rounded up: all models are up to date when the next sample is complete, and
+        # the work is the same in every period.
         chunk=-(-MODELS // together),
         quiet_limit=max(2, round(QUIET / sample)),
         gap_limit=max(2 * together, 8),
@@ -374,14 +372,14 @@ def _values(
     payloads: Sequence[float],
 ) -> dict[str, float]:
     limit = law.limits.torque_limit
-    # A converter's rounding is noise of its step/√12 beside the gauge's own.
+    # The rounding of a converter is a noise of its step/√12 in addition to the gauge's
+    # own.
     noise = (
         math.hypot(rig.gauge.noise, rig.gauge.quantum / math.sqrt(12))
         or NOT_STATED * limit
     )
     variance = noise**2 / together
-    # Of what was learnt before: it fades as fast in time, however many periods make a
-    # sample.
+    # Past data fades at the same rate in time, however many periods make up a sample.
     keep = math.exp(-together * law.period / MEMORY)
     return {
         "angle_limit": law.limits.angle_limit,
@@ -389,12 +387,12 @@ def _values(
         "torque_moved": MOVED * math.sqrt(variance),
         "variance": variance,
         "gain_weight": variance / gain_doubt**2,
-        # Wide on purpose: until the arm has stood still nobody knows the offset, and it
-        # must not pass for a payload.
+        # Wide on purpose: until the arm has stood still the offset is unknown, and it
+        # must not be taken for a payload.
         "offset_variance": (OFFSET_DOUBT * limit) ** 2,
         "keep": keep,
-        # a filter that forgets within half a vibration gives back at most twice what it
-        # is given
+        # a filter that forgets within half a vibration has an output of at most twice
+        # its input
         "sum_limit": (2 * limit) ** 2 / (1 - keep),
         "surprise": SURPRISE,
         "contact": CONTACT,
@@ -414,20 +412,20 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     """One row of the bank without its mass: A, B and C at samples of `sample` [s], and
     A(1)/C(1).
 
-    A and B are the linear least squares of B/C = (A/C) Γ/θm at frequencies weighted as
-    a move excites them.
+    A and B are the linear least squares solution of B/C = (A/C) Γ/θm at frequencies
+    weighted by the spectrum of a move.
     """
     pole = link.pole
     fast = np.exp(
         abs(pole) * complex(-FORGETTING, math.sqrt(1 - FORGETTING**2)) * sample
     )
     slow = math.exp(-SLOW * abs(pole) * sample)
-    # C, by which both sides are filtered: what is left of the start, and of an old
-    # payload, dies as fast as its poles; without it the equation would be fitted to
-    # noise that A differentiates.
+    # C filters both sides: the rest of the start, and of an earlier payload, decays
+    # with its poles. Without it the equation would be fitted to noise that A
+    # differentiates.
     below = np.convolve([1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -slow])
     w = np.linspace(0.05, HIGHEST, 120) * abs(pole)
-    # Beyond the samples' Nyquist frequency the table would be fitted to an alias.
+    # Beyond the Nyquist frequency of the samples the table would be fitted to an alias.
     w = w[w < 0.9 * math.pi / sample]
     torque = link.torque()(1j * w)
     if link.second_mode is not None:
@@ -441,8 +439,7 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
         abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
     )
     noise = NOISE_GAIN * (1 - high) / np.polyval(below[::-1], high)
-    # B has a zero at z = 1: a motor that has been turned and holds still causes no
-    # torque.
+    # B has a zero at z = 1: a motor at rest causes no torque, whatever its angle.
     columns = [
         np.concatenate([(1 - back) * back**i * weight, noise * high**i])
         for i in range(3)

@@ -4,9 +4,9 @@ filter.
 law.c computes θm* = θt* + Ĉ(z) (θt* − θte) and u = P(z) (θm* − θm). A law without a
 gauge has θte = θm, so that u = P(z) (1 + Ĉ(z)) (θt* − θm): with the measurement y in
 place of θm and the reference r in place of θt* this is a controller of the error r − y.
-P = k_P + k_I T (z + 1)/(2 (z − 1)) has the integral action, exactly and with the
-anti-windup of law.c; what is left of C is 1 + Ĉ = C/P, which is 1 at rest: s^(−λ)
-becomes s^(−1) s^(1−λ), and the second factor is a filter like that of every other law.
+P = k_P + k_I T (z + 1)/(2 (z − 1)) provides the integral action, exactly and with the
+anti-windup of law.c. The rest of C is 1 + Ĉ = C/P, which is 1 at rest: s^(−λ) becomes
+s^(−1) s^(1−λ), and the second factor is a filter like that of every other law.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ __all__ = ["discretize_pid", "pid_response"]
 
 Complex = NDArray[np.complex128]
 
-# Below the band's lower end ω_b the integral is the integer one of k_I = k_i
-# (ω_b/3)^(1−λ): where the two meet the phase turns by 90° (1 − λ), and a third of ω_b
-# leaves the band itself out of that.
+# Below ω_b/3, where ω_b is the lower end of the band, the integral is an integer one
+# with k_I = k_i (ω_b/3)^(1−λ). The phase turns by 90° (1 − λ) where the two meet; the
+# factor of 3 keeps this out of the band itself.
 JOINT = 3.0
-DECADES = (
-    4.0  # of the default band: 8 states follow s^(1−λ) over as many to the tolerance
-)
+# length of the default band: 8 states represent s^(1−λ) over this many decades within
+# the tolerance
+DECADES = 4.0
 Range = Annotated[float, Between(0.0, 1e6, low_open=True)]
 
 
@@ -106,26 +106,26 @@ def discretize_pid(
     reach = _band(period) if band is None else checked_band(band, period)
     base = _integer_part(controller, period, reach)
 
-    # A proportional controller is P itself: there is nothing to fit, and no relative
-    # error of nothing.
+    # A proportional controller is P itself: there is nothing to fit, and a relative
+    # error of 0 is undefined.
     correction, errors = Modes(0.0), (0.0, 0.0)
     if controller.integral or controller.derivative:
         correction, errors = _fitted(controller, base, period, reach, order)
-    # No friction and no coupling torque: the plant is nobody's motor. The speed of 1
-    # divides nothing then.
+    # No friction and no coupling torque, since the plant is not a motor. The speed of 1
+    # only avoids a division by zero.
     motor_loop = DiscreteMotorLoop(
         base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0
     )
     return Law(
         period=period,
         precision=precision,
-        # A compliance 1/c of zero takes the torque out of the tip estimate: θte = θm,
+        # A compliance 1/c of zero removes the torque from the tip estimate: θte = θm,
         # the measurement.
         stiffness=math.inf,
         correction=correction,
         feedforward=Modes(0.0),
         motor_loop_pole=0.0,
-        motor_model=MotorModel(0.0, 0.0, 0.0),  # nobody's motor: it stands still
+        motor_model=MotorModel(0.0, 0.0, 0.0),  # no motor: its model stands still
         limits=_limits(correction, measurement_limit),
         motor_loop=motor_loop,
         correction_error=errors,
@@ -146,8 +146,8 @@ def _fitted(
     def rest(frequency: NDArray[np.float64]) -> Complex:
         return controller.response(frequency) / _response(base, frequency) - 1.0
 
-    # 1 + Ĉ = C/P is 1 at rest only where P has the whole of C's integral: the zero at z
-    # = 1 is Ĉ's, and an error that lasts meets the integer integral alone.
+    # 1 + Ĉ = C/P is 1 at rest only if P has the entire integral of C: Ĉ has a zero at z
+    # = 1, and a lasting error only reaches the integer integral.
     fit = fit_discrete(
         rest,
         period=period,
@@ -189,7 +189,7 @@ def _integer_part(
 ) -> DiscretePid:
     """P(z): k_P, and the integral that continues k_i/s^λ below the band."""
     joint = band[0] / JOINT
-    # k_i/s^λ and k_I/s have one size at the joint: |k_i ω^(−λ)| = k_I/ω there.
+    # k_i/s^λ and k_I/s have the same magnitude at the joint: |k_i ω^(−λ)| = k_I/ω.
     integral = controller.integral * joint ** (1.0 - controller.integral_order)
     if not (controller.proportional or integral):
         raise FieldError(
@@ -222,14 +222,14 @@ def _response(loop: DiscretePid, frequency: ArrayLike) -> Complex:
 
 
 def _limits(correction: Modes, reach: float) -> Limits:
-    """The guards of a loop of which nothing but the range of the measurement is known.
+    """The guards of a loop of which only the range of the measurement is known.
 
-    Errors are within 2Y. By the l1 norms of the filter's parts nothing that they can
-    make is limited; what compares a motor with its model (residual, frozen encoder) can
-    never act, and a torque, which a loop without a gauge does not have, is rejected
-    without any effect on the output.
+    Errors are within 2Y. The limits follow from the l1 norms of the parts of the
+    filter, so that no such error is limited. The guards that compare a motor with its
+    model (residual, frozen encoder) can never act, and a torque, which a loop without a
+    gauge does not have, is rejected without any effect on the output.
     """
-    # r and y of opposite signs are 2Y apart; a hundredth more, so that rounding in
+    # r and y of opposite signs differ by 2Y; one per cent is added so that rounding in
     # single precision trips nothing.
     error = 2.0 * reach * 1.01
     largest, gain = mode_norms(correction_values(correction))

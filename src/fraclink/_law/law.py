@@ -1,5 +1,5 @@
-"""The control law at its period: one frozen object, the same block of numbers that a
-board gets, one file.
+"""The control law at its period: a frozen object with the block of numbers that a board
+gets, in one file.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class LawOutputs(NamedTuple):
 
 
 def _complex_text(value: complex) -> str:
-    """A pole or gain, and of a pair both."""
+    """A pole or gain as text; for a pair, both of them."""
     if not isinstance(value, complex):
         return number(value, 5)
     return f"{number(value.real, 5)} ± {number(abs(value.imag), 4)}j"
@@ -238,9 +238,9 @@ class Law(Saved):
     def block(self) -> bytes:
         """The parameter block of law.c, byte for byte."""
         made = layout.pack(self.values, self.precision)
-        # The struct is laid out twice, here and by the C compiler: a field that one of
-        # them lacks would shift all that follow, and the CRC, formed here, would not
-        # notice.
+        # The layout of the struct is defined twice, here and by the C compiler. A field
+        # missing in one of them would shift all fields after it, and the CRC, computed
+        # here, would not detect that.
         if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
             raise AssertionError("fraclink._law.block does not match csrc/law.h")
         return made
@@ -266,16 +266,17 @@ class Law(Saved):
 
     @cached_property
     def _filter(self) -> tuple[float, Complex, Complex, Complex, Complex]:
-        """(d, p − 1, g, those of the pairs) of the block: a design asks for its
-        response a thousand times.
+        """(d, p − 1, g and those of the pairs) of the block, cached: a design evaluates
+        its response a thousand times.
         """
         c = self.coefficients
-        # Taken from the block and not from `correction`: in single precision these are
-        # the board's numbers.
+        # Taken from the block instead of `correction`: in single precision these are
+        # the numbers on the board.
+        # the block's lists are padded with zeros
         n, m = (
             len(self.correction.poles),
             len(self.correction.pair_poles),
-        )  # the block's lists end in zeros
+        )
         poles, gains = np.asarray(c["real"]).reshape(-1, 2)[:n].T
         pole, turn, gain, cross = np.asarray(c["pair"]).reshape(-1, 4)[:m].T
         return (
@@ -366,8 +367,8 @@ class Law(Saved):
             [*four, np.broadcast_to(np.asarray(payload, dtype=float), count)]
         )
         numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
-        # The counter of a board wraps after 2³² periods; NumPy would refuse a negative
-        # number as unsigned.
+        # The counter of a board wraps after 2³² periods; NumPy would not accept a
+        # negative number as unsigned.
         numbers = np.ascontiguousarray(
             numbers.astype(np.int64) % 2**32, dtype=np.uint32
         )
@@ -439,5 +440,5 @@ class Law(Saved):
     @property
     def wiring_time(self) -> float:
         """A quarter of the link's vibration period [s]."""
-        # `block_limit` is one and a half times half a vibration.
+        # `block_limit` is 1.5 times half a vibration, in periods.
         return self.limits.block_limit * self.period / 3

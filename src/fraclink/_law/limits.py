@@ -1,5 +1,5 @@
-"""The law's guards: every threshold from the largest move, the design and the sensors,
-none guessed.
+"""The guards of the law: every threshold is derived from the largest move, the design
+and the sensors.
 """
 
 from __future__ import annotations
@@ -15,25 +15,30 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "derive_limits"]
 
-# times the nominal payload: more is a wrong unit, and beyond what bounds the torque
+# Multiple of the nominal payload: more is a wrong unit, and beyond the bounds of the
+# torque.
 LARGEST_SCALE = 4.0
-# [s] in which the scale of the feed-forward changes by 1: within a move, without a jump
+# [s] in which the scale of the feed-forward changes by 1: within a move, but without a
+# jump
 SCALE_TIME = 0.1
-# of 1/ω_resonance: the time constant with which a jump of the reference is followed
+# Time constant with which the law follows a jump of the reference, in units of
+# 1/ω_resonance.
 JUMP = 3.0
-# [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone
-# in a move
+# [s]: the correction fades slowly enough not to excite the link, and fast enough to be
+# gone within a move
 FADE_TIME = 0.2
-# periods with one reading of a gauge without delay that is not stuck: a stuck one is
-# found in 15 of an ordinary move, in which the model passes its torque in five
+# Periods with the same reading of a gauge without delay that is not stuck. In an
+# ordinary move the model passes the threshold torque within five periods, and a stuck
+# gauge is found in 15.
 STILL = 10
-# of a converter, where nobody states the gauge's quantum
+# resolution of a converter, where the quantum of the gauge is not stated
 CONVERTER_BITS = 12
-# of a gauge's range: an amplifier at its rail reads its limit, which is not credible
+# Share of the range of a gauge: a saturated amplifier reads its limit, which is not
+# credible.
 CREDIBLE_SHARE = 0.975
-# of the largest credible torque: a trip must lie below it to be seen
+# Share of the largest credible torque: a trip must lie below it to be detected.
 TRIP_SHARE = 0.9
-# [rad]: a twentieth of a radian, 3°: whoever stands beside the arm sees it swing
+# [rad]: about 3°, a swing that a person next to the arm can see
 SWING = 0.05
 
 
@@ -63,14 +68,14 @@ class Limits:
     stuck_torque: float
     wiring_energy: float
     swing_angle: float
-    # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
+    # 20 ms at 4 ms: three lost samples in a row are bridged, a broken wire is not
     bad_limit: int = 5
     missed_limit: int = 5
     residual_limit: int = 10
     stuck_limit: int = STILL
-    frozen_limit: int = (
-        8  # lost samples do not come in such rows, and a motor is not far by then
-    )
+    # lost samples do not come in such long rows, and the motor has not moved far by
+    # then
+    frozen_limit: int = 8
     block_limit: int = 100  # derived from the resonance
     stop_ringing: bool = False
 
@@ -100,52 +105,53 @@ def derive_limits(
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
     as it was placed, its delay included. Reasons stand beside each number in the source.
     """
-    # 1/G − 1 is what the motor must lead the tip by, and s² of it belongs to the
+    # 1/G − 1 is the lead of the motor over the tip; divided by s² it refers to the
     # acceleration.
     resonance = abs(link.pole)
     flexible = (
         abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
     )
-    # Twice: payloads beyond the nominal one bend the link more, and no limit may trip
+    # Doubled: payloads beyond the nominal one bend the link more, and no limit may trip
     # on them.
     torque = 2 * link.stiffness * flexible
-    # The law's own range is symmetric to the encoder's zero.
+    # The law's own range is symmetric about the encoder's zero.
     reach = moves.angle + abs(moves.centre)
     lag = loop.lag * period
-    # Reference, feed-forward and correction may each ask for the full speed at once.
+    # Reference, feed-forward and correction may each require the full speed at the same
+    # time.
     motor_step = 3 * moves.velocity * period
     torque_limit = min(4 * torque, CREDIBLE_SHARE * gauge_limit)
     error = lag * moves.velocity
-    # A link that vibrates swings back in half a period; what it is bent by for longer
-    # is an acceleration that the reference's speed, from one end to the other, leaves
-    # room for.
+    # A vibrating link swings back within half a period. A deflection that lasts longer
+    # is due to an acceleration, which is limited by the change of the reference's speed
+    # from one extreme to the other.
     held = 1.5 * math.pi / resonance
     slow = abs(1 / link.tip()(1j * math.pi / held) - 1) * (held / math.pi) ** 2
     block = (
         2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
     )
-    # at the full speed and acceleration of the command: a period that was missed, and
-    # what the model leaves out of the loop
+    # at the full speed and acceleration of the command: one missed period, and the part
+    # of the loop that the model leaves out
     residual = (
         (1 + loop.slow) * motor_step
         + 3 * loop.quick * moves.acceleration * period**2
         + 0.02
     )
-    # the motor can bend the link by its own step; a sample's noise is below 8
-    # deviations for centuries
+    # the link bends by at most the motor's own step; a sample of noise stays below 8
+    # standard deviations for centuries
     torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
     return Limits(
-        # what an offset that appears may ask for at once, on top of the feed-forward
+        # the largest sudden demand of a new offset, in addition to the feed-forward
         sum_limit=4 * flexible
         + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
         correction_limit=1.5
         * (
             error + 0.15
-        ),  # 0.15 rad: residual vibration and gauge offset on top of the lag
+        ),  # 0.15 rad: residual vibration and gauge offset in addition to the lag
         forward_limit=3
         * moves.velocity
-        / period,  # the states sum the acceleration, which sums to the speed
-        # The motor leads the tip by the flexion at both ends of a move.
+        / period,  # the states sum the acceleration up to the speed
+        # The lead of the motor over the tip is the flexion, at both ends of a move.
         angle_limit=reach + 2 * flexible,
         angle_step=2 * motor_step + 2 * encoder_resolution,
         torque_limit=torque_limit,
@@ -156,7 +162,7 @@ def derive_limits(
         reference_rate=-math.expm1(-resonance * period / JUMP),
         acceleration_limit=1.2 * moves.acceleration,
         payload_limit=LARGEST_SCALE
-        * (link.payload or 0.0),  # 0: a law that knows no payload takes none
+        * (link.payload or 0.0),  # 0: a law without a payload accepts none
         scale_step=min(1.0, period / SCALE_TIME),
         motor_limit=reach,
         motor_step=motor_step,
@@ -170,15 +176,15 @@ def derive_limits(
             + max(sticking, 4.5 * moves.acceleration * period**2),
         ),
         **_stuck(link, period, torque_limit, gauge_quantum),
-        # eight deviations of the tip's reading are no vibration
+        # eight standard deviations of the tip's reading are not yet vibration
         swing_angle=max(
             SWING if moves.vibration is None else moves.vibration,
             8 * gauge_noise / link.stiffness,
         ),
         stop_ringing=moves.vibration is not None,
         block_limit=max(5, round(held / period)),
-        # sum of squared motor steps whose torque stands 6 deviations above the noise of
-        # a torque step, and at least that of 0.1 rad in 25 periods
+        # sum of squared motor steps whose torque is 6 standard deviations above the
+        # noise of a torque step, at least that of 0.1 rad in 25 periods
         wiring_energy=max(
             (6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25
         ),
@@ -186,13 +192,14 @@ def derive_limits(
 
 
 def _stuck(link: LinkModel, period: float, largest: float, quantum: float) -> _Stuck:
-    """From which motion of the model on, and for how many periods in which the motor
-    turns, a gauge that stands still is stuck.
+    """The motion of the model, and the number of periods with a turning motor, from
+    which a constant reading means a stuck gauge.
 
-    A good one reads the same for its delay, and while the motor turns by less than a
-    quantum's worth, q/c. With the jerk j of the reference that takes (6q/cj)^(1/3),
-    when the model has c j/ω² of it in torque: for no j is that more than n periods after
-    the model passed 8q/(9n²ω²T²). Noise only moves the reading.
+    The reading of a sound gauge stays constant for its delay, and while the motor turns
+    by less than one quantum, q/c. With the jerk j of the reference this takes
+    (6q/cj)^(1/3); the torque of the model is then c j/ω² times that time. For no j is
+    this more than n periods after the model passed 8q/(9n²ω²T²). Noise only changes the
+    reading.
     """
     step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
     slow = 8 / (9 * (STILL * abs(link.pole) * period) ** 2)

@@ -1,7 +1,7 @@
 """The loop at the higher modes of the link.
 
-The strain gauge sees them well. On a uniform clamped beam with a payload the estimate
-of the tip answers the motor with
+The strain gauge responds to them clearly. On a uniform clamped beam with a payload the
+response of the tip estimate to the motor is
 
     Θ̂t/Θm = 1 - Σ share_i s²/(s² + ω_i² D_i(s)),   share_i = Γi² ω_i²/c,
 
@@ -37,14 +37,12 @@ __all__ = [
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-MODE_LIMIT = (
-    0.5  # of the loop gain: 6 dB below the one at which phase alone would decide
-)
-# so that the points of a mode that is damped away do not reach down to the first mode
+# share of the loop gain: 6 dB below 1, beyond which only the phase would decide
+MODE_LIMIT = 0.5
+# so that the points of a strongly damped mode do not extend down to the first mode
 _WIDEST = 0.035
-_POINTS = np.sinh(
-    np.linspace(-3.0, 3.0, 61)
-)  # of ln ω in damping ratios: closest at the peak
+# points in ln ω as multiples of the damping ratio, densest at the peak
+_POINTS = np.sinh(np.linspace(-3.0, 3.0, 61))
 MODE_POINTS = _POINTS.size
 
 
@@ -108,8 +106,8 @@ def higher_modes(
         allowed = Between(0.0, 0.999, low_open=True)
         damping_ratio = allowed.check("mode_damping", damping_ratio)
     else:
-        # A fractional or viscous law damps the higher modes as it does the first;
-        # without one they would be infinitely high, and no filter would do.
+        # A fractional or viscous damping law damps the higher modes like the first.
+        # Without one their peaks would be infinite, and no filter would suffice.
         damping_ratio = assumed_ratio(model)
     rows: list[tuple[int, float, Real, Real]] = []
     for payload in payloads:
@@ -133,7 +131,9 @@ def higher_modes(
 def _beam_modes(
     model: LinkModel, rig: Rig, payload: float, ratio: float | None
 ) -> list[tuple[int, float, Real, Real]]:
-    """(number, payload, ω, ln|Θ̂t/Θm|) of the beam's modes that were not identified."""
+    """(number, payload, ω, ln|Θ̂t/Θm|) of the modes of the beam that were not
+    identified.
+    """
     frequencies, sizes = modal_shares(Beam.from_rig(rig, payload=payload))
     found = []
     for i in range(modes_of(model), frequencies.size):
@@ -149,29 +149,33 @@ def _beam_modes(
                     + frequency**2 * material_law(model, s, float(frequency), ratio)
                 )
             )
-        # The whole sum and not the mode's own term: the tails of its neighbours, with
-        # it or against it, are part of what the gauge shows there.
+        # The whole sum instead of the mode's own term: the gauge also shows the tails
+        # of the neighbouring modes, which add to it or subtract from it.
         found.append((i + 1, payload, w, np.log(np.abs(answer))))
     return found
 
 
 def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
-    """Frequencies about the peak of a mode: a power law moves it, by 25 % for λ = 1.92."""
+    """Frequencies about the peak of a mode, which a power law shifts by 25 % for λ =
+    1.92.
+    """
     peak = frequency
-    for _ in range(
-        30
-    ):  # ω² = ω_i² Re D(jω), a contraction as Re D grows by less than ω^1
+    # ω² = ω_i² Re D(jω): a contraction, since Re D grows more slowly than ω
+    for _ in range(30):
         law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
         peak = frequency * math.sqrt(max(law.real, 0.25))
     law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
-    # arg D is 2ζ for a small ζ. The floor keeps points on either side of a peak that
-    # the iteration above has placed to three digits only, as it may for α near 2.
+    # arg D is 2ζ for small ζ. The lower bound keeps points on both sides of a peak that
+    # the iteration above has determined to three digits only, which happens for α near
+    # 2.
     width = min(max(0.5 * abs(math.atan2(law.imag, law.real)), 1e-3), _WIDEST)
     return np.asarray(peak * np.exp(width * _POINTS))
 
 
 def _seen(w: Real, period: float) -> Real:
-    """Where the computer sees ω: beyond the Nyquist frequency it is folded back."""
+    """The frequency at which the computer sees ω: folded back beyond the Nyquist
+    frequency.
+    """
     nyquist = math.pi / period
     return np.maximum(
         np.abs(np.remainder(w + nyquist, 2.0 * nyquist) - nyquist), 1e-3 * nyquist
@@ -179,7 +183,9 @@ def _seen(w: Real, period: float) -> Real:
 
 
 def _rest(loop: Loop, w: Real, period: float) -> Real:
-    """ln|hold · M|; beyond the Nyquist frequency M is taken there, where it is larger."""
+    """ln|hold · M|; beyond the Nyquist frequency M is taken at that frequency, where it
+    is larger.
+    """
     half = 0.5 * period * w
     motor = loop.motor_log(np.minimum(w, math.pi / period)).real
     return np.asarray(np.log(np.abs(np.sin(half)) / half + 1e-300) + motor)

@@ -1,5 +1,5 @@
-"""A law for a controller that is still being changed: the poles of another law, new
-gains.
+"""A quick law for a controller that is still changing: the poles of another law with
+new gains.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from fraclink._law.law import Law
 
 __all__ = ["refitted"]
 
-_POINTS = (
-    120  # more change the gains by less than the missing optimisation of the poles does
-)
+# more points change the gains by less than the missing optimisation of the poles does
+_POINTS = 120
 
 
 def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
@@ -39,14 +38,15 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     """
     w = np.geomspace(*law.band, _POINTS)
     wanted = controller.response(w)
-    # C − C_law = Ĉ − Ĉ_law, so the error of C relative to C is that of Ĉ over |1 + Ĉ|:
+    # C − C_law = Ĉ − Ĉ_law, so the relative error of C is that of Ĉ divided by |1 + Ĉ|:
     # linear in the gains.
     weight = 1.0 / np.abs(1.0 + wanted)
-    # The poles depend on the band and hardly on the controller, whose β and δ a drag in
-    # the studio moves by little: with them kept the fit is linear.
+    # The poles depend on the band and hardly on the controller, whose β and δ change
+    # little while a handle is dragged in the studio: with fixed poles the fit is
+    # linear.
     rows = _terms(law, w) * weight[:, None]
     aim = wanted * weight
-    # Real and imaginary part one under the other: the gains are real.
+    # Real and imaginary parts are stacked: the gains are real.
     gains = np.linalg.lstsq(
         np.vstack([rows.real, rows.imag]),
         np.concatenate([aim.real, aim.imag]),
@@ -73,8 +73,8 @@ def _terms(law: Law, w: NDArray[np.float64]) -> NDArray[np.complex128]:
     reals = 1.0 / (z - np.array(law.correction.poles)[None, :])
     pairs = np.array(law.correction.pair_poles, dtype=np.complex128)[None, :]
     up, down = 1.0 / (z - pairs), 1.0 / (z - pairs.conj())
-    # ½(c/(z − q) + c̄/(z − q̄)) in the two real unknowns Re c and Im c, as the block
-    # holds a pair.
+    # ½(c/(z − q) + c̄/(z − q̄)) in the two real unknowns Re c and Im c, the form in
+    # which the block stores a pair.
     both = np.stack([0.5 * (up + down), 0.5j * (up - down)], axis=2).reshape(w.size, -1)
     terms = np.concatenate([np.ones_like(z), reals, both], axis=1)
     return np.asarray((1.0 - 1.0 / z) * terms, dtype=np.complex128)

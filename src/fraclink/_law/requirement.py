@@ -1,5 +1,5 @@
-"""One requirement of a design, wanted and achieved; and what the law that ships keeps
-of it, sampled.
+"""A requirement of a design, wanted and achieved, and the requirements on the sampled
+loop of the law that ships.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ __all__ = [
     "no_law_rows",
 ]
 
-# relative: the equations are solved to 1e-15, a requirement met with equality must pass
+# relative tolerance: the equations are solved to 1e-15, and a requirement met with
+# equality must pass
 _ROUNDING = 1e-9
 
 
@@ -88,7 +89,8 @@ class Requirement:
     def rows(self) -> tuple[Row, ...]:
         """What people and programs read of it."""
         sign = "≤" if self.bound == "at most" else "≥"
-        # As far as the achieved value is shown: what is left behind it is the solver's.
+        # Rounded like the achieved value as shown; further digits are those of the
+        # solver.
         size = max(abs(self.achieved), abs(self.wanted))
         places = 3 - math.floor(math.log10(size)) if 0.0 < size < math.inf else 0
         slack = round(self.slack, places) if math.isfinite(self.slack) else self.slack
@@ -115,10 +117,10 @@ Complex = NDArray[np.complex128]
 
 LAW_MARGIN = "phase margin, shipped law"
 LAW_MODULUS = "distance to -1, shipped law"
-_ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
-_MODULUS = 0.25  # what `certify` asks for where nothing is stated
-# Of a payload range, for the law: each asks for a sampled plant with its aliases, for
-# every motor loop.
+_ALLOWANCE = math.radians(0.5)  # error of the fit of C, which the law states itself
+_MODULUS = 0.25  # the default of `certify`
+# Payloads at which the law is checked: each one takes a sampled plant with its aliases
+# for every motor loop.
 _PAYLOADS = 9
 
 
@@ -141,8 +143,7 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
     design for the paper's reading was asked for no margin of the loop that runs: there
     only stability counts.
     """
-    # One law for every payload and arm, as one ships: the fit does not know the
-    # payload.
+    # One law for every payload and arm, as shipped: the fit does not know the payload.
     period = design.rig.period
     law = discretize_controller(design.controller, period)
     settings = replace(design.motor_loop, kind="sampled")
@@ -153,7 +154,8 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
         plant = arm.plant(settings, design.rig, period, higher=higher)
         figures.append(_tabled(law.frequency_response, plant, arm.model))
         looks.append((plant, payload))
-    # A table of each loop says where it is worst; the engine then measures it there.
+    # A table of each loop locates the worst place, at which the engine then computes
+    # the exact value.
     close, near = (
         looks[min(range(len(looks)), key=lambda k: figures[k][which])]
         for which in (0, 1)
@@ -162,8 +164,8 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
     at_modulus = (
         at_margin if near is close else margins_of(law.frequency_response, near[0])
     )
-    # Signed by the stability of the loop as a whole: a crossing alone cannot tell on
-    # which side of −1 it belongs. Without one the engine says infinite.
+    # The sign follows from the stability of the whole loop: a crossing alone does not
+    # show on which side of −1 it lies. Without a crossing the engine returns infinity.
     margin = min(abs(at_margin.phase_margin), math.pi)
     margin = margin if at_margin.stable else -margin
     modulus = at_modulus.modulus_margin if at_modulus.stable else 0.0
@@ -236,9 +238,8 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
             yield Arm(link), payload
         return
     for arm in arms_of(design.box, known):
-        # The heaviest payload has the lowest ω₀: both ranges ascend, so they are gone
-        # through in opposite directions. The box's own interval of ω₀ widens the range
-        # at both ends.
+        # The heaviest payload has the lowest ω₀: both ranges ascend, so one of them is
+        # reversed. The box's own interval of ω₀ widens the range at both ends.
         for end, payload in enumerate(reversed(design.payloads)):
             w0 = (
                 design.natural_frequencies[end]

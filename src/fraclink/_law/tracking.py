@@ -1,11 +1,11 @@
-"""What a law makes of a payload that it is given: its feed-forward's scale, and how its
-tip will follow.
+"""The use of a given payload by the law: the scale of its feed-forward, and the model
+of its tracking.
 
-Without it the error compares a reference with a tip that is late by motor loop and
-computation, and the correction fights every move. With the payload given the
-feed-forward is right, the tip follows the reference as θm follows θm*, and the error is
-formed with just that lateness. Both stand outside the feedback loop: its margins, and
-so its certificate, are those of the law without.
+Without the payload the error compares the reference with a tip that lags by motor loop
+and computation, and the correction opposes every move. With it the feed-forward is
+right, the tip follows the reference as θm follows θm*, and the error is formed with
+exactly this lag. Both lie outside the feedback loop: its margins, and so its
+certificate, do not change.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ __all__ = [
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# of the resonance: below, the flexion is under 5 % of the motor's motion, its error
-# under 1 %
+# Share of the resonance: below it the flexion is less than 5 % of the motor's motion,
+# and its error less than 1 %.
 FLEXIBLE = 0.2
-_STEPS = 4096  # of the impulse responses
-# A natural frequency this near to eq. (5) was computed by it, without the link's mass;
-# an identified one has it in.
+_STEPS = 4096  # length of the impulse responses
+# A natural frequency this close to eq. (5) was computed from it, without the mass of
+# the link; an identified one includes it.
 COMPUTED = 1e-3
 SLOWEST = 0.995  # pole of the motor model: a loop that settles in a thousand periods
-FASTEST = (
-    -0.5
-)  # a negative pole stands for a delay that is no whole period; beyond, it rings
+# a negative pole represents a delay of a fraction of a period; beyond this limit it
+# rings
+FASTEST = -0.5
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Following:
     """
 
     model: MotorModel
-    lag: float  # of the loop [periods]
+    lag: float  # lag of the loop [periods]
     slow: float
     quick: float
 
@@ -71,7 +71,7 @@ class Following:
         """Return how a motor loop with the response θm/θm* `follows` differs from its
         model.
         """
-        # Impulse responses by FFT: long enough for the slowest pole that a model may
+        # Impulse responses by FFT, long enough for the slowest pole that a model may
         # have.
         grid = np.linspace(0.0, math.pi / period, _STEPS // 2 + 1)[1:]
         back = np.exp(-1j * grid * period)
@@ -111,11 +111,11 @@ def following(
         return np.asarray(loop.voltage(frequency) * loop.plant(back))
 
     top = 2 * resonance
-    # Not to zero: the model's gain at rest is 1 by its form, and 1/ω of the weight has
-    # no bound there.
+    # Not down to 0, where the model has a gain of 1 by its form and the weight 1/ω is
+    # unbounded.
     frequency = np.linspace(0.05, 1.0, 60) * min(4 * top, 0.5 * math.pi / period)
-    # 1/ω is the spectrum of a move's start and end; beyond twice the resonance a smooth
-    # move has next to nothing.
+    # 1/ω is the spectrum of the start and end of a move; beyond twice the resonance a
+    # smooth move has almost no content.
     model = _fit(
         follows(frequency),
         np.exp(-1j * frequency * period),
@@ -138,7 +138,7 @@ def tracking_for(
         link=own,
         gauge_delay=max(
             link.gauge_delay, 0.0
-        ),  # one that leads is a motor angle that is late
+        ),  # a leading gauge is in fact a delayed motor angle
         gauge_gain=link.gauge_gain,
     )
 
@@ -153,7 +153,8 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
     if rig is None or link.payload is None:
         return link.payload or 0.0, 0.0
     own = rig.link.tip_mass
-    # Counting the link's mass twice would make every feed-forward that much too large.
+    # Counting the mass of the link twice would make every feed-forward too large by
+    # that amount.
     computed = math.isclose(
         link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED
     )
@@ -161,11 +162,11 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
 
 
 def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
-    """Size of the fitted feed-forward over the wanted one at the resonance, where its
-    error is left over.
+    """Magnitude of the fitted feed-forward relative to the wanted one at the resonance,
+    where its error remains as vibration.
 
     A fit that is 1.7 % low there, as that of the paper's link, is right for a payload
-    that much lighter.
+    lighter by as much.
     """
     s = 1j * abs(link.pole)
     z = np.exp(s * period)
@@ -186,8 +187,7 @@ def held_reference(reach: float, back: Complex) -> Complex:
 
 
 def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
-    """The nearest model with two real poles; its gain at rest is 1
-    by its form.
+    """The best model with two real poles; its gain at rest is 1 by its form.
 
     The poles are searched on a grid, which cannot leave the stable ones: a free fit of
     the paper's motor loop with its delay ends at a pole of 1.3.
@@ -199,24 +199,25 @@ def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
         one, two, near = _best(
             follows, back, weight, *np.meshgrid(one + around, two + around)
         )
-    # The loop that is closed around the model has the poles that were found; its own
+    # The loop closed around the model has the poles that were found; its own
     # coefficients follow by comparing powers of z. z² + (now − 1 − keep) z + … = (z −
-    # one)(z − two), the numerator now z + …
+    # one)(z − two), with the numerator now z + …
     keep = one + two - 1 + near
     after = (1 - one) * (1 - two) - near + near * keep
-    # Rounded now, as the fits of Ĉ and F are: both precisions then run one model.
+    # Rounded to single precision here, like the fits of Ĉ and F: both precisions then
+    # run the same model.
     return MotorModel(*(float(np.float32(value)) for value in (near, after, keep)))
 
 
 def _best(
     follows: Complex, back: Complex, weight: Real, one: Real, two: Real
 ) -> tuple[float, float, float]:
-    """The pair of poles with the smallest weighted error, and `now`, which the error is
-    linear in.
+    """The pair of poles with the smallest weighted error, and `now`, in which the error
+    is linear.
     """
     one, two = (np.clip(p.ravel(), FASTEST, SLOWEST)[:, None] for p in (one, two))
     below = (1 - one * back) * (1 - two * back)
-    # For given poles the model is straight in `near`: one division finds it, and only
+    # For given poles the model is linear in `near`, which one division determines; only
     # the poles need the grid.
     rest = (1 - one) * (1 - two) * back**2 / below - follows  # near = 0
     slope = weight * (back - back**2) / below
@@ -236,14 +237,13 @@ def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
 
     def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         s = 1j * frequency
-        # What is left of the inverse when θt* itself is taken out and the known
-        # acceleration in: it falls with s, so that no derivative of the reference is
-        # formed.
+        # The inverse without θt* itself and per acceleration: it falls with s, so that
+        # no derivative of the reference has to be formed.
         return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
 
     high = min(200.0, 0.5 * math.pi / period)
-    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown
-    # payload changes.
+    # 0.3 dB of the feed-forward is 3 % of the flexion, well below the effect of an
+    # unknown payload.
     return fit_discrete(
         response,
         period=period,
