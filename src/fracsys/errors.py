@@ -39,6 +39,20 @@ def value_text(value: object) -> str:
         return f"a huge {type(value).__name__}"
 
 
+def printable(text: str) -> str:
+    """Return `text` with everything a terminal would obey written out.
+
+    C0, C1 and bidirectional marks: a name that turns the line round can show another
+    ending.
+
+    >>> printable("a\x1b[31mb\u202ec")
+    'a\\x1b[31mb\\u202ec'
+    """
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
+    )
+
+
 def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
     """The value as shown in a message: one line of bounded length, printable characters
     only.
@@ -49,9 +63,7 @@ def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
     # Cut before escaping: only the part shown of 10 MB is processed. An escape sequence
     # from a file must not reach the terminal, and a line break must not split a
     # message.
-    text = "".join(
-        c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: limit + 1]
-    )
+    text = printable(text[: limit + 1])
     return text if len(text) <= limit else text[:limit] + "…"
 
 

@@ -38,6 +38,7 @@ from fraclink.errors import (
     MissingExtraError,
 )
 from fraclink.view._text import folded, option
+from fracsys.errors import printable
 
 __all__ = [
     "ask",
@@ -89,14 +90,7 @@ def clean(text: object) -> str:
     >>> clean("a\\x1b[31mb\\u202ec")
     'a\\\\x1b[31mb\\\\u202ec'
     """
-    # C0, C1 and bidirectional marks: a name that turns the line round can show another
-    # ending.
-    return "".join(
-        character
-        if character.isprintable() or character == "\n"
-        else character.encode("unicode_escape").decode()
-        for character in str(text)
-    )
+    return "\n".join(map(printable, str(text).split("\n")))
 
 
 def width() -> int:

@@ -37,6 +37,7 @@ from fraclink._reading.table import LogTable, check_size, clock_step
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 from fracsys.checks import Payload
+from fracsys.errors import printable
 
 _LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
 # [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
@@ -359,7 +360,7 @@ class LogListing:
     def __str__(self) -> str:
         head = f"{self.path}: {self.kind}, {len(self.channels)} channels"
         width = max(7, *(len(_shown(c.name)) for c in self.channels), 7)
-        lines = [head, *(f"read as: {_printable(remark)}" for remark in self.remarks)]
+        lines = [head, *(f"read as: {printable(remark)}" for remark in self.remarks)]
         lines.append(
             f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step"
         )
@@ -374,12 +375,8 @@ class LogListing:
 
 
 def _shown(text: str) -> str:
-    return _printable(text[:80])
-
-
-def _printable(text: str) -> str:
     # A name from a file may hold a terminal's commands.
-    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
+    return printable(text[:80])
 
 
 def inspect_log(path: Path | str) -> LogListing:

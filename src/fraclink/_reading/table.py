@@ -8,7 +8,6 @@ is taken.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._files.codec import suggestion
 from fraclink._reading.names import names_time, roles_of, unit_of_name, words_of
 from fraclink.errors import FileFormatError, LogError, SizeError
 from fraclink.findings import Finding
@@ -158,8 +158,6 @@ class LogTable:
             return places[0]
         what, problem = f"column of {role}", "not in the log"
         allowed = ", ".join(self.names[:12]) + (", …" if len(self.names) > 12 else "")
-        known = {known.lower(): known for known in self.names}
-        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
         if places:
             problem, allowed = f"the name of {len(places)} columns", "a name of its own"
             remedy = "rename one in the log, or give its number: "
@@ -167,8 +165,8 @@ class LogTable:
         elif name in self.hints:
             problem = "one of names that are not as many as the columns"
             remedy = f'state it by its number, "#{self.hints.index(name) + 1}" if the names begin at the first'
-        elif near:
-            remedy = f"did you mean {known[near[0]]!r}?"
+        else:
+            remedy = suggestion(name, self.names) or remedy
         raise LogError(what, name, problem, allowed=allowed, remedy=remedy)
 
     def name(self, place: int) -> str:

@@ -128,12 +128,15 @@ def read_text_table(path: Path) -> LogTable:
     layout = _header(head, comments, separator, start + 1, b"\n".join(raw[start:]))
     check_size(0, len(layout.names))
     layout = _plain_body(layout)
-    _check_rows(layout)
+    names = layout.names
+    check_size(layout.body.count(b"\n") * len(names), len(names))
+    # Twice as many cells as names: 1,5,2,5 are two numbers.
+    if 2 * sum(map(bool, layout.hints)) == len(names) and _may_have_commas(layout):
+        raise _ragged(layout, 0, len(names))
     values = _parsed(layout)
     faults: dict[int, CellFaults] = {}
     if values is None:
         values, faults = _parse_cells(layout)
-    names = layout.names
     return LogTable(
         names,
         tuple(np.ascontiguousarray(column) for column in values.T),
@@ -462,23 +465,6 @@ def _seconds(cells: list[str]) -> list[float]:
 
 
 # --- rows and cells ---------------------------------------------------------------------
-
-
-def _check_rows(layout: Layout) -> None:
-    """Refuse rows whose number of cells differs from the names'."""
-    data, width = np.frombuffer(layout.body, dtype=np.uint8), len(layout.names)
-    ends = np.flatnonzero(data == ord("\n"))
-    check_size(ends.size * width, width)
-    if not layout.separator:
-        return  # blanks repeat: the parser itself counts the cells
-    marks = np.flatnonzero(data == ord(layout.separator))
-    cells = np.diff(np.searchsorted(marks, ends), prepend=0) + 1
-    wrong = np.flatnonzero(cells != width)
-    # Twice as many cells as names: 1,5,2,5 are two numbers.
-    doubled = 2 * sum(map(bool, layout.hints)) == width
-    if wrong.size or (doubled and _may_have_commas(layout)):
-        row = int(wrong[0]) if wrong.size else 0
-        raise _ragged(layout, row, int(cells[row]))
 
 
 def _may_have_commas(layout: Layout) -> bool:
