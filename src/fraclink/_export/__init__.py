@@ -1,5 +1,5 @@
-"""Out of the building: C and FMU files, replay of logs through them, a board to
-begin with.
+"""Exports: C and FMU files, replay of logs through them, and a starting point for a
+board.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What else a board is given: the arm's end of a serial line, and a reference as a
+"""Further files for a board: the arm's end of a serial line, and a reference as a
 table.
 """
 
@@ -112,9 +112,9 @@ def export_reference(
             allowed=".csv or .h",
             remedy="end the name in .csv, or in .h for C",
         )
-    # The last row lies at or behind the end of the motion, where the reference rests.
-    # Pieces of 0.1 and 0.2 s last 3.0000000000000004 periods of 0.1 s: without the 1e-9
-    # there would be a second row of rest.
+    # The last row lies at or after the end of the motion, where the reference rests.
+    # Pieces of 0.1 and 0.2 s last 3.0000000000000004 periods of 0.1 s; without the 1e-9
+    # there would be a second row at rest.
     count = math.ceil(reference.duration / period - 1e-9) + 1
     values = sampled(reference, period, count)
     write_text(
@@ -128,8 +128,8 @@ def export_reference(
 
 def _rows(values: NDArray[np.float64], period: float) -> str:
     time = period * np.arange(values.shape[1])
-    # repr is the shortest text that reads back to the same double, and tolist() makes
-    # Python floats of numpy's, whose repr has their type in front.
+    # repr gives the shortest text that reads back to the same double; tolist() gives
+    # Python floats, because the repr of numpy's starts with their type.
     lines = (",".join(map(repr, row)) for row in np.vstack([time, values]).T.tolist())
     return "\n".join([",".join(COLUMNS), *lines]) + "\n"
 
@@ -138,8 +138,8 @@ def _arrays(values: NDArray[np.float64], period: float, stem: str) -> str:
     name = identifier("out", stem)
 
     def listed(row: NDArray[np.float64]) -> str:
-        # In double precision, and cast: one table serves both builds of law.c, and the
-        # cast rounds as the simulation did when it rounded the reference.
+        # In double precision with a cast: one table serves both builds of law.c, and
+        # the cast rounds in the same way as the simulation rounded the reference.
         return "\n".join(
             f"    (law_real){hex_float(value, 'double')}," for value in row.tolist()
         )

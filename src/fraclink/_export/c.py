@@ -1,5 +1,5 @@
-"""Export the law to C: law.h and law.c as they were simulated, the data, a self-test
-and a page to read.
+"""Export the law to C: law.h and law.c as simulated, the data, a self-test and a
+README.
 """
 
 from __future__ import annotations
@@ -112,12 +112,11 @@ def export_c(
             allowed="a new or an empty folder",
             remedy="choose another name or add --force",
         )
-    output_path(
-        place / "law.c", force=True
-    )  # a folder that cannot be made is told before the work
-    # From here on everything is about the law in the precision that is shipped: limits
-    # and coefficients are rounded once, here, and the self-test, the bounds and the
-    # proof are those of the rounded numbers.
+    # fails before any work if the folder cannot be made
+    output_path(place / "law.c", force=True)
+    # From here on everything refers to the law in the precision that ships: limits and
+    # coefficients are rounded once, here, and self-test, bounds and proof use the
+    # rounded numbers.
     shipped = law if precision is None else law.in_precision(precision)
     data = f"{name}.h"
     files: dict[str, bytes] = {
@@ -130,7 +129,7 @@ def export_c(
         _proved(shipped, files, name, data, certificate) if prove else (None, {})
     )
     page = readme(shipped, name=name, data=data, proof=proof)
-    # The estimator in the law's precision: both include one law.h, which has one
+    # The estimator in the law's precision: both include the same law.h, with one
     # law_real.
     bank = None if estimator is None else estimator_for(shipped, estimator)
     if bank is not None:
@@ -140,18 +139,18 @@ def export_c(
         }
         files |= payload_files(bank)
         page += payload_readme(bank)
-    # Written into the table last, as it tells what the files above it are.
+    # README.md comes last, since it describes the files before it.
     files["README.md"] = page.encode()
     files |= logs
-    # Everything is made before anything is written: a failure above leaves no half
-    # folder.
+    # Everything is prepared before anything is written, so that an error above leaves
+    # no incomplete folder.
     place.mkdir(parents=True, exist_ok=True)
-    # a proof of what stood here before says nothing about what is written now
+    # an earlier proof in this folder does not apply to the new files
     (place / "proof.json").unlink(missing_ok=True)
     for file, content in files.items():
         with atomic_write(place / file, "wb") as stream:
             stream.write(content)
-    # the law itself, for `fraclink replay`: nothing that is compiled reads it
+    # the law itself, for `fraclink replay`; no compiled file reads it
     shipped.save(place / "law.json")
     written = [*(place / file for file in files), place / "law.json"]
     if proof is not None:
@@ -167,7 +166,7 @@ def _proved(
     data: str,
     certificate: Certificate | None,
 ) -> tuple[Proof, dict[str, bytes]]:
-    """Prove in a scratch folder, so that a failure in between leaves nothing behind."""
+    """Prove in a temporary folder, so that a failure leaves nothing behind."""
     try:
         from fraclink_prove import prove as prove_folder
     except ImportError as error:
@@ -196,7 +195,7 @@ def _for_one_design(law: Law) -> str:
     )
 
 
-# Of a PID: the guards that can act. The rest belongs to motor, gauge and link.
+# The guards of a PID that can act; the others belong to motor, gauge and link.
 _OF_PID = (
     "angle_limit",
     "sum_limit",
@@ -205,7 +204,7 @@ _OF_PID = (
     "bad_limit",
     "missed_limit",
 )
-# The header is the only list of meanings.
+# The header is the only place where the meanings are written.
 _FIELD = re.compile(r"^    \w+ (\w+); +/\* (.+?) \*/$", re.MULTILINE)
 
 
@@ -228,7 +227,7 @@ def _connected(law: Law) -> str:
 
 
 def _called(law: Law) -> str:
-    """What a caller of law_step has to know."""
+    """The instructions for a caller of law_step."""
     if not law.has_gauge:
         return """\
 `input.reference` is the reference r, `input.motor_angle` the measurement y and `output.voltage` the

@@ -1,4 +1,4 @@
-"""What is claimed of an exported law: claims, each proved or not.
+"""The claims about an exported law, each proved or not.
 
 The provers themselves are a package of their own, `fraclink_prove`; reading a proof
 needs only this module.
@@ -73,8 +73,8 @@ class Proof(Saved):
     @property
     def passed(self) -> bool:
         """Whether every claim is proved."""
-        # An open claim is no failure of the law, and yet no proof of it: the whole is
-        # as good as its worst part.
+        # An open claim is no failure of the law, but no proof of it either: the whole
+        # is only as good as its worst part.
         return all(claim.status == "proved" for claim in self.claims)
 
     def __getitem__(self, name: str) -> Claim:
@@ -124,8 +124,8 @@ def claims_text(law: Law, proof: Proof | None) -> str:
         return f"## Claimed\n{claimed}\n## Not claimed\n{open_}{stability}"
     proved = [claim for claim in proof.claims if claim.status == "proved"]
     rest = [claim for claim in proof.claims if claim.status != "proved"]
-    # Hashes are cut to 12 digits, 48 bits: enough to tell two logs apart; proof.json
-    # has them whole.
+    # Hashes are cut to 12 digits, 48 bits, enough to tell two logs apart; proof.json
+    # has the full hashes.
     text = f"## Proved\n{built}\n\n" + "\n".join(map(_proved, proved)) if proved else ""
     if rest:
         text += "\n\n## Not proved\n" + "\n".join(_open(claim) for claim in rest)

@@ -1,5 +1,5 @@
-"""What goes into generated C: checked names, the files of csrc, and law_data.h, every
-number a hex float.
+"""The parts of generated C: checked names, the files of csrc, and law_data.h with every
+number as a hex float.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _KEYWORDS = frozenset(
         "auto break case char const continue default do double else enum extern float for goto if inline "
         "int long register restrict return short signed sizeof static struct switch typedef union unsigned "
         "void volatile while main "
-        # C++ compilers read the header too
+        # C++ compilers read the header as well
         "asm bool catch class delete explicit export false friend mutable namespace new operator private "
         "protected public template this throw true try typename using virtual"
     ).split()
@@ -42,8 +42,8 @@ def identifier(field: str, name: object) -> str:
     >>> identifier("name", "arm_law")
     'arm_law'
     """
-    # 31 characters is what C99 guarantees for external names; a leading _ belongs to
-    # the compiler.
+    # C99 guarantees 31 characters for external names; names with a leading _ are
+    # reserved for the compiler.
     fits = (
         isinstance(name, str)
         and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name) is not None
@@ -56,8 +56,8 @@ def identifier(field: str, name: object) -> str:
             allowed="a letter, then letters, digits or _, at most 31, no keyword",
             remedy="choose a name such as law_data",
         )
-    # law.h takes every name that begins so, in either case for its macros. "law_data"
-    # alone is free: it is the default, and law.h has no such name.
+    # law.h uses all names with this prefix, in upper case for its macros. Only
+    # "law_data", the default, does not occur in law.h.
     if name.lower().startswith("law_") and name != "law_data":
         raise FieldError(
             field,
@@ -75,9 +75,8 @@ def title_text(title: object) -> str:
     >>> title_text("Arm 2, 20-40 g")
     'Arm 2, 20-40 g'
     """
-    # No * and no / : two of them end a comment. No backslash: at a line's end it would
-    # continue a // comment of a reader's tool. No ?: ??/ is a backslash in C99's
-    # trigraphs.
+    # No * or /, which together end a comment. No backslash, which at the end of a line
+    # continues a // comment. No ?, since ??/ is a C99 trigraph for a backslash.
     if not isinstance(title, str) or not re.fullmatch(
         r"[A-Za-z0-9 .,:()+=-]{0,80}", title
     ):
@@ -99,8 +98,8 @@ def law_source(name: str) -> bytes:
     True
     """
     here = Path(__file__).resolve()
-    # A checkout is asked first: there csrc/ is what an edited law.c was built from,
-    # while the copy beside the kernels is as old as the last build.
+    # The checkout comes first: its csrc/ is the source of an edited law.c, while the
+    # copy next to the kernels dates from the last build.
     for folder in (here.parents[3] / "csrc", Path(_kernels.__file__).parent / "csrc"):
         if (folder / name).is_file():
             return (folder / name).read_bytes()
@@ -143,8 +142,8 @@ def hex_float(value: float, precision: layout.Precision) -> str:
     """
     mantissa, exponent = value.hex().split("p")
     whole, _, digits = mantissa.partition(".")
-    # float.hex writes 13 digits always; of a float that was rounded to single precision
-    # seven are zeros.
+    # float.hex always writes 13 digits; in a float rounded to single precision seven of
+    # them are zeros.
     digits = digits.rstrip("0") or "0"
     return f"{whole}.{digits}p{exponent}" + ("F" if precision == "single" else "")
 
@@ -162,9 +161,9 @@ def exact_flags(law: Law) -> tuple[str, ...]:
     no modes of a kind that C needs an array for.
     """
     modes = _modes(law)
-    # C99 has no array of length 0. Pairs are left out of the structs by the
-    # preprocessor; the other two kinds are in every design of an arm, and a PID, which
-    # has no feed-forward, takes the general build.
+    # C99 has no arrays of length 0. The preprocessor removes pairs from the structs;
+    # every design of an arm has the other two kinds, and a PID, which has no
+    # feed-forward, uses the general build.
     if not (modes["real"] and modes["forward"]):
         return ()
     return tuple(
@@ -176,7 +175,7 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     """Return the bytes of (parameters, state) of a build with `exact_flags`."""
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
-    # 22 reals behind the modes and 14 words in front (56 bytes): law_state of law.h,
+    # 22 reals after the modes and 14 words in front (56 bytes): law_state of law.h,
     # which test_export_readme compares with sizeof.
     states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 22
     return layout.exact_header(law.block, law.precision, modes)[0], 56 + width * states
@@ -206,8 +205,8 @@ def data_header(law: Law, *, name: str, title: str) -> str:
         for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)
     ]
     size, crc = layout.exact_header(law.block, law.precision, modes)
-    # Size and CRC are of the struct that is compiled, and differ between the general
-    # build and that for this law alone: the preprocessor chooses.
+    # Size and CRC belong to the struct that is compiled. They differ between the
+    # general build and the one for this law alone; the preprocessor selects them.
     rows[1:4] = [
         f"#ifdef LAW_EXACT\n    .size = {size}U,\n    .crc = 0x{crc:08X}U,",
         f"#else\n    .size = {whole[1]}U,\n    .crc = 0x{whole[3]:08X}U,\n#endif",
@@ -216,9 +215,8 @@ def data_header(law: Law, *, name: str, title: str) -> str:
     for field, _ in layout.REALS:
         value = values[field]
         if isinstance(value, list):
-            # An initialiser of no elements is not C99; an array that is left out is
-            # zero.
-            if modes[field] == 0:  # C fills it with zeros, or has no such array
+            # An initialiser without elements is not C99; an omitted array is zero.
+            if modes[field] == 0:  # C fills it with zeros, or does not have it
                 continue
             listed = [hex_float(x, law.precision) for x in value]
             group = 4 if field == "pair" else 2
@@ -232,8 +230,8 @@ def data_header(law: Law, *, name: str, title: str) -> str:
         else:
             rows.append(f"    .{field} = {hex_float(value, law.precision)},")
     single = law.precision == "single"
-    # No date, no user, no path: the same law gives the same bytes, by which `replay`
-    # knows a header that was changed.
+    # No date, user or path: the same law gives the same bytes, so that `replay` detects
+    # a modified header.
     return _TEMPLATE.format(
         version=__version__,
         title=f" {title}" if title else "",

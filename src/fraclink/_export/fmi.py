@@ -1,5 +1,5 @@
-"""What an FMU of the law describes: variables, units and identity, written as FMI 3.0
-wants it.
+"""The description of an FMU of the law: variables, units and identity in the form of
+FMI 3.0.
 
 Source: FMI 3.0, sections 2.4 and 2.5.
 """
@@ -40,8 +40,8 @@ class Variable(NamedTuple):
     name: str
     causality: Literal["input", "output", "independent"]
     description: str
-    unit: str = ""  # a whole number has none
-    largest: int = 0  # of a whole number
+    unit: str = ""  # integers have none
+    largest: int = 0  # of an integer
     start_from: tuple[str, ...] = ()
 
     @property
@@ -96,8 +96,8 @@ VARIABLES: tuple[Variable, ...] = (
         "bits of the last period, LAW_FLAG_... in law.h",
         largest=2047,
     ),
-    # The time and the payload, an input, stand behind the outputs, as they came later: a value reference
-    # that somebody's importer has stored must stay.
+    # The time and the input payload follow the outputs because they were added later:
+    # value references stored by an importer must stay valid.
     Variable("time", "independent", "simulation time", "s"),
     Variable("payload", "input", "mass at the tip; 0 where it is not known", "kg"),
 )
@@ -120,9 +120,7 @@ _NO_EFFECT = "leave it at 0: without effect in a PID"
 
 
 def _of_pid(variable: Variable) -> Variable:
-    """A variable of the law as one of a PID, whose quantities have units that only its
-    user knows.
-    """
+    """A variable of the law as a variable of a PID, whose units only the user knows."""
     if not variable.real or variable.causality == "independent":
         return variable
     name, description = _RENAMED.get(variable.name, (variable.name, _NO_EFFECT))
@@ -146,8 +144,8 @@ UNITS: Mapping[str, Unit] = {
     "kg": Unit({"kg": 1}),
     "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
     "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
-    # FMI defines display = factor·value (section 2.4.4), which is 180/π for
-    # degrees and not its inverse.
+    # FMI defines display = factor·value (section 2.4.4): the factor for degrees is
+    # 180/π, not its inverse.
     "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
     "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
     "s": Unit({"s": 1}),
@@ -190,10 +188,10 @@ class FmuModel:
         return {
             "modelIdentifier": self.name,
             "needsExecutionTool": "false",
-            # The filter's poles are those of one period: another step would be another
-            # filter.
+            # The poles of the filter are those of one period; another step would make
+            # another filter.
             "canHandleVariableCommunicationStepSize": "false",
-            # law.c has no statics: two arms in one simulation are two instances.
+            # law.c has no static data: two arms in one simulation are two instances.
             "canBeInstantiatedOnlyOncePerProcess": "false",
             "canGetAndSetFMUState": "true",
             "canSerializeFMUState": "true",
@@ -204,8 +202,8 @@ def token_of(sources: Mapping[str, str]) -> str:
     """Return the token of an FMU made of these sources: another law or another wrapper,
     another token.
     """
-    # Between the texts a character that C has not: two that share their ends at another
-    # place are another text.
+    # The texts are joined by a character that C does not contain, so that moving a
+    # boundary between them changes the hash.
     digits = hashlib.sha256(
         "\0".join(sources[name] for name in sorted(sources)).encode()
     ).hexdigest()[:32]
@@ -229,7 +227,7 @@ def _text(root: ET.Element) -> str:
 
 
 def _add_general(root: ET.Element, model: FmuModel) -> None:
-    """Add units, the only category of messages, and 500 periods to start with."""
+    """Add units, the single log category, and a default experiment of 500 periods."""
     units = ET.SubElement(root, "UnitDefinitions")
     used = {variable.unit for variable in model.variables}
     for name, unit in ((name, unit) for name, unit in UNITS.items() if name in used):
@@ -244,8 +242,8 @@ def _add_general(root: ET.Element, model: FmuModel) -> None:
     ET.SubElement(
         categories, "Category", name="logStatusError", description="why a call failed"
     )
-    # 500 periods: two seconds at 4 ms, a move and its settling. An importer may choose
-    # another end, but no other step.
+    # 500 periods are two seconds at 4 ms, a move and its settling. An importer may
+    # choose another end, but no other step.
     times = {
         "startTime": "0",
         "stopTime": repr(500 * model.period),
@@ -259,28 +257,29 @@ def _about(variable: Variable, reference: int) -> dict[str, str]:
         "name": variable.name,
         "valueReference": str(reference),
         "causality": variable.causality,
-        # Outputs change at the ends of steps only and stand still between them: what
-        # FMI calls discrete, although the values are real.
+        # Outputs change only at the ends of steps and are constant in between, which
+        # FMI calls discrete although the values are real.
         "variability": "discrete" if variable.causality == "output" else "continuous",
         "description": variable.description,
     }
 
 
 def _value(variable: Variable) -> dict[str, str]:
-    """Attributes of a variable's value: unit and start of a real one, range of a whole
-    one.
+    """Attributes of a variable's value: unit and start of a real variable, range of an
+    integer one.
     """
     if not variable.real:
         return {"min": "0", "max": str(variable.largest)}
-    # A start value belongs to inputs; that of an output is calculated, from those that `start_from` names.
+    # Inputs have a start value; that of an output is calculated from the inputs that
+    # `start_from` names.
     return {"unit": variable.unit} | (
         {"start": "0"} if variable.causality == "input" else {}
     )
 
 
 def _unknowns(listed: tuple[Variable, ...]) -> list[tuple[str, str]]:
-    """Of each output its value reference, and those of what its start value follows
-    from.
+    """For each output its value reference, and those of the variables from which its
+    start value is calculated.
     """
     place = {variable.name: str(index) for index, variable in enumerate(listed)}
     outputs = [variable for variable in listed if variable.causality == "output"]
@@ -300,7 +299,7 @@ def descriptions(model: FmuModel) -> dict[str, str]:
         generationTool="fraclink",
     )
     # No fixedInternalStepSize: it would allow communication steps of several periods,
-    # in which the law would run on sensors that stand still.
+    # during which the law would run on constant sensor values.
     ET.SubElement(root, "CoSimulation", model.interface)
     _add_general(root, model)
     variables = ET.SubElement(root, "ModelVariables")

@@ -98,8 +98,8 @@ def export_fmu(
         )
     name = identifier("out", place.stem)
     shipped = law if precision is None else law.in_precision(precision)
-    # The token is a hash of the C: who pairs a library with the description of another
-    # law is refused by the FMU itself at instantiation.
+    # The token is a hash of the C sources: if a library is combined with the
+    # description of another law, the FMU itself refuses to start.
     sources, token = _sources(shipped, name)
     listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
     model = FmuModel(
@@ -154,14 +154,14 @@ def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
     lines = [
         "/* The whole FMU as one file to compile: an importer needs no flags but the language's. */",
         *(["#define LAW_SINGLE"] if law.precision == "single" else []),
-        # Two FMUs that are linked into one program each bring their law.
+        # Two FMUs may be linked into one program, each with its own law.
         *(
             f"#define {function} {name}_{function}"
             for function in ("law_check", "law_init", "law_step", "law_check_wiring")
         ),
         f'#define FMU_TOKEN "{token}"',
-        # Hexadecimal, as the step is compared with it: 0.004 read by another parser may
-        # be a neighbour.
+        # Hexadecimal, because the step is compared with it: another parser might read
+        # 0.004 as a neighbouring double.
         f"#define FMU_PERIOD {law.period.hex()} /* {law.period!r} s */",
         '#include "law.c"',
         '#include "law_data.h"',
@@ -174,12 +174,12 @@ def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
 def _zipped(parts: Mapping[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
-        # Sorted, and each deflated alone: neither the order of a dict nor the time of
-        # day reaches the bytes.
+        # Sorted, and each compressed separately: the bytes depend neither on the order
+        # of a dict nor on the time.
         for file in sorted(parts):
             # a fixed date: the same law gives the same file
             about = zipfile.ZipInfo(file, (1980, 1, 1, 0, 0, 0))
-            # Without permissions unzip makes files that nobody may read.
+            # Without permissions unzip would create unreadable files.
             about.external_attr = 0o644 << 16
             archive.writestr(about, parts[file], zipfile.ZIP_DEFLATED)
     return stream.getvalue()
@@ -187,7 +187,7 @@ def _zipped(parts: Mapping[str, bytes]) -> bytes:
 
 SUFFIXES: Mapping[str, str] = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 
-# -ffp-contract=off: a fused multiply-add rounds once where the simulation rounds twice
+# -ffp-contract=off: a fused multiply-add rounds once, the simulation twice
 _FLAGS = (
     "-std=c99",
     "-O2",
@@ -218,8 +218,8 @@ def found(compiler: str, remedy: str = "install it, or export sources only") -> 
 
 def complaint(command: Sequence[str], folder: Path) -> str:
     """Run a compiler in `folder`; return its first error, or "" where it has none."""
-    # The error's line, as those before it name only the function; in English, to know
-    # it by its word.
+    # Show the line with the error, since those before it only name the function; in
+    # English, so that the word "error" can be found.
     answer = subprocess.run(  # noqa: S603
         command,
         cwd=folder,
@@ -244,7 +244,7 @@ def platform_of(compiler: str) -> str:
         [found(compiler), "-dumpmachine"], capture_output=True, text=True, check=False
     )
     triple = answer.stdout.strip().lower()
-    # arm64 is what Apple calls aarch64, and FMI 3 has the latter.
+    # Apple's name for aarch64 is arm64; FMI 3 uses aarch64.
     architecture = triple.partition("-")[0].replace("arm64", "aarch64")
     systems = {"mingw": "windows", "linux": "linux", "darwin": "darwin"}
     system = next((name for word, name in systems.items() if word in triple), "unknown")
@@ -259,9 +259,8 @@ def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
         folder = Path(scratch)
         for name, text in sources.items():
             (folder / name).write_text(text, encoding="utf-8")
-        library = (
-            folder / "law.library"
-        )  # with a suffix of its own: compilers for Windows add one else
+        # with an explicit suffix: compilers for Windows would add their own
+        library = folder / "law.library"
         command = [found(compiler), *_FLAGS, "all.c", "-o", library.name]
         if said := complaint(command, folder):
             raise FieldError(

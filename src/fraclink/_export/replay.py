@@ -1,9 +1,9 @@
-"""Replay: compile an exported law and run a log through it, period by period, beside
-the package's own.
+"""Replay: compile an exported law and run a log through it, period by period, and
+compare it with the package's own law.
 
-The C of the folder runs on this computer with the rights of its user. Files that are
-not what `export_c` writes for the folder's law.json are therefore refused, unless the
-caller allows them.
+The C code of the folder runs on this computer with the rights of the user. Files that
+differ from what `export_c` writes for the folder's law.json are therefore rejected,
+unless the caller allows them.
 """
 
 from __future__ import annotations
@@ -153,8 +153,8 @@ def replay_log(
         checked_noun("log", log, Experiment, remedy="read_log makes one")
     place = checked_path("folder", folder).resolve()
     law, name = _exported(place)
-    # Stamps in decimals leave a period that is off by a part in 10⁹; a millionth is no
-    # other rate, and in an hour 4 ms.
+    # Decimal stamps leave a relative error of 1e-9 in the period; 1e-6 is still the
+    # same rate (4 ms in an hour).
     if abs(log.period - law.period) > 1e-6 * law.period:
         raise FieldError(
             "period",
@@ -165,8 +165,8 @@ def replay_log(
         )
     reference, measured, torque = _sensors(law, log)
     none = np.zeros_like(reference)
-    # A row for each period, as the program below reads them: five doubles at a time
-    # from its standard input. Neither text nor a file comes between, so that no digit
+    # One row per period, in the form in which the program below reads them: five
+    # doubles at a time from standard input. With no text or file in between, no digit
     # is lost.
     rows = np.column_stack([reference, none, measured, torque, none])
     if not allow_changed:
@@ -176,7 +176,7 @@ def replay_log(
     _, own = law.run(law.initial_state(), *rows.T)
     names = ("motor_reference", "voltage", "tip_estimate", "error", "mode", "flags")
     expected = np.column_stack([getattr(own, signal) for signal in names])
-    # Fewer rows: the program ended early, as law_init refused the block.
+    # Fewer rows: the program ended early because law_init rejected the block.
     if replayed.shape != expected.shape:
         raise FieldError(
             "firmware",
@@ -185,8 +185,7 @@ def replay_log(
             allowed=f"{expected.shape}",
             remedy="export the law again",
         )
-    # A comparison of values: NaN would differ from itself, but the law gives none; −0
-    # and 0 are the same command.
+    # Values are compared: the law never returns NaN, and −0 and 0 are the same command.
     differs = np.flatnonzero(np.any(replayed != expected, axis=1))
     signals = dict(zip(names, replayed.T.copy(), strict=True))
     del signals["error"]
@@ -198,8 +197,8 @@ def replay_log(
 
 
 def _exported(place: Path) -> tuple[Law, str]:
-    """The law of an export, and the name of its block, which was free: its header is
-    known by the digest in its first comment, which stands in no other file.
+    """The law of an export, and the name of its block, which the user chose: its header
+    is recognised by the digest in its first comment, which no other file contains.
     """
     if not all((place / file).is_file() for file in ("law.json", "law.c")):
         raise FieldError(
@@ -223,7 +222,7 @@ def _exported(place: Path) -> tuple[Law, str]:
 
 
 def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
-    """Reference, motor angle (of a PID: its measurement) and torque."""
+    """Reference, motor angle (for a PID its measurement) and torque."""
     if isinstance(log, Recording) == law.has_gauge:
         raise FieldError(
             "log",
@@ -234,22 +233,22 @@ def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
         )
     if isinstance(log, Recording):
         return log.input, log.output, np.zeros_like(log.output)
-    # Γ = c (θm − θt): the law knows the torque alone.
+    # Γ = c (θm − θt): the law only reads torque.
     torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
-    # A log has no reference. With the motor's own path as one the error of the motor
-    # loop is small, and the guards see a motor that follows; the two commands are
-    # compared, not judged.
+    # A log contains no reference. With the path of the motor as reference the error of
+    # the motor loop is small, and the guards see a motor that follows; the commands are
+    # only compared with each other.
     return log.motor_angle, log.motor_angle, torque
 
 
 def _check_unchanged(place: Path, law: Law, name: str) -> None:
-    """Refuse C that this release does not export for `law`; only the title in the first
-    comment is free.
+    """Reject C code that this release does not export for `law`; only the title in the
+    first comment may differ.
     """
 
     def code(text: bytes) -> bytes:
-        # What follows the first comment, in which a title stands; a file that begins
-        # otherwise is all code.
+        # The text after the first comment, which holds the title; a file that does not
+        # start with a comment is compared as a whole.
         return text.partition(b"*/")[2] if text.startswith(b"/*") else text
 
     ours = {file: law_source(file) for file in ("law.h", "law.c")}
@@ -280,11 +279,12 @@ def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> by
     command += ["-DLAW_SINGLE"] if law.precision == "single" else []
     with tempfile.TemporaryDirectory() as scratch:
         source, program = Path(scratch) / "replay.c", Path(scratch) / "replay"
+        # in a separate folder: a math.h next to the files would replace that of C
         for file in (
             "law.h",
             "law.c",
             f"{name}.h",
-        ):  # alone: a math.h beside them would be taken for C's own
+        ):
             if (place / file).is_file():
                 shutil.copyfile(place / file, Path(scratch) / file)
         source.write_text(

@@ -1,8 +1,8 @@
-"""law_selftest.c: a thousand periods with faults among them, and the hash that the
-user's target must print.
+"""law_selftest.c: a thousand periods with faults, and the hash that the user's target
+must print.
 
 The inputs are integers times powers of two and the law's own outputs, so that every
-machine forms them without rounding; whatever differs afterwards is the compiler's doing
+machine computes them without rounding; any difference is caused by the compiler
 (contraction, fast-math, wide registers).
 """
 
@@ -32,13 +32,13 @@ class _Inputs:
         # The linear congruential generator of Numerical Recipes: one line of C without
         # a library, in which every operation is exact.
         self.seed = (self.seed * 1664525 + 1013904223) % 2**32
-        # The upper 12 bits, as the lower ones of such a generator have short periods;
-        # in −2048 … 2047.
+        # The upper 12 bits, −2048 … 2047, since the lower bits of such a generator have
+        # short periods.
         return (self.seed >> 20) - 2048
 
     def next(self, k: int, motor_reference: float) -> tuple[int, LawInputs]:
-        # Three periods are missed and one is called twice: both must be ridden through,
-        # and say so in their flags.
+        # Three periods are missed and one is called twice: the law must bridge both and
+        # report them in its flags.
         self.tick = (self.tick + (4 if k == 500 else 0 if k == 520 else 1)) % 2**32
         phase = k % 512
         ramp = phase if phase < 256 else 512 - phase
@@ -52,28 +52,27 @@ class _Inputs:
         else:
             reference *= self.scale
             angle, torque = self._noise() / 4096 * self.scale, 0.0
-        # Three lost samples are bridged (bad_limit is 5), those from 950 on are not:
-        # the drive goes off. The gauge's loss at 850 degrades the law 100 periods
-        # before that.
+        # Three lost samples are bridged (bad_limit is 5); those from 950 on are not,
+        # and the drive switches off. The loss of the gauge at 850 degrades the law 100
+        # periods earlier.
         angle = math.nan if 300 <= k < 303 or k >= 950 else angle
         torque = math.nan if k == 350 or k >= 850 else torque
-        # Payloads up to 256/8192 = 31 g; one that is no number must be taken for one
-        # that is not given.
+        # Payloads up to 256/8192 = 31 g; NaN must count as "not given".
         payload = 0.0 if k < 200 else math.nan if k == 420 else ramp / 8192
         return self.tick, LawInputs(reference, acceleration, angle, torque, payload)
 
 
 def _scale(law: Law) -> float:
-    """A power of two, with which no product rounds: within the range of a PID's
-    measurement, and such that its output is limited now and then but not always.
+    """A power of two, so that no product is rounded: within the measurement range of
+    the PID, and such that its output is limited sometimes but not always.
     """
     largest = law.limits.angle_limit
     if law.motor_loop is not None:
         loop = law.motor_loop.pid
         gain = loop.direct + loop.integral_gain * loop.period
-        # The output's range divided by the largest gain of a step of the error: beyond
-        # it the output would stand at its limit throughout, and the hash would say
-        # nothing of the filter.
+        # The output's range divided by the largest gain of a step of the error. With a
+        # larger scale the output would always be at its limit, and the hash would not
+        # depend on the filter.
         largest = min(
             largest,
             law.motor_loop.voltage_limit
@@ -117,8 +116,8 @@ def expected(law: Law) -> int:
         tick, inputs = source.next(k, command)
         state, outputs = law.step(state, _rounded(inputs, single), tick=tick)
         command = outputs.motor_reference
-        # FNV-1a, over 32-bit words: it needs one exclusive or and one multiplication
-        # modulo 2³², and every later word depends on each earlier bit.
+        # FNV-1a over 32-bit words: it takes one exclusive or and one multiplication
+        # modulo 2³² per word, and every later word depends on each earlier bit.
         for word in _words(outputs, single):
             digest = ((digest ^ word) * 16777619) % 2**32
     return digest
@@ -143,14 +142,14 @@ def selftest_source(law: Law, *, name: str, data: str) -> str:
     )
 
 
-# The inputs of a law of the arm: the motor follows, the gauge shows noise.
+# Inputs for a law of the arm: the motor follows, the gauge shows noise.
 _OF_ARM = """\
     in->reference = (law_real)ramp / (law_real)512;
     in->reference_acceleration = (law_real)noise() / (law_real)2048;
     in->motor_angle = motor_reference + ((law_real)noise() / (law_real)4194304);
     in->torque = (law_real)noise() / (law_real)32768;
 """
-# Those of a PID: a measurement that is noise of the size of its range.
+# Inputs for a PID: a measurement that is noise over its whole range.
 _OF_PID = """\
     (void)motor_reference;
     in->reference = ((law_real)ramp / (law_real)512) * @SCALE@;

@@ -10,10 +10,10 @@ written:
     save(design, "design.json")
     load("design.json", kind=Design)
 
-A document is one JSON object: what it is ("fraclink"), the format's version, the tool's
-version, units, the period and the hashes of its sources where there are any, a SHA-256,
-and the content. The hash covers everything but the tool's version, arrays included, so
-that an edited gain is refused. In an NPZ file the same object is the header and the
+A document is one JSON object: its kind ("fraclink"), the version of the format, the
+version of the tool, units, the period and the hashes of its sources if any, a SHA-256,
+and the content. The hash covers everything except the tool's version, including arrays,
+so that an edited gain is rejected. In an NPZ file the same object is the header and the
 arrays are members that `numpy.load` opens.
 """
 
@@ -73,8 +73,8 @@ T = TypeVar("T")
 U = TypeVar("U")
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
-_ZIP = b"PK"  # how every zip archive begins
-# The keys of a document: its digest covers whatever else a file holds.
+_ZIP = b"PK"  # every zip archive starts with this
+# The keys of a document: its digest covers all others as well.
 _ENVELOPE = {"fraclink", "format", "tool", "units", "period", "sources"}
 _ENVELOPE |= {"summary", "arrays", "sha256", "content"}
 
@@ -116,8 +116,8 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     if file_format.own:
         getattr(value, "save")(place)  # noqa: B009
         return place
-    # Encoded whole before the file is opened: a value that does not fit leaves nothing
-    # behind.
+    # Encoded completely before the file is opened: a value that cannot be written
+    # leaves nothing behind.
     arrays: Arrays | None = {} if container == "npz" else None
     envelope = _enveloped(value, file_format, arrays)
     if arrays is not None:
@@ -125,8 +125,8 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
             write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
         return place
     text = json_text(envelope) + "\n"
-    # What `load` would refuse is not written: a result that cannot be read back is lost
-    # in silence.
+    # Nothing is written that `load` would reject: a result that cannot be read back
+    # would be lost unnoticed.
     if len(text) > JSON_LIMIT:
         allowed = f"<= {JSON_LIMIT} bytes, which can be read back"
         problem, remedy = "too large to save", "save a part of it"
@@ -185,11 +185,9 @@ def _head(kind: str, version: int) -> dict[str, Any]:
 
 
 def _digest(data: Mapping[str, Any]) -> str:
-    """SHA-256 of everything in a document but the tool's version: sorted keys, no
-    spaces, ASCII.
-    """
-    # Without the tool's version two releases give one digest to one result; sorted keys
-    # and no blanks make it independent of who wrote the file.
+    """SHA-256 of a document without the tool's version: sorted keys, no spaces, ASCII."""
+    # Without the tool's version, two releases give the same digest for the same result;
+    # sorted keys and no blanks make it independent of the writer.
     covered = {key: data[key] for key in data if key not in ("sha256", "tool")}
     text = json.dumps(covered, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
@@ -253,9 +251,9 @@ class Saved:
 
 
 def _expected(kind: object, wanted: tuple[type, ...], place: Path) -> type:
-    """The class of a kind of file, which must be one of those wanted, if any are."""
+    """The class of a kind of file, which must be one of those wanted, if any are given."""
     kinds = {document_of(cls).kind: cls for cls in wanted}
-    # JSON may hold a list here, which no dict can be asked for.
+    # JSON may contain a list here, which cannot be looked up in a dict.
     cls = kinds.get(str(kind)) if wanted else class_of(kind)
     if cls is None:
         allowed = " or ".join(kinds) or "a file that fraclink wrote"
@@ -273,10 +271,10 @@ def kind_of(path: Path | str) -> str:
     if place.suffix == ".toml":
         return "rig"
     with contextlib.suppress(FileFormatError):
-        # Kind and format stand in front of everything in what `save` writes: 200 bytes
-        # tell a folder's files apart, however large they are.
+        # `save` writes kind and format first: 200 bytes are enough to tell the files of
+        # a folder apart, however large they are.
         start = first_bytes(place, "a file of fraclink", 200)
-    # In an archive the same text is the member "about", whose beginning is enough.
+    # In an archive the beginning of the member "about" holds the same text.
     if start.startswith(_ZIP):
         start = header_of(place)[:200].encode("utf-8", "replace")
     envelope = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)
@@ -284,8 +282,8 @@ def kind_of(path: Path | str) -> str:
 
 
 def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the object of a document and its arrays, JSON or NPZ by the file's first
-    bytes.
+    """Return the object of a document and its arrays, as JSON or NPZ according to the
+    file's first bytes.
     """
     what = "a file of fraclink"
     arrays: dict[str, NDArray[Any]] = {}
@@ -300,7 +298,7 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def _check_version(version: object, versions: tuple[int, ...]) -> None:
-    # Not by `in` alone: True and 1.0 equal 1.
+    # Not by `in` alone, because True and 1.0 equal 1.
     if type(version) is not int or version not in versions:
         raise FileFormatError(
             "format",
@@ -318,7 +316,7 @@ def _check_digest(
     unknown = sorted(set(data) - _ENVELOPE)
     stated, expected = data.get("sha256"), _digest(data)
     field, problem = "", ""
-    if unknown:  # the digest covers it, and no release writes it
+    if unknown:  # the digest covers it, but no release writes it
         field, problem = unknown[0], "an unknown key"
     elif "content" not in data:
         field, problem = "content", "missing"

@@ -42,7 +42,7 @@ T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
 
 _WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
-# float.fromhex takes "12" for 18: only what float.hex writes is read.
+# float.fromhex reads "12" as 18: only the form that float.hex writes is accepted.
 _HEX = re.compile(r"-?0x[01]\.[0-9a-f]{1,13}p[+-][0-9]{1,4}")
 _REAL, _FINITE = number(Between(finite=False)), number()
 _AGAIN = "make the file again"
@@ -50,8 +50,8 @@ _AGAIN = "make the file again"
 
 @functools.cache
 def _stored(kind: Any) -> dict[str, Parameter]:
-    """The fields of a class that its file has: those with
-    ``metadata={"stored": False}`` are left out.
+    """The fields of a class that are stored in its file: all without
+    ``metadata={"stored": False}``.
     """
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     left_out = {each.name for each in fields if not each.metadata.get("stored", True)}
@@ -60,8 +60,8 @@ def _stored(kind: Any) -> dict[str, Parameter]:
 
 
 class _Plain(Form):
-    """A form in which some kinds of values have functions of (rule, value) of their own:
-    a file has no word for an array or an infinite number.
+    """A form with its own functions of (rule, value) for some kinds of values, since a
+    file cannot express an array or an infinite number directly.
     """
 
     own: Mapping[Any, Callable[[Rule, Any], Any]]
@@ -72,9 +72,7 @@ class _Plain(Form):
 
 
 class _Writing(_Plain):
-    """Values as JSON has them; with `arrays`, these are put aside as members of an
-    archive.
-    """
+    """Values in the form of JSON; with `arrays`, arrays become members of an archive."""
 
     def __init__(self, *, hex_floats: bool = False, arrays: bool = False) -> None:
         self.hex_floats, self.arrays = hex_floats, arrays
@@ -89,8 +87,8 @@ class _Writing(_Plain):
 
     def real(self, rule: Rule, value: Any) -> float | str:
         plain: float = _REAL.convert(value, self)
-        # JSON has no word for them, and a reader of another language would stop at NaN:
-        # they are texts.
+        # JSON has no infinities or NaN, and a reader in another language would stop at
+        # them: they are written as strings.
         if not math.isfinite(plain):
             return str(plain)
         return plain.hex() if self.hex_floats else plain
@@ -190,8 +188,8 @@ class Reading(_Plain):
             raise _misfit(data, "not a table", rule)
         table = {k: v for k, v in data.items() if not (rule.named and k == "type")}
         known, values, faults = self.keys(kind), {}, []
-        # Unknown keys first: a misspelt one is missing as well, and its own spelling
-        # says why.
+        # Unknown keys first: a misspelt key is also missing under its right name, and
+        # the wrong spelling explains why.
         for key in [*(key for key in table if key not in known), *known]:
             try:
                 if key not in known:
@@ -224,15 +222,16 @@ def _missing(key: str, rule: Rule) -> Refused:
 def suggestion(word: str, known: Iterable[str]) -> str:
     """``did you mean 'x'?`` for the nearest known word, or nothing where none is near."""
     original = {name.lower(): name for name in known}
-    # Half of the letters in common: enough for a slip of the keys or a missing unit,
-    # too little for another word.
+    # At least half of the letters in common: this admits a typing error or a missing
+    # unit, but not another word.
     near = difflib.get_close_matches(word.lower(), original, n=1, cutoff=0.5)
     return f"did you mean {original[near[0]]!r}?" if near else ""
 
 
 def _unlisted(rule_: Rule, data: list[Any]) -> NDArray[Any]:
     dtype = rule_.of
-    # Each leaf by itself: np.array makes texts of [1, "a"], and numbers of true.
+    # Each leaf by itself: np.array would turn [1, "a"] into strings, and true into a
+    # number.
     leaf = rule({"f": float, "c": float, "b": bool}.get(dtype.kind, int))
     decimal = Reading()
 
@@ -255,8 +254,8 @@ def _misfit(value: object, problem: str, rule: Rule) -> Refused:
 
 
 def _made(make: Callable[[], Any]) -> Any:
-    """Return what `make` returns; whatever it raises over the values of a file becomes
-    Refused.
+    """Return what `make` returns; any exception that it raises for the values of a file
+    becomes Refused.
     """
     try:
         return make()
@@ -266,7 +265,7 @@ def _made(make: Callable[[], Any]) -> Any:
         refused = Refused(error.value, error.problem, error.allowed, error.remedy)
         refused.keys += [error.field] if error.field else []
         raise refused from error
-    except Exception as error:  # a constructor that meets unforeseen values
+    except Exception as error:  # a constructor may meet values that nobody foresaw
         raise Refused(
             f"{type(error).__name__}: {error}", "damaged", "a file of fraclink", _AGAIN
         ) from error
@@ -277,13 +276,13 @@ def faults_of(
 ) -> list[FieldError]:
     """Return an error for each fault of a file, named by its path from `path` on."""
     for key in map(str, reversed(refused.keys)):
-        # The errors of a part name the part already.
+        # The errors of a part already contain the name of the part.
         inside = not path or key.startswith(f"{path}.")
         path = key if inside else f"{path}.{key}"
     if refused.inner:
         return [each for r in refused.inner for each in faults_of(r, path, error)]
     allowed, remedy = refused.expected, refused.remedy
-    if error is FileFormatError:  # nobody wrote it by hand
+    if error is FileFormatError:  # such a file was not written by hand
         remedy = _AGAIN
     field, value = path or "content", refused.value
     return [error(field, value, refused.problem, allowed=allowed, remedy=remedy)]
@@ -305,7 +304,7 @@ def plain(
 
 
 def _put_aside(tree: Any, path: str, arrays: Arrays) -> Any:
-    """The tree without its arrays; Refused for what no file can hold."""
+    """The tree without its arrays; Refused for values that no file can hold."""
     if isinstance(tree, dict) and all(isinstance(key, str) for key in tree):
         return {
             key: _put_aside(item, f"{path}.{key}" if path else key, arrays)

@@ -1,8 +1,8 @@
-"""Bytes on disk: written complete or not at all, read without trusting one of them.
+"""Bytes on disk: written completely or not at all, and never trusted when read.
 
 Two containers carry every result: JSON text, and NPZ (a zip archive of .npy arrays)
-where there are signals. Whatever a disk, a cable or an enemy did to a file, reading it
-ends in a value or in FileFormatError, and sizes are compared before memory is taken.
+where there are signals. However a file was damaged or manipulated, reading it ends in a
+value or in FileFormatError, and sizes are checked before memory is allocated.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ __all__ = [
     "write_text",
 ]
 
-JSON_LIMIT = (
-    16_000_000  # bytes; a saved fit with its residuals of 100 000 samples is about 2 MB
-)
-UNPACKED_LIMIT = 400_000_000  # bytes of all members: 8 signals of 6 million samples
-# What a reader may expect: numbers, flags and marks; never objects, whose loading runs
-# what a file holds.
+# bytes; a saved fit with its residuals of 100 000 samples takes about 2 MB
+JSON_LIMIT = 16_000_000
+# bytes of all members together: 8 signals of 6 million samples
+UNPACKED_LIMIT = 400_000_000
+# Types that a reader accepts: numbers and flags, but no objects, because loading
+# objects executes code from the file.
 _TYPES = tuple(map(np.dtype, ("<f8", "<c16", "<u4", "<i8", "|b1")))
 _HEADER = "about"
 
@@ -87,8 +87,8 @@ def output_path(path: Path | str, *, force: bool = False) -> Path:
     """
     place = checked_path("out", path)
     allowed, remedy = "a place in a folder that can be written", "choose another folder"
-    # Folders that are missing are made, below the nearest one that is there; the root
-    # has none above it.
+    # Missing folders are created below the nearest existing one; the root has no
+    # parent.
     folders = place.absolute().parents
     ground = next((folder for folder in folders if os.path.lexists(folder)), place)
     problem = ""
@@ -96,7 +96,7 @@ def output_path(path: Path | str, *, force: bool = False) -> Path:
         problem = f"below {ground.name}, which is not a folder"
     elif not os.access(ground, os.W_OK | os.X_OK):
         problem = f"not writable (no permission in {ground})"
-    elif place.is_dir() and force:  # only a file is replaced by a file
+    elif place.is_dir() and force:  # a folder is never replaced by a file
         problem, allowed, remedy = (
             "a folder",
             "the name of a file",
@@ -119,32 +119,33 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
     """
     place = Path(path)
     place.parent.mkdir(parents=True, exist_ok=True)
-    # Beside the file and not in /tmp: a rename replaces in one step only within one
-    # file system. The name is cut, as 255 bytes are all that most of them allow.
+    # Next to the file instead of in /tmp, because a rename is atomic only within one
+    # file system. The name is cut, since most file systems allow 255 bytes.
     temporary = place.with_name(f".{place.name[:100]}.{secrets.token_hex(8)}.tmp")
     binary = "b" in mode
-    # Mode "x" is O_CREAT | O_EXCL with permissions 0666, from which the kernel takes
-    # the umask. Asking for the umask instead means setting it for a moment, in which
-    # files of other threads come out as 0666.
+    # Mode "x" is O_CREAT | O_EXCL with permissions 0666, to which the kernel applies
+    # the umask. Reading the umask requires setting it for a moment, in which files of
+    # other threads would be created with 0666.
     try:
         opened = temporary.open(
             "xb" if binary else "x", encoding=None if binary else "utf-8"
         )
     except OSError as error:
-        error.filename = str(place)  # the name that the user gave, not one that is gone
+        # the name given by the user, not that of the removed temporary file
+        error.filename = str(place)
         raise
     with opened as stream:
         try:
             yield stream
             stream.flush()
-            # The content reaches the disk before the name does; the other order leaves
-            # an empty file after a power cut.
+            # The content is written to disk before the rename; the other order could
+            # leave an empty file after a power failure.
             os.fsync(stream.fileno())
             stream.close()
             temporary.replace(place)
         except BaseException:
-            # Closed first, as Windows removes no open file; on a full disk the flush
-            # within fails once more.
+            # Closed first, since Windows cannot remove an open file; on a full disk the
+            # flush on closing fails once more.
             with contextlib.suppress(OSError):
                 stream.close()
             temporary.unlink(missing_ok=True)
@@ -162,8 +163,7 @@ def first_bytes(path: Path | str, what: str, count: int) -> bytes:
     can be read.
     """
     place = Path(path)
-    # A pipe without a writer would hold whoever opens it for ever, and a device never
-    # ends.
+    # Opening a pipe without a writer would block for ever, and a device never ends.
     if not place.is_file():
         raise broken(
             what,
@@ -185,8 +185,8 @@ def read_text(path: Path | str, what: str, *, limit: int = JSON_LIMIT) -> str:
     otherwise.
     """
     place = Path(path)
-    # One byte more than is allowed, as a size that is asked for before may be another
-    # by now.
+    # One byte more than allowed, because the size may have changed since it was
+    # checked.
     raw = first_bytes(place, what, limit + 1)
     if len(raw) > limit:
         raise broken(what, place, f"too large: more than {limit} bytes", f"give {what}")
@@ -224,7 +224,7 @@ def parse_json(text: str, *, source: str = "json") -> Any:
     except (
         RecursionError,
         ValueError,
-    ) as error:  # of integers of over 4300 digits, too
+    ) as error:  # also for integers of over 4300 digits
         problem = f"not valid JSON ({error})"
         if isinstance(error, RecursionError):
             problem = "nested too deeply"
@@ -249,8 +249,7 @@ def _finite(text: str) -> float:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = [key for key, _ in pairs]
     if len(set(keys)) < len(keys):
-        # json keeps the last one silently; which of two values was meant only the
-        # author knows.
+        # json silently keeps the last value; only the author knows which one is right.
         twice = next(key for key in keys if keys.count(key) > 1)
         raise FileFormatError(
             twice,
@@ -273,8 +272,8 @@ def json_text(value: object, level: int = 0) -> str:
             for key, item in value.items()
         ]
         return "{" + inner + f",{inner}".join(parts) + outer + "}"
-    # Lists of numbers stay on a line, lists of objects do not: a file of 100 000
-    # samples has few lines, and a person can read the rest.
+    # Lists of numbers stay on one line, lists of objects do not: a file of 100 000
+    # samples has few lines, and the rest remains readable.
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
         parts = [json_text(item, level + 1) for item in value]
         return "[" + inner + f",{inner}".join(parts) + outer + "]"
@@ -288,7 +287,8 @@ def write_archive(
     bytes.
     """
     size = sum(values.nbytes for values in arrays.values())
-    # A tenth for the headers of the members, which count when the file is read.
+    # A tenth is reserved for the headers of the members, which count when the file is
+    # read.
     if size > 0.9 * UNPACKED_LIMIT:
         raise SizeError(
             "arrays",
@@ -309,7 +309,7 @@ def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[An
     try:
         with _archive(place) as archive:
             members = dict(archive.items())
-    # A damaged zip archive raises anything, down to a SyntaxError of its header.
+    # A damaged zip archive may raise anything, even a SyntaxError from an array header.
     except Exception as error:
         raise broken(what, place, f"damaged ({error})", "make it again") from error
     header = members.pop(_HEADER, np.zeros(0))
@@ -339,10 +339,10 @@ def header_of(path: Path | str) -> str:
 
 
 def _archive(path: Path | str) -> np.lib.npyio.NpzFile:
-    """An archive opened, of which no member may hold objects, whose loading runs what
-    a file says.
+    """An open archive; members with objects are rejected, since loading objects
+    executes code from the file.
     """
-    # By the archive's directory, before anything is unpacked.
+    # From the directory of the archive, before anything is unpacked.
     with zipfile.ZipFile(path) as archive:
         items = archive.infolist()
     unpacked = sum(item.file_size for item in items)

@@ -1,9 +1,9 @@
-"""Which classes have a file: those that say so by `document`, and every other one of
-fraclink with fields, JSON or NPZ.
+"""The classes that can be saved, as JSON or NPZ: those registered by `document`, and
+every other class of fraclink with fields.
 
-A class that `document` names has a format of its own, with a version. The other results
-(margins, a step response, metrics …) are written by their fields, under the class's
-name.
+A class registered by `document` has its own format with a version. The other results
+(margins, a step response, metrics …) are written field by field, under the name of the
+class.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["class_of", "document", "document_of"]
 
 T = TypeVar("T")
 Container = Literal["json", "npz", "toml", "either"]
-# Whose public names bring in every class of a result.
+# Importing the public names of these packages loads all classes of results.
 PACKAGES = (
     "fraclink",
     "fracsys",
@@ -100,8 +100,8 @@ class document:
 def document_of(cls: type) -> document:
     """Return the document of a class; FieldError for one whose values have no file."""
     if cls not in _DOCUMENTS:
-        # The object itself, not its name: a user's class called Design is no result of
-        # fraclink.
+        # The class itself, not its name: a user's class called Design is not a result
+        # of fraclink.
         kind = _kind(cls.__name__)
         if not _is_result(cls) or _registered(kind):
             raise FieldError(
@@ -122,13 +122,13 @@ def class_of(kind: object) -> type | None:
     The word comes from a file that may be hostile: it is compared with those of the
     classes, and never itself imported.
     """
-    # Importing every package takes a second: only for a kind of which no class is
-    # loaded.
+    # Importing every package takes a second; this happens only if no loaded class has
+    # the kind.
     for import_all in (False, True):
         for package in filter(find_spec, PACKAGES if import_all else ()):
             module = import_module(package)
             for name in module.__all__:
-                # a copy of the core lends no names of the packages around it
+                # a copy of the core lacks the packages around it
                 with contextlib.suppress(ModuleNotFoundError):
                     getattr(module, name)
         for cls in _results():
@@ -156,9 +156,9 @@ def _is_result(cls: type) -> bool:
 
 
 def _results() -> list[type]:
-    """The classes of results in every module that is loaded.
+    """The classes of results in all loaded modules.
 
-    By name and at call time: this floor knows nothing of those above it.
+    Found by name at call time: this layer must not depend on those above it.
     """
     own = ("fraclink", "fracsys")
     modules = [module for name, module in sys.modules.items() if name.startswith(own)]

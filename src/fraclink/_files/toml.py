@@ -2,8 +2,8 @@
 
 A key is the field's name and its unit: ``inertia: Annotated[float, Between(0, 1e15,
 "kg·m²")]`` is ``inertia_kg_m2``. A field that is a dataclass itself is a table within
-the table, and the annotation is the rule of the value. Every fault of a file is found
-at once, each with its place in the file.
+the table, and the annotation is the rule of the value. All faults of a file are
+reported together, each with its place in the file.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ __all__ = [
 ]
 
 # A dotted key of 20 000 parts takes tomllib 6.8 s (its time is quadratic in the parts),
-# so that sizes are checked before it sees the text. A rig file is 2 kB; its longest
-# line a sentence.
+# so sizes are checked first. A rig file has 2 kB, its longest line is a sentence.
 FILE_LIMIT = 64_000  # bytes
 LINE_LIMIT = 1_000  # characters
 _SUFFIX = {
@@ -79,8 +78,9 @@ class FileFaults(FieldError):
 @functools.cache
 def keys_of(kind: type) -> dict[str, Parameter]:
     """Return the fields of a dataclass by their keys in a table."""
-    # Only units of the table are written into keys: dB or % would make names that TOML
-    # has to quote. What is no property of an arm is marked ``metadata={"stated": False}``.
+    # Only units of the table are written into keys: TOML would have to quote names with
+    # dB or %. Fields that are not properties of an arm are marked ``metadata={"stated":
+    # False}``.
     known = parameters(kind)
     return {
         field.name + _SUFFIX.get(known[field.name].rule.unit, ""): known[field.name]
@@ -90,7 +90,9 @@ def keys_of(kind: type) -> dict[str, Parameter]:
 
 
 class _Tables(Reading):
-    """Values as TOML has them: in the ranges of their annotations, by keys with units."""
+    """Values in the form of TOML: within the ranges of their annotations, under keys
+    with units.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -126,7 +128,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
         if number or len(text) > FILE_LIMIT:
             raise ValueError(f"too long in line {number}" if number else "too large")
         return tomllib.loads("\n".join(lines))
-    # Deep nesting, an integer of thousands of digits, or no TOML.
+    # Deep nesting, an integer of thousands of digits, or not TOML at all.
     except (RecursionError, ValueError) as error:
         raise FileFormatError(
             "rig",
@@ -152,7 +154,7 @@ def table_of(value: Any) -> dict[str, Any]:
     }
     for key, field in keys_of(kind).items():
         item = getattr(value, field.name)
-        # TOML has inf, but a limit that a person did not state is left out.
+        # TOML has inf, but a limit that nobody stated is left out.
         unlimited = isinstance(item, float) and math.isinf(item)
         number = isinstance(item, float | int) and not isinstance(item, bool)
         if not unlimited and (number or item != bare[field.name]):
@@ -173,14 +175,15 @@ def _lines(table: Mapping[str, Any], place: str) -> list[str]:
     lines = [f"{_key(key)} = {toml_value(item)}" for key, item in own.items()]
     for key, item in inner.items():
         name = f"{place}.{_key(key)}" if place else _key(key)
-        # [a.b] alone makes a: a header without a key of its own would be noise.
+        # [a.b] already defines a; a header without keys of its own would be
+        # superfluous.
         only_tables = item and all(isinstance(part, dict) for part in item.values())
         lines += ([] if only_tables else ["", f"[{name}]"]) + _lines(item, name)
     return lines
 
 
 def _key(name: str) -> str:
-    # A bare key of TOML; any other name is a quoted one.
+    # A bare key of TOML; any other name has to be quoted.
     return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
 
 
@@ -192,7 +195,7 @@ def toml_value(value: Any) -> str:
     ('"a \\\\"b\\\\""', 'true', '[1, 0.5]')
     """
     if isinstance(value, str | bool):
-        # JSON's escapes are TOML's, which also wants U+007F escaped.
+        # TOML uses the escapes of JSON, but also requires U+007F to be escaped.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         if value and all(isinstance(item, str) for item in value):  # sentences

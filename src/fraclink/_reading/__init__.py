@@ -1,1 +1,1 @@
-"""Recorded logs read: a file with stated columns becomes an Experiment."""
+"""Readers of recorded logs: a file with stated columns becomes an Experiment."""

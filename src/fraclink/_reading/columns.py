@@ -1,5 +1,5 @@
-"""Which column is what, and whether it is a signal: names that state a role and a unit,
-complete columns.
+"""Roles of columns and checks of their content: names that state a role and a unit, and
+columns that are complete signals.
 
 Only names such as ``motor_angle_rad`` count as stated. Everything else needs the
 `[log]` table of a rig file.
@@ -19,8 +19,8 @@ from fraclink.errors import LogError
 from fraclink.findings import Finding
 from fracsys.checks import Payload, rule
 
-# Role, then a unit: both in the name, or a person has to state them. "theta" alone is a
-# motor angle to a reader and nothing to this one.
+# A role, then a unit: both are in the name, or a person has to state them. A person
+# reads "theta" alone as a motor angle; this reader does not.
 _NAME = re.compile(
     r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?"
 )
@@ -57,8 +57,8 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
             channels[role] = Channel(name, unit)
     outputs = {"torque", "deflection"} & channels.keys()
     if len(outputs) == 2:
-        # Which of them the model is to explain decides the unit of c, and is no business
-        # of the order of columns.
+        # Which of them the model explains determines the unit of c, and must not depend
+        # on the order of the columns.
         raise LogError(
             "columns",
             f"{channels['torque'].column}, {channels['deflection'].column}",
@@ -70,7 +70,7 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
     return LogColumns(**channels) if complete else None
 
 
-_LOOKED_AT = 100_000  # samples: a converter of 16 bits has 65 536 values
+_LOOKED_AT = 100_000  # samples; a 16-bit converter has 65 536 values
 
 
 def converter_step(values: NDArray[np.float64]) -> float:
@@ -81,8 +81,8 @@ def converter_step(values: NDArray[np.float64]) -> float:
     steps.
     """
     distinct = np.unique(values[:_LOOKED_AT])
-    # A converter's readings occur again and again; where more than half are distinct
-    # the values are continuous, and their smallest gap is an accident.
+    # Readings of a converter repeat often. If more than half of the values are
+    # distinct, they are continuous, and their smallest difference is accidental.
     if distinct.size < 2 or distinct.size > 0.5 * min(values.size, _LOOKED_AT):
         return 0.0
     gaps = np.diff(distinct)
@@ -127,9 +127,8 @@ def _unit(table: LogTable, role: str, column: str) -> str:
 # --- what a stated column must be -------------------------------------------------------
 
 
-_FEWEST = (
-    200  # samples: three parameters, an offset and a held-out part need more than that
-)
+# samples: three parameters, an offset and a held-out part need at least that many
+_FEWEST = 200
 
 
 def check_count(count: int) -> None:
@@ -149,8 +148,8 @@ def check_signals(
         kind: "check the gauge and its amplifier, or state another column",
     }
     for (role, remedy), values in zip(remedies.items(), (angle, output), strict=True):
-        # Exactly constant is refused here, as no fit can begin; what moves by a
-        # billionth is for `diagnose` to judge.
+        # An exactly constant column is rejected here, since no fit is possible; one
+        # that moves by a billionth is left to `diagnose`.
         if np.ptp(values) == 0:
             shown = f"{float(values[0]):.6g} in all {values.size} samples (standard deviation 0)"
             raise LogError(
@@ -163,7 +162,7 @@ def stated_payload(
 ) -> tuple[float | None, list[Finding]]:
     """The payload of a log, from the call or from its own header."""
     mass = rule(Payload)
-    # A set: the same label twice contradicts nothing.
+    # A set: repeating the same label is no contradiction.
     labels = {value for key, value in table.notes if key == "payload_kg"}
     if len(labels) > 1:
         raise LogError(
@@ -189,7 +188,7 @@ def stated_payload(
             "fraclink uses the stated one; correct the other",
         )
         for header in masses
-        # 0.03 and 30 g that somebody converted differ in the last bit.
+        # 0.03 and a converted 30 g differ in the last bit.
         if abs(payload - header) > 1e-9 * payload
     ]
     return payload, findings

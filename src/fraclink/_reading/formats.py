@@ -1,7 +1,7 @@
-"""Which format a file is in, by its first bytes, and the child process that parses the
-binary ones.
+"""Detection of the format of a file by its first bytes, and the child process that
+parses binary formats.
 
-A name that says another format than the content is an error.
+A file name that contradicts the content is an error.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _FOREIGN = (
     (b"{", "JSON"),
     (b"<", "HTML or XML"),
 )
-# Names that promise a format; other endings (.txt, .dat, .log …) promise nothing.
+# Name endings that imply a format; others (.txt, .dat, .log …) imply none.
 _PROMISED = {
     ".mat": ("MAT v5", "HDF5"),
     ".h5": ("HDF5",),
@@ -76,8 +76,8 @@ def sniffed_kind(path: Path) -> str:
     check_file(path)
     with path.open("rb") as stream:
         head = stream.read(1024)
-    # By content and not by name: a .mat file is MATLAB's own format or HDF5, by its
-    # age.
+    # By content instead of name: a .mat file is MATLAB's own format or HDF5, depending
+    # on its age.
     kinds = (kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic)
     kind = next(kinds, "text")
     foreign = next((name for magic, name in _FOREIGN if head.startswith(magic)), "")
@@ -107,7 +107,7 @@ def read_table(path: Path) -> LogTable:
     if kind == "text":
         return read_text_table(path)
     if path.is_dir():
-        # Recorders split a bag into files, each of which may be small enough alone.
+        # Recorders split a bag into files, each of which may be small.
         files = [file for file in path.iterdir() if file.is_file()]
         check_bytes(sum(file.stat().st_size for file in files))
     table = _parsed_by_child(path, kind)
@@ -122,13 +122,11 @@ def read_table(path: Path) -> LogTable:
     return table
 
 
-_WALL_SECONDS = 60  # of the child, for one file: the disk may be slow
+_WALL_SECONDS = 60  # wall time of the child for one file: the disk may be slow
 
 
 def _parsed_by_child(path: Path, kind: str) -> LogTable:
-    """The table in a binary file; FileFormatError where the child refuses it or dies of
-    it.
-    """
+    """The table in a binary file; FileFormatError if the child rejects it or crashes."""
     # Every thread of a linear algebra library reserves address space, of which the
     # child has 1 GB.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -143,8 +141,8 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
             env=environment,
         )
         try:
-            # The child's own limit counts processor time: one that waits for a disk or
-            # hangs in a lock never reaches it.
+            # The child's own limit counts processor time, which does not advance while
+            # it waits for a disk or a lock.
             child.wait(_WALL_SECONDS)
             text, arrays = read_archive(place, "the columns of a file")
         except subprocess.TimeoutExpired as error:
@@ -161,7 +159,8 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
         raise MissingExtraError(*about["missing"])
     if "refused" in about:
         field, value, problem, allowed, remedy = about["refused"]
-        # Classes do not cross the border: the words of the problem tell which it was.
+        # Exceptions are passed on as text: the wording of the problem determines the
+        # class.
         error_class = SizeError if "large" in problem else FieldError
         raise error_class(field, value, problem, allowed=allowed, remedy=remedy)
     if "damaged" in about:
@@ -173,7 +172,7 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
 
 
 def _death(code: int) -> str:
-    """Why the child ended, in words."""
+    """The reason why the child ended, in words."""
     if hasattr(signal, "SIGXCPU") and code == -signal.SIGXCPU:
         return f"its parser needed more than {CPU_SECONDS} s"
     if code < 0:

@@ -1,8 +1,8 @@
-"""What the name of a column says: the quantity that loggers call so, and the unit at
-its end.
+"""The meaning of column names: the usual quantity of such a name, and the unit at its
+end.
 
-Names are hints. `inspect_log` prints what they suggest, `start` asks where they leave a
-choice; only names such as ``motor_angle_rad`` count as stated.
+Names are hints. `inspect_log` prints what they suggest, `start` asks where they are
+ambiguous; only names such as ``motor_angle_rad`` count as stated.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ __all__ = [
     "words_of",
 ]
 
-# Words that loggers use, English and German. A word of three letters and more also
-# counts where it begins a longer one, and one of five where it is a part of it.
+# Words used in logs, English and German. A word of at least three letters also matches
+# at the beginning of a longer one, a word of at least five letters anywhere in it.
 _ROLES = {
     "torque": (
         *("torque", "gamma", "moment", "effort", "nm", "drehmoment", "tau"),
@@ -41,7 +41,7 @@ _ROLES = {
     ),
     "voltage": ("volt", "command", "spannung", "vin", "umot", "vm", "um", "u", "v"),
 }
-# Words that make a column something else, whatever other words are in its name.
+# Words that give a column another meaning, whatever other words are in its name.
 _OTHER = {
     "a commanded value": (
         *("ref", "cmd", "set", "target", "desired", "reference", "setpoint", "soll"),
@@ -58,15 +58,15 @@ _OTHER = {
     "a temperature": ("temp", "temperature", "temperatur"),
 }
 _TIP = ("tip", "endpoint", "spitze", "laser", "camera", "kamera")
-# Behind the name of another column they say that it is what that one is to follow.
+# After the name of another column they mark its desired value.
 _DESIRED = ("d", "des", "r", "sp")
 _TIME = (
     *("time", "t", "zeit", "timestamp", "stamp", "seconds", "sec", "millis", "micros"),
     *("ms", "tempo", "temps"),
 )
-# Spellings of the units of `UNITS` and of a frequency response, in lower case and
-# without blanks, dots and stars. What has a prefix stands here only where lower case
-# leaves one reading: mhz may be milli or mega.
+# Spellings of the units of `UNITS` and of frequency responses, in lower case and
+# without blanks, dots and stars. Units with a prefix are listed only if lower case is
+# unambiguous: mhz may be milli or mega.
 _SPELLINGS = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
     **dict.fromkeys(("msec", "millis", "milliseconds"), "ms"),
@@ -85,14 +85,14 @@ _SPELLINGS = {
     **dict.fromkeys(("-", "abs", "lin", "linear", "v/v"), "1"),
 }
 _KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
-# What is a unit at the end of a name although no reader converts it: taken for no unit,
-# a time in minutes would be one in seconds.
+# Units at the end of a name that no reader converts. If they were not recognised, a
+# time in minutes would be read as seconds.
 _UNITS_ELSEWHERE = _KNOWN | {
     *("Hz", "rad/s", "dB", "rpm", "%", "mm", "cm", "um", "µm", "N", "kg"),
     *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day"),
     *("days", "tick", "ticks", "count", "counts", "samples"),
 }
-# in any case: GHZ and ghz are units, too, though none that can be converted
+# in any case: GHZ and ghz are units too, although none that can be converted
 _PREFIXES = "kmgtuµnp"
 UNITS_OF_LENGTH = {
     "m": 1.0,
@@ -110,7 +110,8 @@ def words_of(name: str) -> tuple[str, ...]:
     >>> words_of("motorAngle2 [deg]"), words_of("theta_ref")
     (('motor', 'angle', 'deg'), ('theta', 'ref'))
     """
-    # Behind a small letter only: VIEW and GHZ are no words of one letter.
+    # Only after a lower-case letter: VIEW and GHZ must not fall apart into single
+    # letters.
     spaced = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
     return tuple(word.lower() for word in re.split(r"[\W\d_]+", spaced) if word)
 
@@ -139,16 +140,16 @@ def stated_unit(name: str, known: Collection[str]) -> str:
 
 
 def _endings(name: str) -> list[str]:
-    """What may be the unit of a name, the longest first.
+    """The endings of a name that may be its unit, the longest first.
 
-    The ends of "omega_rad_per_s" are "rad/s" and "s". What stands in round brackets may
-    be an argument, as in "Re(H)"; in square brackets there are units alone.
+    The ends of "omega_rad_per_s" are "rad/s" and "s". Text in round brackets may be an
+    argument, as in "Re(H)"; text in square brackets is always a unit.
     """
     if bracketed := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
         inside = bracketed[1].strip()
         # "(Theta in rad)" ends with its unit.
         return [inside, *inside.split()[-1:]] if inside else []
-    # Without the first part, which is the name itself: a column "s" is no unit.
+    # Without the first part, which is the name itself: a column "s" is not a unit.
     parts = [part for part in re.split(r"[_ /.\-]+", name.strip()) if part != "per"]
     return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]]
 
@@ -162,7 +163,7 @@ def _spelled(text: str, known: Collection[str]) -> str:
 
 
 def _is_unit(text: str) -> bool:
-    """Whether a text is a unit, or a quotient of units, with or without a prefix."""
+    """Whether a string is a unit or a quotient of units, with or without a prefix."""
     parts = text.split("/", 1)
     if len(parts) == 2 and all(map(_is_unit, parts)):
         return True
@@ -178,8 +179,8 @@ def length_of_name(name: str) -> str:
     ['mm', 'm', 'm', '', '']
     """
     unit = next((each for each in _endings(name) if each in UNITS_OF_LENGTH), "")
-    # theta_m is the motor's angle in every second paper: m is a length there in
-    # brackets only.
+    # theta_m is the motor angle in many papers: there "m" is a unit of length only in
+    # brackets.
     angle = {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
     return "" if unit == "m" and angle and not re.search(r"[\[(]", name) else unit
 
@@ -200,8 +201,8 @@ def role_of_name(name: str) -> tuple[str, str]:
     """
     words, unit = words_of(name), unit_of_name(name)
     by_words = _by_words(words)
-    # A potentiometer and a strain gauge are read in volts, too: only what is no sensor
-    # drives the motor.
+    # Potentiometers and strain gauges are also read in volts; only a column that is no
+    # sensor is the voltage of the motor.
     if by_words[0] in ("", "voltage") and unit in UNITS["voltage"]:
         return "voltage", unit
     if by_words == ("voltage", "command"):
@@ -213,7 +214,8 @@ def role_of_name(name: str) -> tuple[str, str]:
         return "a speed", "d"
     if unit in UNITS["torque"]:
         return "torque", unit
-    # A deflection of the tip is measured from the hub; of a tip nothing is known.
+    # A deflection of the tip is measured from the hub; for a tip alone the origin is
+    # unknown.
     tip = next((word for word in words if word in _TIP), "")
     if tip and by_words[0] != "deflection":
         return "the tip", tip
@@ -236,9 +238,9 @@ def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
-    # In this order, as names hold two words: "motor_torque" and "joint_effort" are
-    # torques, "motor_voltage" is none of the three. Words of one or two letters say
-    # least: theta_m is no torque.
+    # In this order, as names may hold two words: "motor_torque" and "joint_effort" are
+    # torques, "motor_voltage" is none of the three. Words of one or two letters are the
+    # weakest hints: theta_m is not a torque.
     hints = [(role, hint) for role, listed in _ROLES.items() for hint in listed]
     hints.sort(key=lambda each: len(each[1]) < 3)
     for role, hint in hints:

@@ -1,5 +1,5 @@
-"""`read_log`, the one way from a file to an `Experiment`, and `inspect_log`, what is in
-a file.
+"""`read_log`, the only way from a file to an `Experiment`, and `inspect_log`, which
+lists the content of a file.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from fracsys.checks import Payload
 from fracsys.errors import printable
 
 _LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
-# [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
+# [s] Stamps are sums of periods and may differ from the intended end by rounding.
 _ROUNDED = 1e-9
 
 
@@ -148,13 +148,12 @@ def read_log(
     if columns is not None and not isinstance(columns, LogColumns):
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
     table = read_table(place)
-    # The call before the rig, and the rig before the names: who states more, knows
-    # more.
+    # The call takes precedence over the rig, and the rig over the names.
     stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
-    # Units and signs at the border: from here on everything is SI, radians and positive
-    # where the motor speeds up.
+    # Units and signs are converted here; from now on all data are in SI, radians, and
+    # positive where the motor accelerates.
     data, findings = _channels(table, stated, interpolate)
     stamps = data.pop("time")
     recorded, whole_angle, first = stamps, data["motor_angle"], 0
@@ -163,12 +162,12 @@ def read_log(
         findings.append(cut)
         stamps = stamps[inside]
         data = {role: values[inside] for role, values in data.items()}
-        first = int(np.argmax(inside))  # of the samples that are kept
+        first = int(np.argmax(inside))  # first of the samples that are kept
     base = time_base(stamps, resample=resample)
-    # Uniform stamps need no interpolation, which would cost the last bits.
+    # Uniform stamps need no interpolation, which would change the last bits.
     if resample and base.findings:
-        # One stamp of another day, and a grid of the usual step over the gap is more
-        # memory than the log.
+        # With a single stamp of another day, a grid over the gap would take more memory
+        # than the log.
         check_size(int(float(np.ptp(stamps)) / base.period))
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[stated.output_kind]
@@ -194,8 +193,8 @@ def read_log(
 def _kept(
     stamps: NDArray[np.float64], begin: float, end: float
 ) -> tuple[NDArray[np.bool_], Finding]:
-    """Which samples lie from `begin` to `end` [s] after the first, and the finding that
-    says so (W237).
+    """Mask of the samples from `begin` to `end` [s] after the first, and the finding
+    that reports the selection (W237).
     """
     since = stamps - stamps[0]
     inside = (since >= begin - _ROUNDED) & (since <= end + _ROUNDED)
@@ -235,14 +234,14 @@ def _unstated(table: LogTable) -> LogError:
 def _channels(
     table: LogTable, stated: LogColumns, interpolate: bool
 ) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
-    """Every stated channel in SI units, with what was noticed."""
+    """Every stated channel in SI units, and the findings."""
     data: dict[str, NDArray[np.float64]] = {}
     findings: list[Finding] = []
     channels = stated.channels()
     table = table.with_combined([channel.column for channel in channels.values()])
     for role, channel in channels.items():
-        # Optional: a rig file states the voltage for all its logs, of which some have
-        # none. It costs the friction, not the link.
+        # Optional: a rig file states the voltage for all its logs, and some have none.
+        # Without it the friction is unknown, but not the link.
         if role == "voltage" and channel.column not in table.names:
             findings.append(
                 Finding(
@@ -277,13 +276,12 @@ def _channels(
 def _contradicted(
     table: LogTable, place: int, role: str, channel: Channel
 ) -> list[Finding]:
-    """The unit that the log's own header states for a column, where it is not the one
-    that was stated.
-    """
-    # Compared by size, not by spelling: Nm and N*m agree.
+    """The unit in the header of the log for a column, if it contradicts the stated one."""
+    # Compared by value, not by spelling: Nm and N*m agree.
     known = UNITS[QUANTITY_OF[role]]
     own = table.unit(place, tuple(known)) or channel.unit
-    # A scale states the conversion by itself, and names that do not fit state nothing.
+    # An explicit scale states the conversion, and names that do not match the columns
+    # state nothing.
     if known[own] == known[channel.unit] or channel.scale != 1 or table.hints:
         return []
     return [
@@ -375,7 +373,7 @@ class LogListing:
 
 
 def _shown(text: str) -> str:
-    # A name from a file may hold a terminal's commands.
+    # A name from a file may contain terminal escape sequences.
     return printable(text[:80])
 
 
@@ -416,7 +414,8 @@ def _summary(table: LogTable, number: int) -> ChannelSummary:
         missing=values.size - finite.size,
         minimum=float(finite.min()) if finite.size else float("nan"),
         maximum=float(finite.max()) if finite.size else float("nan"),
-        # A clock's step is its period; as a converter's step it would mislead.
+        # The step of a clock is its period, which must not be reported as the step of a
+        # converter.
         quantum=converter_step(finite) if period is None else 0.0,
         period=period,
     )

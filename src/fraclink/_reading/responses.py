@@ -1,4 +1,4 @@
-"""Readers of what is no log of an arm: frequency responses, any two channels,
+"""Readers of other files than logs of an arm: frequency responses, any two channels,
 references.
 """
 
@@ -28,7 +28,7 @@ __all__ = ["COLUMNS", "read_frequency_response", "read_recording", "read_referen
 
 Reals = NDArray[np.float64]
 
-# What the words of a column's name say it is; the first that fits.
+# Words in the name of a column, by quantity; the first match applies.
 _ROLES = {
     "coherence": ("coherence", "coh", "gamma"),
     "phase": ("phase", "phi", "arg", "angle", "ph"),
@@ -46,7 +46,7 @@ _UNITS = {
     "coherence": {"1": 1.0},
     "time": UNITS["time"],
 }
-_OMEGA = ("omega", "w", "ω")  # these letters are angular frequencies in every book
+_OMEGA = ("omega", "w", "ω")  # the usual symbols of angular frequency
 _CALLED = 'name it as the header does, or by its number: "#1" is the first'
 
 
@@ -85,7 +85,8 @@ def read_frequency_response(
     place = Path(path)
     given = _columns_of(read_table(place), columns)
     frequency = _in_si(given, "frequency")
-    # First, as they need no unit: a table that holds both forms says the same twice.
+    # Real and imaginary part first, since they need no unit; a table with both forms
+    # holds the same data twice.
     if "real" in given and "imaginary" in given:
         response = _in_si(given, "real") + 1j * _in_si(given, "imaginary")
     elif "gain" in given and "phase" in given:
@@ -105,7 +106,7 @@ def read_frequency_response(
     )
 
 
-# By role: values, unit ("" where it is not stated), name.
+# By role: values, unit ("" if not stated), name.
 Given = dict[str, tuple[Reals, str, str]]
 
 
@@ -151,7 +152,7 @@ def _columns_of(
         units = [units[k] for k in places]
     elif stated is not None:
         if len(stated) == columns[0].size != len(columns):
-            columns = list(np.array(columns).T)  # on its side, without names
+            columns = list(np.array(columns).T)  # transposed, without names
         names, units = list(stated), [""] * len(stated)
         roles = [_role(name) for name in names]
     given: Given = {}
@@ -176,16 +177,16 @@ def _columns_of(
 
 
 def _role(name: str) -> str:
-    """What a name says of a column, or ""."""
+    """The role that the name of a column suggests, or ""."""
     words = {*words_of(name), *("ω" if "ω" in name else ())}
     return next((role for role, known in _ROLES.items() if words & set(known)), "")
 
 
 def _unit(name: str, role: str, in_file: str) -> str:
-    """The unit that a name or the file states, that of a name which needs none, or ""."""
+    """The unit stated by the name or the file, the one implied by the name, or ""."""
     known = _UNITS[role]
-    # "freqHz" is split behind the word of the role, and not in front of the capital:
-    # "fkHz" is no "fk" in Hz.
+    # "freqHz" is split after the word of its role and not at the capital, so that
+    # "fkHz" is f in kHz and not "fk" in Hz.
     words = "|".join(sorted(_ROLES[role], key=len, reverse=True))
     parted = re.sub(rf"^((?i:{words}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
     unit = stated_unit(parted, known) or unit_of_name(f"[{name}]", known)  # "kHz" alone
@@ -269,7 +270,7 @@ def read_recording(
 
 def _period(table: LogTable, time: str | None) -> float:
     """Step of the stamps [s], of any size: unlike an arm, a furnace may be sampled once
-    in a minute.
+    a minute.
     """
     name = time or table.clock()
     if not time and not names_time(name):
@@ -283,8 +284,8 @@ def _period(table: LogTable, time: str | None) -> float:
     table = table.with_combined([name])
     place = table.place(name, "time", _CALLED)
     stamps, name = table.clean(place)[0], table.names[place]
-    # "millis" and "ms_since_start" state their unit, too. The file's own statement goes
-    # before the name's: a TDMS property is set by the program, a name by a person.
+    # "millis" and "ms_since_start" state their unit too. A unit in the file takes
+    # precedence over one in the name: a program sets a TDMS property, a person a name.
     in_file = table.units[place] if table.units else ""
     texts = [f"[{in_file}]", name, *(f"[{x}]" for x in words_of(name))]
     units = [stated_unit(text, UNITS["time"]) for text in texts[:2]]
@@ -296,7 +297,7 @@ def _period(table: LogTable, time: str | None) -> float:
 
 COLUMNS = ("time_s", "angle_rad", "velocity_rad_per_s", "acceleration_rad_per_s2")
 _SHAPED = "shaped-move"
-_UNEVEN = 1e-3  # of a period: what decimals of a time leave
+_UNEVEN = 1e-3  # fraction of a period: the rounding of decimal times
 
 
 @checked
@@ -349,8 +350,8 @@ def read_reference(path: Path) -> Reference:
             allowed=">= 2 rows",
             remedy="add the rows of the motion",
         )
-    # A law takes the rows one by one: a start elsewhere or another step would play the
-    # move late or at another speed.
+    # A law takes the rows one by one: with another start or another step it would play
+    # the move late or at another speed.
     if len(values) != 3 or time[0] != 0.0 or np.ptp(steps) > _UNEVEN * steps.mean():
         raise FileFormatError(
             "reference",
@@ -359,5 +360,6 @@ def read_reference(path: Path) -> Reference:
             allowed="velocity and acceleration both, at 0 s and in equal steps from there",
             remedy="leave both out: a spline goes through angles at any times",
         )
-    # The step from the whole duration: that of one row is rounded to the text's digits.
+    # The step from the whole duration, since that of one row is rounded to the digits
+    # of the text.
     return SampledReference(float(time[-1] / len(steps)), np.array(values))

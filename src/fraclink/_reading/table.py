@@ -1,9 +1,9 @@
-"""Tables of raw numbers as a file holds them, and the limits beyond which one is
-refused.
+"""Tables of raw numbers from a file, and the size limits beyond which a file is
+rejected.
 
 A rig that runs for an hour at 1 kHz makes 3.6 million samples; four columns of them are
-about 200 MB of text. What is larger is not one experiment and is refused before memory
-is taken.
+about 200 MB of text. A larger file is not one experiment and is rejected before memory
+is allocated.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = [
 FILE_LIMIT = 256_000_000  # bytes
 SAMPLE_LIMIT = 4_000_000
 COLUMN_LIMIT = 1_000
-VALUE_LIMIT = 32_000_000  # numbers in all: 256 MB in memory
+VALUE_LIMIT = 32_000_000  # numbers in total: 256 MB in memory
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
 _PARTS = {
@@ -198,8 +198,8 @@ class LogTable:
         columns where one holds whole seconds and one the parts of a second; or "".
         """
         names = [*map(self.name, range(len(self.names)))]
-        # By the last word: header.stamp.sec and header.stamp.nanosec, as well as sec and
-        # nsec.
+        # Matched by the last word: header.stamp.sec and header.stamp.nanosec, as well
+        # as sec and nsec.
         last = {
             words[-1]: k for k, name in enumerate(names) if (words := words_of(name))
         }
@@ -207,20 +207,20 @@ class LogTable:
         part = next((word for word in _PARTS if word in last), "")
         if whole is not None and part:
             both = f"{self.names[whole]} + {_PARTS[part]} * {self.names[last[part]]}"
-            # Parts that were not carried over into seconds jump back once a second: such a
-            # pair is no clock.
+            # If the parts do not form seconds, the sum jumps back once a second: such a
+            # pair is not a clock.
             if clock_step(self.with_combined([both]).values[-1]) is not None:
                 return both
-        # A file may hold several recordings, each with its clock: of most signals, and of
-        # these the longest.
+        # A file may hold several recordings, each with its own clock: take the one with
+        # the most signals, and among equals the longest.
         sizes = [values.size for values in self.values if moves(values)]
         most = max(((sizes.count(size), size) for size in sizes), default=(0, 0))[1]
         fitting = [k for k, values in enumerate(self.values) if values.size == most]
         rising = {k: step for k in fitting if (step := clock_step(self.values[k]))}
-        # Stamps that jump back, or hold no number, are still those: the reader says what is
-        # wrong with them. A counter of rows comes last: it may be one.
+        # Stamps that jump back or contain non-numbers are still stamps, and the reader
+        # reports the fault. A row counter comes last, since it may also be a clock.
         named = [k for k in rising or fitting if names_time(names[k])]
-        # An angle that only grows is no clock: its steps differ.
+        # An angle that only increases is not a clock: its steps differ.
         roles = self.roles
         steps = {k: np.diff(self.values[k]) for k in rising}
         equal = {k for k in rising if np.allclose(steps[k], rising[k], rtol=0.01)}
@@ -255,8 +255,8 @@ class LogTable:
                     allowed="two columns of one length, with factors such as 1.5e-3",
                     remedy="write it as enc - 179 * tip",
                 ) from error
-            # What is wrong with either part is wrong with the sum; the first fault is named
-            # by its line, which both share.
+            # A fault in either part is a fault of the sum; the first one is reported
+            # with its line, which both parts share.
             faults = next((table.faults[k] for k in places if k in table.faults), None)
             table = replace(
                 table,
@@ -295,15 +295,15 @@ class LogTable:
                     "numbers such as -1.5e-3",
                     self._cell_remedy(place, line, cell),
                 )
-        # Not even asked for beyond a percent: a line over a missing second of vibration is
-        # a false torque, and least squares believe it.
+        # Never offered beyond one per cent: a straight line across a missing second of
+        # vibration is a false torque that least squares would fit.
         bad = faults is not None and faults.bad
         if bad or not interpolate or share > _INTERPOLATED:
             field, value = f"{where}, column {name}", cell or "(empty)"
             raise LogError(field, value, problem, allowed=allowed, remedy=remedy)
         good = np.flatnonzero(np.isfinite(values))
-        # Over the sample's number: whether the samples are uniform is found later, from the
-        # stamps.
+        # Over the row number: whether the samples are uniform is determined later, from
+        # the stamps.
         filled = np.interp(np.arange(values.size), good, values[good])
         return filled, [
             Finding(
@@ -335,8 +335,8 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
     """Median step of values that never decrease, as those of a clock; None for others."""
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
-    # Two values always rise or fall; "never decrease" says something of three and more.
-    # Equal stamps are allowed: a coarse clock repeats itself.
+    # Two values always rise or fall; "never decreases" needs at least three. Equal
+    # stamps are allowed, since a coarse clock repeats itself.
     if finite.size < 3 or bool((steps < 0).any()):
         return None
     step = float(np.median(steps))
@@ -346,8 +346,8 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
 def moves(values: NDArray[np.float64]) -> bool:
     """Whether a column holds a signal that moves."""
     finite = values[np.isfinite(values)]
-    # A column with a tenth of its cells missing is an event counter or a comment,
-    # whatever it is called.
+    # A column with more than a tenth of its cells missing is an event counter or a
+    # comment, whatever its name.
     return finite.size > 0.9 * values.size and bool(np.ptp(finite) > 0)
 
 

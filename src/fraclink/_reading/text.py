@@ -1,21 +1,21 @@
-"""A table of numbers as text, in the forms in which laboratories write it.
+"""Tables of numbers in text files, in the forms that laboratories use.
 
 The plain form is comments, one line of names, and rows of numbers with decimal points.
-Four separators are tried; the one under which rows of numbers begin, and most cells are
-numbers, separates the cells. Names stand above the first row, units may stand between.
-Numbers in quotes, decimal commas where no comma separates, stamps of a clock, a
-separator at the end of every row and a table on its side are told in a sentence. What
-may mean two things stays as it is, and its cells are refused. Rows keep the numbers of
-their lines, so that an error names the line of the file.
+Four separators are tried; the one that gives rows of numbers, with the most numeric
+cells, is used. Names stand above the first row, possibly followed by units. Numbers in
+quotes, decimal commas where no comma separates, times of day, a separator at the end of
+every row and a transposed table are accepted and reported. Ambiguous cells are left
+unchanged and rejected. Rows keep their line numbers, so that an error names the line of
+the file.
 
-The whole body is checked at once by its bytes (only digits, signs, points, exponents
-and the separator; the same number of separators in every line), then converted by
-numpy's C parser. Only where that check fails are the cells looked at one by one, to say
-which line is wrong and how.
+The bytes of the whole body are checked at once (only digits, signs, points, exponents
+and the separator; the same number of separators in every line), then numpy's C parser
+converts it. Only if that check fails are the cells examined one by one, to report which
+line is wrong and how.
 
-`float()` accepts ``1_000``, ``infinity``, digits of other scripts; readers that replace
-what they do not understand by NaN hide faults. Here a number is what the regular
-expression says, and nothing else.
+`float()` accepts ``1_000``, ``infinity`` and digits of other scripts, and readers that
+replace unknown cells by NaN hide faults. Here only text that matches the regular
+expression is a number.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ _NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
 _SEPARATORS = ("\t", ";", ",", "")  # "": blanks
 
 LINE_LIMIT = 100_000  # bytes of one line
-_HEAD = 200  # lines in which a table begins; a longer header is no header
-# rows of a table on its side: more channels than any log has, fewer than its samples
+_HEAD = 200  # lines in which a table must begin
+# rows of a transposed table: more than the channels of any log, fewer than its samples
 _MOST_CHANNELS = 64
 _DAY = 86_400.0
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
@@ -153,19 +153,20 @@ def read_text_table(path: Path) -> LogTable:
 
 
 def _utf8(raw: bytes, path: Path) -> bytes:
-    """The text as UTF-8 bytes with line feeds only, whatever editor wrote it.
+    """The text as UTF-8 bytes with line feeds only, whatever program wrote it.
 
-    UTF-16 is known by its mark. Where a byte above 127 is not UTF-8, names are read as
-    Windows-1252, the encoding of ° and µ in older programs; numbers have no such byte.
+    UTF-16 is recognised by its byte order mark. Where a byte above 127 is not UTF-8,
+    names are read as Windows-1252, the encoding of ° and µ in older programs; numbers
+    have no such byte.
     """
     wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")
     encoding = "utf-16" if wide else "utf-8-sig"
-    # The mark of UTF-32 begins as that of UTF-16 does.
+    # The byte order mark of UTF-32 begins with that of UTF-16.
     if raw[:4] in (b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff"):
         encoding = "utf-32"
     if encoding == "utf-8-sig" and b"\x00" in raw:
         problem = f"damaged or binary (NUL at byte {raw.index(0)})"
-        # Which shape raw numbers have, only who wrote them knows.
+        # Only the author knows the shape of raw binary numbers.
         raise _not_text(
             path,
             problem,
@@ -175,8 +176,8 @@ def _utf8(raw: bytes, path: Path) -> bytes:
     try:
         text = raw.decode(encoding)
     except UnicodeDecodeError as error:
-        # A high byte far below the header is no ° of a name but damage, and would end
-        # in a cell that some encoding makes a digit of.
+        # A high byte far below the header is damage and not the ° of a name; some
+        # encoding might turn it into a digit.
         high = np.flatnonzero(np.frombuffer(raw, dtype=np.uint8) > 127)
         header = raw.count(b"\n", 0, int(high[-1])) < _HEAD
         if encoding != "utf-8-sig" or not header:
@@ -196,7 +197,7 @@ def _not_text(path: Path, problem: str, remedy: str) -> FileFormatError:
 
 
 def _check_lines(text: bytes) -> None:
-    """Refuse what is over the limits."""
+    """Reject a text beyond the limits."""
     ends = np.flatnonzero(np.frombuffer(text + b"\n", dtype=np.uint8) == ord("\n"))
     lengths = np.diff(ends, prepend=-1) - 1
     longest = int(np.argmax(lengths))
@@ -231,7 +232,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
-    """A table whose channels are rows is turned upright, with a remark on it."""
+    """A table whose channels are rows is transposed, with a remark."""
     if text.count(b"\n") > 4 * _MOST_CHANNELS:
         return text, ()
     lines = text.decode().split("\n")
@@ -243,8 +244,8 @@ def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
         if not 2 <= len(table) <= _MOST_CHANNELS or {len(x) for x in table} != {width}:
             continue
         heads = [row[0] for row in table]
-        # Every row begins with a name of its own; or there are no names, and no log has
-        # as many channels as this has columns.
+        # Either every row begins with a distinct name, or there are no names and this
+        # has more columns than any log has channels.
         named = len(set(heads)) == len(heads) and not any(map(_is_numeric, heads))
         wide = width > max(_HEAD, 4 * len(rows))
         cells = [cell for row in table for cell in row[named:]]
@@ -256,12 +257,13 @@ def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
 
 
 def _first_row(lines: list[str]) -> tuple[str, int]:
-    """What separates the cells, and which of `lines` is the first row of the table.
+    """The separator of the cells, and the index in `lines` of the first row of the
+    table.
 
-    A row has two numbers or more, or nothing else, and as many cells as one of the next
-    two. Of the separators under which there is one, that under which most cells of it
-    are numbers, and more than one stands in a row. Where no line holds numbers, the row
-    is the second line, whose cells are refused.
+    A row has at least two numbers, or a number alone, and as many cells as one of the
+    next two lines. Of the separators that give such a row, the one with the largest
+    share of numeric cells is chosen, with more than one cell in a row. If no line holds
+    numbers, the row is the second line, whose cells are then rejected.
     """
     best, separator, begin = (0.0, False), "", min(1, len(lines))
     for candidate in _SEPARATORS:
@@ -279,7 +281,7 @@ def _first_row(lines: list[str]) -> tuple[str, int]:
 
 
 def _share_of_numbers(cells: list[str]) -> float:
-    """Share of numbers among the cells that are not empty; 0 for a row of words."""
+    """Share of numbers among the non-empty cells; 0 for a row of words."""
     present = [cell for cell in cells if cell]
     numbers = sum(map(_is_numeric, present))
     return numbers / len(present) if numbers >= min(2, max(1, len(present))) else 0.0
@@ -288,9 +290,9 @@ def _share_of_numbers(cells: list[str]) -> float:
 def _header(
     above: list[str], comments: list[str], separator: str, first_line: int, body: bytes
 ) -> Layout:
-    """The layout of a table by the lines above its first row."""
-    # Blank lines at the end are the editor's. A trailing tab of a table of tabs is an
-    # empty last cell.
+    """The layout of a table from the lines above its first row."""
+    # Blank lines at the end come from the editor. In a tab-separated table a trailing
+    # tab is an empty last cell.
     body = body.rstrip(b" \n" if separator == "\t" else b" \t\n") + b"\n"
     mark, remarks, units = separator.encode(), [], {}
     closed = bool(mark) and body.count(mark + b"\n") == body.count(b"\n")
@@ -344,23 +346,25 @@ def _header(
 
 
 def _names(line: str, separator: str, width: int, closed: bool) -> tuple[str, ...]:
-    """The cells of the line of names, whatever separates them, where they are as many
-    as those of a row.
+    """The cells of the line of names, with whatever separator gives as many cells as a
+    row has.
     """
     splits = [tuple(_cells(line, mark)) for mark in (separator, *_SEPARATORS)]
-    # A separator at the end of the names or of the rows begins no column.
+    # A separator at the end of the names or of the rows does not start a column.
     splits += [x[:-1] for x in splits if len(x) == width + 1 and (closed or not x[-1])]
     return next((names for names in splits if len(names) == width), splits[0])
 
 
 def _is_fragment(cells: Sequence[str], width: int) -> bool:
-    """Whether a line is the end of a row: a recording that was switched on in it."""
+    """Whether a line is the end of a row, cut off because the recording started within
+    it.
+    """
     return len(cells) < width and all(map(_is_numeric, cells))
 
 
 def _units(cells: Sequence[str], width: int) -> list[str]:
-    """The units that a row of nothing else states, "" for those that no reader
-    converts; [] where the line is another one.
+    """The units in a row that holds only units, "" for those that no reader converts;
+    [] for any other line.
     """
     inside = [cell.strip("()[] -") for cell in cells]
     units = [unit_of_name(f"x [{cell}]") for cell in inside]
@@ -371,8 +375,8 @@ def _units(cells: Sequence[str], width: int) -> list[str]:
 
 
 def _hints(names: tuple[str, ...], rows: list[list[str]]) -> tuple[str, ...]:
-    """Names that are not as many as the cells, for the columns from the first on; ()
-    where they are fewer than half, as the words of a sentence are.
+    """Names that do not match the cells in number, assigned from the first column on;
+    () if they are fewer than half of the cells, as in a sentence.
     """
     width = len(rows[0])
     firsts = [row[0] for row in rows if row]
@@ -380,14 +384,14 @@ def _hints(names: tuple[str, ...], rows: list[list[str]]) -> tuple[str, ...]:
         str(int(firsts[0]) + k) if firsts[0].isdigit() else ""
         for k in range(len(firsts))
     ]
-    # R writes the number of the row without a name for it.
+    # R writes row numbers without a name for their column.
     if len(names) == width - 1 and firsts == counts:
         names = ("row", *names)
     return (*names, *[""] * width)[:width] if 2 * len(names) >= width else ()
 
 
 def _plain_body(layout: Layout) -> Layout:
-    """Numbers in quotes, decimal commas, stamps of a clock: brought to plain numbers
+    """Numbers in quotes, decimal commas and times of day, converted to plain numbers
     between tabs.
     """
     body, separator = layout.body, layout.separator
@@ -402,13 +406,13 @@ def _plain_body(layout: Layout) -> Layout:
     rows = [line.split() for line in lines]
     if separator:
         rows = list(csv.reader(lines, delimiter=separator))
-    # A quote that is not closed runs on over the line: its cell is refused as it is.
+    # An unclosed quote continues beyond its line; its cell is then rejected unchanged.
     if len(rows) != len(lines) or any(len(row) != len(first) for row in rows):
         return layout
     if quoted:
         remarks.append("numbers in quotes")
     decimals = [cell for row in rows for cell in row if "," in cell] if comma else []
-    # 1,234 is one and a bit, or more than a thousand.
+    # 1,234 may be a decimal or a thousand.
     if not all(_THOUSANDS.fullmatch(cell.strip()) for cell in decimals):
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
         remarks.append("decimal commas")
@@ -435,8 +439,8 @@ def _plain_body(layout: Layout) -> Layout:
 
 
 def _seconds(cells: list[str]) -> list[float]:
-    """Seconds since the first stamp; [] where a cell is none, or two dates cannot be
-    told apart.
+    """Seconds since the first stamp; [] if a cell is not a stamp, or if dates are
+    ambiguous.
     """
     stamps = [stamp for cell in cells if (stamp := _CLOCK.fullmatch(cell))]
     days = {stamp[1] for stamp in stamps}
@@ -448,7 +452,8 @@ def _seconds(cells: list[str]) -> list[float]:
             for day in days
         }
     except ValueError:
-        if len(days) > 1:  # 03.04.2026 may be April or March: within one day no matter
+        # 03.04.2026 may be April or March, which does not matter within one day
+        if len(days) > 1:
             return []
         number = dict.fromkeys(days, 0)
     clock = np.array(
@@ -456,11 +461,12 @@ def _seconds(cells: list[str]) -> list[float]:
     )
     seconds = clock @ (3600.0, 60.0, 1.0)
     if days == {None}:
-        seconds = np.unwrap(seconds, period=_DAY)  # half a day back is midnight
+        # half a day back means that midnight has passed
+        seconds = np.unwrap(seconds, period=_DAY)
     ordinals = np.array([number[stamp[1]] for stamp in stamps])
     seconds = seconds + _DAY * (ordinals - ordinals[0])
-    # Nanoseconds: the difference of two times of day of 86 400 s carries 1e-11 s of
-    # rounding, which would look like jitter in the last digits.
+    # Rounded to nanoseconds: differences of times of day (86 400 s) have rounding
+    # errors of 1e-11 s, which would look like jitter.
     return [round(value, 9) for value in (seconds - seconds[0]).tolist()]
 
 
@@ -468,16 +474,16 @@ def _seconds(cells: list[str]) -> list[float]:
 
 
 def _may_have_commas(layout: Layout) -> bool:
-    """Whether the commas of a table may stand in its numbers, and between them, too."""
+    """Whether the commas of a table may be both decimal commas and separators."""
     return layout.separator == "," and b"." not in layout.body
 
 
 def _ragged(layout: Layout, row: int, count: int) -> LogError:
-    """The error of a row whose cells are not as many as those of the first."""
+    """The error for a row whose number of cells differs from the first row's."""
     lines, line = layout.body.decode().split("\n"), layout.first_line + row
     remedy = "repair or remove the line"
-    # Nothing but text from here on: a footer, or a last row that was cut off when the
-    # logger stopped.
+    # Only text from here on: a footer, or a last row that was cut off when the logger
+    # stopped.
     if row >= len(lines) - 2 or not any(c.isdigit() for x in lines[row:] for c in x):
         remedy = f"if the table ends before it, cut off the rest by sed -i '{line},$d'"
     elif not lines[row].strip():
@@ -492,12 +498,12 @@ def _ragged(layout: Layout, row: int, count: int) -> LogError:
 
 
 def _parsed(layout: Layout) -> NDArray[np.float64] | None:
-    """The whole body by numpy's C parser, or None where a cell is not a plain finite
+    """The whole body by numpy's C parser, or None if a cell is not a plain finite
     number.
     """
     allowed = np.zeros(256, dtype=bool)
-    # A letter other than e and E or a quote: one table lookup for each byte says
-    # whether the careful way is needed, before a cell is looked at.
+    # A letter other than e, E or a quote: one table lookup per byte decides, without
+    # examining cells, whether the slow path is needed.
     allowed[list(b"0123456789+-.eE\n " + (layout.separator or "\t").encode())] = True
     if not allowed[np.frombuffer(layout.body, dtype=np.uint8)].all():
         return None
@@ -506,13 +512,13 @@ def _parsed(layout: Layout) -> NDArray[np.float64] | None:
         values = np.loadtxt(stream, delimiter=mark, comments=None, ndmin=2)
     except ValueError:
         return None
-    # Blank lines are skipped by the parser; 1e999 becomes infinite.
+    # The parser skips blank lines; 1e999 becomes infinite.
     whole = values.shape == (layout.body.count(b"\n"), len(layout.names))
     return values if whole and np.isfinite(values).all() else None
 
 
 def _parse_cells(layout: Layout) -> tuple[NDArray[np.float64], dict[int, CellFaults]]:
-    """Every cell by itself, NaN where it is not a finite number, and what was wrong, by
+    """Every cell on its own, NaN where it is not a finite number, and the faults by
     column.
     """
     lines, width = layout.body.decode().split("\n")[:-1], len(layout.names)
@@ -524,17 +530,18 @@ def _parse_cells(layout: Layout) -> tuple[NDArray[np.float64], dict[int, CellFau
         cells = line.split(layout.separator or None)
         if len(cells) != width:
             raise _ragged(layout, row, len(cells))
-        # Most rows of a faulty file are good: they are recognised whole, and only the
-        # others are looked at cell by cell.
+        # Most rows of a faulty file are good: these are matched as a whole, and only
+        # the others are examined cell by cell.
         if good.fullmatch(line):
             values[row] = cells
         if np.isfinite(values[row]).all():
             continue
-        # Blanks alone: str.strip would take control characters for them.
+        # Blanks only: str.strip would also remove control characters.
         for place, cell in enumerate(cell.strip(" \t") for cell in cells):
             value = float(cell) if NUMBER.fullmatch(cell) else math.inf
             values[row, place] = value if math.isfinite(value) else math.nan
-            if math.isinf(value):  # 1e999 is a number by its form that no double holds
+            # 1e999 has the form of a number, but exceeds the range of a double
+            if math.isinf(value):
                 where = (layout.first_line + row, cell)
                 faults[place] = _with_fault(faults.get(place, CellFaults()), where)
     return values, faults

@@ -1,8 +1,8 @@
-"""The child that parses one binary file, and writes its columns to an archive.
+"""The child process that parses one binary file and writes its columns to an archive.
 
 It is started as ``python -m fraclink._reading.worker KIND FILE ANSWER``, may use 1 GB
-of address space and 10 s of processor time, and is expected to die: one changed byte
-makes some parsers crash.
+of address space and 10 s of processor time, and is expected to crash: a single changed
+byte is enough for some parsers.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ from fraclink._files.containers import UNPACKED_LIMIT, write_archive
 from fraclink._reading.table import check_size
 from fraclink.errors import FieldError, MissingExtraError
 
-if (
-    sys.platform != "win32"
-):  # there are no such limits there: the parent's clock is what remains
+# such limits do not exist there; the parent's time limit remains
+if sys.platform != "win32":
     import resource
 
 MEMORY_LIMIT = 1_000_000_000  # bytes of address space
 CPU_SECONDS = 10  # for one file
-_WIDEST = 256  # columns of one array: what is wider is a picture or a matrix, not a log
+_WIDEST = 256  # columns of one array: a wider one is a picture or a matrix, not a log
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +96,8 @@ def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 
     columns: list[RawColumn] = []
     with path.open("rb") as stream, h5py.File(stream, "r") as file:
-        # Hard links alone: a soft or an external one leads out of this file, or round
-        # in it.
+        # Hard links only: a soft or external link leads out of this file, or in a
+        # circle within it.
         own = [
             name
             for name in file
@@ -107,7 +106,7 @@ def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
         matlab = any("MATLAB_class" in file[name].attrs for name in own)
 
         def visit(name: str, item: Any) -> None:
-            # Links are not followed, and data kept in other files are not read: a log
+            # Links are not followed, and data stored in other files are not read: a log
             # is one file.
             if (
                 isinstance(item, h5py.Dataset)
@@ -115,8 +114,8 @@ def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
                 and _is_plain(item)
             ):
                 label = name.replace("/", ".") if matlab else name
-                # MATLAB's files hold every array transposed: what is a row here was a
-                # column there.
+                # MATLAB's files hold every array transposed: rows here were columns
+                # there.
                 indexing = (MATLAB[1], MATLAB[0]) if matlab else NUMPY
                 check_size(item.size, len(columns))
                 columns.extend(
@@ -165,9 +164,9 @@ def read_mat5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 
 
 def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
-    # Cells arrive as object arrays without fields, sparse matrices as no arrays at all;
-    # timetables, time series and function handles as arrays with fields of MATLAB's
-    # own, in which no sample can be found.
+    # Cells arrive as object arrays without fields, sparse matrices not as arrays at
+    # all; timetables, time series and function handles arrive as arrays with internal
+    # fields of MATLAB, which hold no samples.
     if (
         not isinstance(value, np.ndarray)
         or not depth
@@ -179,7 +178,7 @@ def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
         return
     elements = value.reshape(-1)
     # An array of structures is a list of recordings; 64 are more than a log has, and
-    # each makes columns.
+    # each adds columns.
     for place, element in enumerate(elements[:64]):
         label = name if elements.size == 1 else f"{name}({place + 1})"
         for field in value.dtype.names:
@@ -190,11 +189,12 @@ def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
 
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
+# as the message's definition states them
 _UNITS = {
     "position": "rad",
     "velocity": "rad/s",
     "effort": "Nm",
-}  # as the message's definition states them
+}
 _MESSAGE_DEPTH = 4
 
 
@@ -215,12 +215,12 @@ def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
         check_size(8 * reader.message_count)
         for connection, _received, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
-            # Without a header there is no stamp of the measurement, only the recorder's
-            # time of arrival: such a topic is no signal of the log.
+            # Without a header there is no time stamp of the measurement, only the
+            # recorder's time of arrival: such a topic is not a signal of the log.
             header = getattr(message, "header", None)
             if header is None:
                 continue
-            # Whole nanoseconds: as a double, the seconds since 1970 resolve a quarter
+            # Whole nanoseconds: as doubles, seconds since 1970 only resolve a quarter
             # of a microsecond.
             stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
             joints = connection.msgtype == _JOINT_STATE
@@ -230,13 +230,13 @@ def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             records[connection.topic].append((stamp, numbers))
     columns, notes = [], {}
     for topic, rows in records.items():
-        # Bags are sorted by when messages were received; two that overtook each other
-        # stand reversed.
+        # Bags are sorted by time of reception; messages that overtook each other are
+        # out of order.
         rows.sort(key=lambda row: row[0])
         notes[f"first stamp of {topic}"] = f"{rows[0][0]} ns"
         stamps = np.array([stamp - rows[0][0] for stamp, _ in rows]) * 1e-9
         columns.append(RawColumn(f"{topic}/time", "s", stamps))
-        # Joints may come and go in a topic: each column is as long as its stamps.
+        # Joints may come and go within a topic: each column is as long as its stamps.
         for name in dict.fromkeys(name for _, row in rows for name in row):
             values = np.array([row.get(name, np.nan) for _, row in rows])
             unit = _UNITS.get(name.rsplit(".", 1)[-1], "")
@@ -253,7 +253,7 @@ def _joints(message: Any) -> dict[str, float]:
 
 
 def _numbers(value: Any, name: str, depth: int) -> dict[str, float]:
-    """The plain numbers of any stamped message, by their dotted path."""
+    """The plain numbers of any stamped message by dotted path."""
     numbers: dict[str, float] = {}
     for field in getattr(value, "__dataclass_fields__", {}):
         item = getattr(value, field)
@@ -278,8 +278,8 @@ def read_tdms(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
         raise MissingExtraError("npTDMS", "io") from error
 
     columns: list[RawColumn] = []
-    # From a stream the reader looks for no index file beside the log, which could
-    # belong to another one.
+    # With a stream, the reader does not look for an index file next to the log, which
+    # could belong to another one.
     with path.open("rb") as stream, TdmsFile.open(stream) as file:
         for group in file.groups():
             for channel in group.channels():
@@ -304,8 +304,8 @@ def _channel(name: str, channel: Any) -> list[RawColumn]:
 def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
     """An array of NumPy: its fields by their names, its columns by their numbers."""
     with path.open("rb") as stream:
-        # No pickle, which runs what the file holds; and a header of 10 kB at most, as
-        # it is evaluated as a literal.
+        # No pickle, which would execute code from the file; and a header of 10 kB at
+        # most, since it is evaluated as a literal.
         array = np.lib.format.read_array(
             stream, allow_pickle=False, max_header_size=10_000
         )
@@ -337,9 +337,9 @@ def _limit() -> None:
     if sys.platform != "win32":
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        # What it writes the parent reads: no more than an archive may hold.
+        # The parent reads what the child writes: no more than an archive may hold.
         resource.setrlimit(resource.RLIMIT_FSIZE, (UNPACKED_LIMIT, UNPACKED_LIMIT))
-        # Counted from the child's birth, whose imports take up to two seconds.
+        # Counted from the start of the child, whose imports take up to two seconds.
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS + 2, CPU_SECONDS + 4))
 
 

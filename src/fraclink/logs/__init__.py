@@ -1,4 +1,6 @@
-"""Logs that nobody has described: diagnosis, and a first model by matching or asking."""
+"""Logs without a description: diagnosis, and a first model from matching columns or
+asking.
+"""
 
 from __future__ import annotations
 

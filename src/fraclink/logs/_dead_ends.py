@@ -1,4 +1,6 @@
-"""Logs of which `start` fits no link, and the command that goes on with each."""
+"""Logs to which `start` cannot fit a link, and the command to continue with in each
+case.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ def check_no_response(table: LogTable, source: str) -> None:
     """Raise LogError for a table of a frequency response, which no clock runs through."""
     words = [set(words_of(name)) for name in table.names]
     shown = [each for each in words if each & _RESPONSE]
-    # Two columns of a response and one of frequencies beside them: "phase" alone is a
-    # channel of a log.
+    # Two columns of a response in addition to one of frequencies: "phase" alone may be
+    # a channel of a log.
     if len(shown) > 1 and any(x & _FREQUENCY for x in words if x not in shown):
         command = f"fraclink identify {shlex.quote(source)} --structure"
         raise _without_model(
@@ -57,8 +59,8 @@ def dead_end(
     rings = [place for place in free if roles[place][0] in _RINGS]
     mode, channels = '"k/(s**a + w)*exp(-L*s)"', ""
     if missing == "output" and angle is not None and felt:
-        # A quarter of a sample makes the structure proper, as every accelerometer is;
-        # what it has more is L.
+        # A lag of a quarter of a sample makes the structure proper, and every
+        # accelerometer has one; any further lag is L.
         mode = f'"k*s**2/(s**a + w)/({0.25 * period:.3g}*s + 1)*exp(-L*s)"'
         channels = (
             f"--input {shlex.quote(matching.label(angle))} --output {names[felt[0]]}"
@@ -78,15 +80,15 @@ def dead_end(
             "of a motor without a signal of its link's flexion",
             f"run fraclink identify {file} --structure motor {columns}",
         )
-    # One signal that rings, and nothing that drives it; of two nobody knows which one
-    # is the output.
+    # One signal that rings and nothing that drives it; with two it would be unknown
+    # which one is the output.
     elif missing == "motor_angle" and len(rings) == 1 and not driven:
         channels = f"--ring-down --output {names[rings[0]]}"
         problem = "without a motor that moves"
         remedy = "if the link was bent and let go, run"
     elif missing == "motor_angle" and len(free) > 1:
-        # Of two signals that belong together any structure can be fitted, whatever they
-        # are; which one drives is for the user to say.
+        # Any structure can be fitted to two related signals, whatever they are; the
+        # user decides which one is the input.
         channels = f"--input {names[free[0]]} --output {names[free[1]]}"
         problem = "without the motor angle, from which a link is identified"
         remedy = "if one of its signals drives the other, run"

@@ -1,5 +1,5 @@
-"""`diagnose`: every check on one log before a model is fitted, in the order in which a
-person would ask.
+"""`diagnose`: all checks on a log before a model is fitted, in the order in which a
+person would make them.
 """
 
 from __future__ import annotations
@@ -23,27 +23,31 @@ from fracsys.checks import checked
 
 __all__ = ["diagnose", "share_of", "vibration_of"]
 
-# What a fit of one mode finds of the columns and not of the model.
+# Findings of a one-mode fit that concern the columns and not the model.
 _OF_COLUMNS = ("W209", "W211", "W324")
 _CLIPPED = 0.005  # share of samples at the extreme value
-# times as many samples at the extreme as one step inside; a sine's crest has 2.4 times
-# as many
+# Ratio of the number of samples at the extreme value to that one step inside; at the
+# crest of a sine it is 2.4.
 _PILE = 4.0
-_FAR = 8.0  # times the range that holds 99 % of the samples: no motion goes there
-# levels: beyond a converter of 14 bits the steps are those of the numbers' text
+# multiple of the range that holds 99 % of the samples; no motion reaches that far
+_FAR = 8.0
+# Levels: with more, beyond a converter of 14 bits, the steps are those of the decimal
+# digits.
 _FINE = 20_000
-_OFFSET_INFO, _OFFSET_WARNING = 0.1, 0.5  # of the standard deviation of the motion
-_PERIODS = 3.0  # fewer do not separate damping from amplitude
-_SAMPLES = (
-    10.0  # a period: below it the hold between samples matters as much as the damping
-)
-_EXPLAINED = 0.3  # of the output's variance: below it no mode was found
-_SWAPPED = 0.8  # explained share of the exchanged roles: they are called exchanged
-# s: over less, a slow motion cannot be distinguished from a standstill by a coarse
-# encoder
+# fractions of the standard deviation of the motion
+_OFFSET_INFO, _OFFSET_WARNING = 0.1, 0.5
+_PERIODS = 3.0  # fewer periods do not separate damping from amplitude
+# samples per period: with fewer, the hold between samples matters as much as the
+# damping
+_SAMPLES = 10.0
+_EXPLAINED = 0.3  # share of the output's variance: below it no mode was found
+# explained share with exchanged roles, above which they are reported as exchanged
+_SWAPPED = 0.8
+# [s]: over a shorter time a coarse encoder cannot tell a slow motion from a standstill
 _WINDOW = 0.05
-_SHORTEST = 0.02  # s: a standstill shorter than that is a reversal
-_DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
+_SHORTEST = 0.02  # [s]: a shorter standstill is a reversal
+# fraction of the largest voltage: less is the offset of an idle amplifier
+_DRIVEN = 0.02
 
 
 @checked
@@ -94,8 +98,8 @@ def _findings(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
     yield from _labels(log, rig)
     constant = list(_constant_channels(log))
     yield from constant
-    # Without two signals that move there is no mode to speak of: what follows would
-    # find fault with noise.
+    # Without two moving signals there is no mode, and the following checks would only
+    # judge noise.
     if constant:
         return
     yield from _outliers(log)
@@ -108,7 +112,7 @@ def _findings(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _labels(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
-    """What the log says of itself: the payload, and whether it was simulated."""
+    """The labels of the log: its payload, and whether it was simulated."""
     payload = log.payload
     if log.simulated:
         yield Finding(
@@ -126,8 +130,8 @@ def _labels(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
             {},
             "state it (--payload, or # payload_kg: in the log): from a known one a model scales to others",
         )
-    # A percent: the rates of a timer's dividers lie farther apart, and a timer's
-    # crystal is off by less.
+    # One per cent: the rates that a timer can be set to are farther apart, and its
+    # crystal is more accurate.
     if rig is not None and abs(log.period - rig.period) > 0.01 * rig.period:
         yield Finding(
             "W217",
@@ -161,10 +165,10 @@ def _channels(log: Experiment) -> tuple[tuple[str, NDArray[np.float64], str], ..
 
 
 def _constant_channels(log: Experiment) -> Iterator[Finding]:
-    """A channel that moves by less than a billionth of its value tells nothing."""
+    """A channel that moves by less than a billionth of its value holds no information."""
     for name, values, unit in _channels(log):
         spread, size = float(values.std()), float(np.abs(values).max())
-        # Decimals of nine digits leave that much of a constant.
+        # The rounding of a constant to nine digits is of that size.
         if spread <= 1e-9 * size:
             state = f"constant at {float(values[0]):.6g} {unit}"
             remedy = "check the gauge and its amplifier"
@@ -182,11 +186,11 @@ def _constant_channels(log: Experiment) -> Iterator[Finding]:
 def _outliers(log: Experiment) -> Iterator[Finding]:
     """Samples far outside the range that holds 99 % of the channel."""
     for name, values, _unit in _channels(log):
-        # Quantiles, as one spike of 100 times the motion would raise a standard
-        # deviation to where it is none itself. At most one sample in a hundred lies
-        # beyond both, so that what is found is always few.
+        # Quantiles, because a single spike of 100 times the motion would raise the
+        # standard deviation so far that the spike lies within it. At most one sample in
+        # a hundred lies beyond both quantiles, so only few are reported.
         low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
-        # An output that rests in 99 % of the samples has no such range.
+        # An output at rest in 99 % of the samples has no such range.
         reach = max(high - middle, middle - low) or float(values.std())
         distance = np.abs(values - middle)
         worst = int(np.argmax(distance))
@@ -207,10 +211,13 @@ def _outliers(log: Experiment) -> Iterator[Finding]:
 
 
 def _limits(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
-    """Samples at the limits of gauge and amplifier, known or seen."""
+    """Samples at the limits of gauge and amplifier, whether stated or visible in the
+    data.
+    """
     values = log.output
-    # A continuous signal has no levels: a five-hundredth of its range stands for one,
-    # which the crest of a sine fills 2.4 times as full as the next, too.
+    # A continuous signal has no levels: a five-hundredth of its range is used instead,
+    # for which the crest of a sine also holds 2.4 times as many samples as the next
+    # level.
     step = converter_step(values) or float(np.ptp(values)) / 500
     for side, sign in (("largest", 1), ("smallest", -1)):
         depth = ((sign * values).max() - sign * values) / step
@@ -230,9 +237,9 @@ def _limits(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
             )
     if rig is None:
         return
-    # The gauge's limit is a torque: a deflection's converter has one of its own that no
-    # rig file states. An amplifier that saturates is recorded a converter's step below
-    # what its data sheet says.
+    # The gauge's limit is a torque; the converter of a deflection has its own limit,
+    # which no rig file states. A saturated amplifier is recorded one converter step
+    # below the limit of its data sheet.
     limit = rig.gauge.limit if log.output_kind == "torque" else math.inf
     past = np.abs(values) >= 0.99 * limit
     if past.any():
@@ -275,9 +282,10 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
             "record at least 200 samples and three periods of the vibration",
         )
         return
-    # A motor angle follows from its torque as a double integral, so that a swap shows
-    # as a large share this way and a small one that way. Half as much: where one
-    # vibration fills the log, either signal explains the other well.
+    # The motor angle follows from the torque as a double integral, so exchanged columns
+    # show as a large explained share in this direction and a small one in the other.
+    # "Small" is half as much, because in a log filled by one vibration each signal
+    # explains the other well.
     exchanged = replace(log, motor_angle=log.output, output=log.motor_angle)
     share, reverse = share_of(mode), share_of(vibration_of(exchanged))
     if reverse > _SWAPPED and share < 0.5 * reverse:
@@ -290,8 +298,8 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
         )
         return
     frequency = mode.model.natural_frequency
-    # Before sign, periods and delay: those of a mode that explains nothing would be
-    # sentences about noise.
+    # Before sign, periods and delay, which would describe noise if the mode explains
+    # nothing.
     if share < _EXPLAINED:
         yield Finding(
             "W233",
@@ -328,8 +336,8 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     if samples < _SAMPLES:
         yield Finding(
             "W215",
-            # At four a period the resonance stands at half of the Nyquist frequency: a
-            # fit rests on the hold there.
+            # With four samples per period the resonance lies at half the Nyquist
+            # frequency, where the result of a fit depends on the hold.
             "warning" if samples > 4 else "error",
             f"there are {samples:.3g} samples in a period of the vibration",
             {"samples_per_period": samples, "period_s": log.period},
@@ -339,8 +347,8 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     if mode.delay > 0.5 * log.period:
         yield Finding(
             "W234",
-            # A delay τ turns the phase at the resonance by ωτ, as an order below 2
-            # does: ten degrees pass for λ = 1.9.
+            # A delay τ turns the phase at the resonance by ωτ, as does an order below
+            # 2: ten degrees look like λ = 1.9.
             "warning" if phase > math.radians(10) else "info",
             f"the output lags by about {mode.delay * 1e3:.3g} ms ({math.degrees(phase):.2g}° at the resonance)",
             {
@@ -354,9 +362,9 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
 
 def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     """Offset of the gauge, and whether the link is at rest before the motion begins."""
-    # A link that starts and ends at rest has a torque of zero mean over many periods: Γ
-    # = mL²θt'' integrates to a change of velocity. What the mode does not explain is
-    # noise, offset or another mode: it is no motion that an offset could be compared
+    # If a link starts and ends at rest, its torque has zero mean over many periods: Γ =
+    # mL²θt'' integrates to a change of velocity. The part that the mode does not
+    # explain is noise, offset or another mode, and no motion to compare the offset
     # with.
     offset, spread = float(log.output.mean()), float(log.output.std())
     moving = spread * math.sqrt(share_of(mode)) or spread
@@ -374,10 +382,10 @@ def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     lead = lead_of(log.output)
     if begins is None:
         return
-    # `identify` starts from what the motor did before a cut, where that is known from a
-    # rest on. The rest must last as long as that of a log that was not cut: behind a
-    # gap in the stamps a few samples that hardly differ are no rest.
-    angle = moving_angle(log)  # of a very long history its end
+    # `identify` uses the motion of the motor before a cut if it is known back to a
+    # rest. That rest must last as long as in a log without a cut: a few similar samples
+    # after a gap in the stamps are not a rest.
+    angle = moving_angle(log)  # the end of a very long history
     still = float(np.ptp(angle[:lead])) <= 0.02 * float(np.ptp(angle))
     known = still and angle.size - log.output.size >= lead
     yield Finding(
@@ -398,8 +406,8 @@ def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
 
 
 def _quantisation(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
-    """Steps of the converter against the signal and against what the mode leaves
-    unexplained.
+    """Steps of the converter compared with the signal and with the residual of the
+    mode.
     """
     rest = float(log.output.std()) * math.sqrt(1 - share_of(mode))
     for (name, values, unit), finest in zip(_channels(log), (0.0, rest), strict=True):
@@ -407,8 +415,8 @@ def _quantisation(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
         levels = float(np.ptp(values)) / step if step else math.inf
         if levels > _FINE:
             continue
-        # A step q is noise of q/√12: of 50 levels 0.6 % of the range, and of twice what
-        # the mode leaves a third of the power of that.
+        # A step q is a noise of q/√12: with 50 levels 0.6 % of the range; at twice the
+        # residual of the mode, a third of its power.
         coarse = levels < 50 or step > 2 * finest > 0
         yield Finding(
             "W214",
@@ -422,32 +430,31 @@ def _quantisation(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
 
 
 def _stiction(log: Experiment) -> Iterator[Finding]:
-    """A motor that stands still under voltage, with the voltage that did not move it.
+    """A motor that stands still under voltage, and the voltage that did not move it.
 
-    Without a voltage a standstill cannot be distinguished from a reference that stands
-    still.
+    Without a voltage a standstill cannot be distinguished from a constant reference.
     """
     if log.voltage is None:
         return
     size, angle = np.abs(log.voltage), log.motor_angle
     driven = size > _DRIVEN * float(size.max())
-    # One step of the encoder may flicker at rest; two are motion. The verdict of a
-    # window belongs to its middle: the motor stood still before and after it.
+    # One step of the encoder may flicker at rest; two are motion. The result of a
+    # window applies to its middle: the motor stood still before and after it.
     window = max(3, round(_WINDOW / log.period))
     still = np.zeros(angle.size, dtype=bool)
     still[window // 2 : window // 2 + angle.size - window] = np.abs(
         angle[window:] - angle[:-window]
     ) <= 1.5 * converter_step(angle)
     stuck = still & driven
-    # Zeros at both ends, so that stretches that begin or end the log have two edges as
-    # well.
+    # Zeros at both ends, so that standstills at the beginning or end of the log also
+    # have two edges.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], stuck, [0]))))
     lengths = edges[1::2] - edges[::2]
     shortest = max(5, round(_SHORTEST / log.period))
     if lengths.size == 0 or lengths.max() < shortest:
         return
     share, longest = float(stuck.sum() / driven.sum()), int(np.argmax(lengths))
-    # Not the largest: the voltage that breaks the motor loose belongs to the last
+    # Not the largest value: the voltage that breaks the motor loose belongs to the last
     # sample of a standstill.
     held = float(np.quantile(size[stuck], 0.95))
     yield Finding(

@@ -1,9 +1,10 @@
-"""What a log's columns are: matched by name and unit, or asked.
+"""The roles of the columns of a log: matched by name and unit, or asked for.
 
 `read_log` guesses nothing. Here names and units are matched with the roles, and the one
 vibration that a fit finds in the log checks them: sign, gain, and whether a tip's angle
-is measured from the hub. What does not match is a `Question`, one for each role at most;
-what moves no frequency, order or delay of a fit is assumed, and said to be.
+is measured from the hub. A role without a match becomes a `Question`, at most one per
+role. Values that affect no frequency, order or delay of a fit are assumed and reported
+as assumptions.
 """
 
 from __future__ import annotations
@@ -51,18 +52,21 @@ from fracsys.checks import Period, checked
 __all__ = ["Match", "match", "match_table"]
 
 Reals = NDArray[np.float64]
-# A vibrating arm is sampled every 0.2 ms to 0.1 s. The window is narrower than a factor
-# of 1000, so that at most one of s, ms, us and ns puts a clock's step into it.
+# A vibrating arm is sampled every 0.2 ms to 0.1 s. This window spans less than a factor
+# of 1000, so at most one of s, ms, us and ns puts the step of a clock into it.
 _FASTEST, _SLOWEST = 2e-4, 0.1
-# How well a name fits a role: it says so, says nothing, or says something else.
+# Rank of a name for a role: it matches (0 or 1), has no meaning, or means something
+# else.
 _UNNAMED, _UNLIKELY = 2, 3
-# More than half of an output: one vibration cannot explain that much of two signals.
+# More than half of the variance of an output: a single vibration cannot explain that
+# much of two signals.
 _SHOWN = 0.5
-# An output may be late by half of the vibration before it looks like one of the other
-# sign that is early; with its sign unknown, by a quarter on either side: half of that.
+# An output may be delayed by half a period of the vibration before it looks like an
+# early one of the other sign. With unknown sign the limit is a quarter in either
+# direction; half of that is allowed.
 _LATE = 1 / 8
-# A deflection θm − θt has the gain 1 on the motor angle, and degrees taken for radians
-# make it 57: halfway between the two, in the logarithm, one is as far off as the other.
+# A deflection θm − θt has a gain of 1 on the motor angle, and of 57 if degrees are
+# taken for radians: the limit is halfway between the two on a logarithmic scale.
 _OTHER_UNIT = math.sqrt(180 / math.pi)
 
 
@@ -120,7 +124,7 @@ def match_table(
     """`match` of a table that was read; `source` is its file, as a command that a
     refusal names is to call it.
     """
-    # First what no answer could mend, then what a question may.
+    # Faults that no answer could remedy first, then those that a question may settle.
     check_no_response(table, source)
     check_count(max((values.size for values in table.values), default=0))
     columns = [each.column for each in stated.values() if each.column]
@@ -129,8 +133,8 @@ def match_table(
         matching.conclude(
             "form of the file", remark, "certain", "the whole file agrees"
         )
-    # Values near the largest double overflow in a difference: such a column is no
-    # signal, and no error here.
+    # Differences of values near the largest double overflow: such a column is not a
+    # signal, and this is no error.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         matched = matching.columns()
     questions = tuple(matching.questions)
@@ -139,7 +143,7 @@ def match_table(
 
 @dataclass
 class _Matching:
-    """What is known of one table so far; each step adds guesses or questions."""
+    """The state of the matching of one table; each step adds guesses or questions."""
 
     table: LogTable
     stated: dict[str, ColumnStatement]
@@ -206,7 +210,7 @@ class _Matching:
         if time is None or angle is None or output is None or channel is None:
             return None
         turned = channel.in_si(self.cells(angle), "motor_angle")
-        # The median: a gap or a stamp that jumps back is for the reader to refuse.
+        # The median: gaps or stamps that jump back are left to the reader.
         steps = np.abs(np.diff(self.stamps(time, turned.size)))
         period = float(np.median(steps))
         if not period > 0:
@@ -268,11 +272,11 @@ class _Matching:
             for unit, size in UNITS["time"].items()
             if _FASTEST <= step * scale * size <= _SLOWEST
         ]
-        # A column that rises by one may count samples or milliseconds: only a name of
-        # time makes it the latter.
+        # A column that increases by one may count samples or milliseconds; it is a
+        # clock only if its name says so.
         counter = step == 1.0 and not named
-        # The name's unit stands unless nobody samples an arm so: then milliseconds were
-        # exported under the name of seconds.
+        # The unit in the name applies unless no arm is sampled that slowly: then
+        # milliseconds were exported under a name for seconds.
         known = own in UNITS["time"]
         if statement.unit or own in fitting or (known and not fitting):
             self.conclude("unit of time", own, "stated", f"{rate} {own}")
@@ -330,7 +334,7 @@ class _Matching:
             raise dead_end(self, time, angle, free, self.table.roles, missing)
         first = ""
         for role, choices in asked.items():
-            # The column that one question suggests is no suggestion of the other.
+            # A column suggested by one question must not be suggested by another.
             labels = sorted(map(self.label, choices), key=lambda name: name == first)
             first = next(iter(labels), "NAME")
             text = "Which column is the motor angle, and in which unit?"
@@ -344,7 +348,7 @@ class _Matching:
     def rank(self, role: str, place: int) -> int:
         """How well a name fits a role: below `_UNNAMED` it says so."""
         meaning, name = self.table.roles[place][0], self.table.name(place)
-        # Of two angles the one at the motor's side is wanted.
+        # Of two angles the one at the motor's side is needed.
         hub = {"motor", "hub", "m", "joint"} & set(words_of(name))
         ranks = {"motor_angle": 0 if hub else 1, "the tip": _UNNAMED}
         if role == "output":
@@ -354,8 +358,8 @@ class _Matching:
                 "the tip": 1,
                 "motor_angle": _UNNAMED,
             }
-        # Never what was only asked for, nor what is measured of something else. Names of
-        # one letter are habits, and say little: u may be any input.
+        # Never a commanded value, nor a measurement of something else. Names of one
+        # letter are conventions with little meaning: u may be any input.
         habit = not meaning or len(name) == 1
         return ranks.get(meaning, _UNNAMED if habit else _UNLIKELY)
 
@@ -368,12 +372,13 @@ class _Matching:
         length = max(values.size for values in table.values)
         length = length if of_length is None else table.values[of_length].size
         places: list[int] = []
-        # Named columns first: of two that are equal the one with the better name stays.
+        # Columns with names first: of two equal columns the one with the better name is
+        # kept.
         order = range(len(table.names))
         for place in sorted(order, key=lambda k: not self.table.roles[k][0]):
             values = table.values[place]
-            # A column that only rises is another clock, unless its name says what it
-            # measures and not when.
+            # A column that only increases is another clock, unless its name denotes a
+            # quantity other than time.
             named = self.table.roles[place][0] and not names_time(table.name(place))
             rises = clock_step(values) is not None and not named
             again = any(np.array_equal(values, table.values[k]) for k in places)
@@ -398,7 +403,8 @@ class _Matching:
             self.conclude(part, unit, "stated", evidence)
             return Channel(name, unit, sign=sign, scale=scale)
         if length := length_of_name(self.table.name(place)):
-            # Any radius makes an angle of its way, for all but the gain.
+            # With any assumed radius a length becomes an angle; only the gain depends
+            # on it.
             value = f"1 rad for 1 m of {name}"
             why = "a linear axis: frequency, order and delay do not depend on the lever"
             self.conclude(part, value, "assumed", why)
@@ -408,7 +414,7 @@ class _Matching:
         if own in UNITS["voltage"]:
             text = f"{name} is in volts: which angle is one volt?"
             choices, example = ("36.8 deg", "0.64 rad"), "* 36.8 [deg]"
-        # Whole numbers are counts, unless they are few: an angle in whole degrees.
+        # Integers are counts, unless they are few: an angle in whole degrees.
         elif reach > 2 * math.pi and (raw == np.round(raw)).all():
             text = f"{name} counts: which angle is one count?"
             choices, example = ("1/4096 rev", "0.09 deg"), "* 1/4096 [rev]"
@@ -430,13 +436,13 @@ class _Matching:
         """
         own, name = self.unit(output), self.label(output)
         moved = self.cells(output) - self.cells(output)[0]
-        # Without a unit it is taken to have that of the motor angle.
+        # Without a unit it is assumed to have that of the motor angle.
         size = UNITS["angle"].get(own or channel.unit, 0.0)
         if length := length_of_name(self.table.name(output)):
             slope = float(moved @ turned) / (float(turned @ turned) or math.inf)
             size = 1 / slope if slope else 0.0
         stated = self.statement("output").column is not None
-        # The difference of raw numbers would be none of angles.
+        # A difference of raw numbers would not be an angle.
         if stated or channel.scale != 1 or channel.sign != 1 or not size:
             return output
         itself = _vibration(turned, moved, period)
@@ -475,7 +481,7 @@ class _Matching:
             source += f"; {size:.3g} N·m/rad" if mode else ""
             self.conclude(part, f"torque [{unit}]", "stated", source)
             return "torque", unit, scale
-        # `LogColumns` refuses a unit of none.
+        # `LogColumns` rejects a unit that is none of its own.
         if unit in UNITS["angle"] or (statement.unit and statement.unit != "raw"):
             calibrated = gain * scale * UNITS["angle"].get(unit, 1.0)
             odd = gain and not 1 / _OTHER_UNIT < calibrated < _OTHER_UNIT
@@ -511,9 +517,9 @@ class _Matching:
                 allowed="Nm, mNm, rad or deg",
                 remedy=f'state --column "torque={name} [Nm]" or "deflection={name} [deg]"',
             )
-        # A sensor without a unit is scaled so that it answers the motor angle as a
-        # deflection does. Four digits, as people write a calibration: the gain itself
-        # is known to a percent.
+        # A sensor without a unit is scaled so that its gain on the motor angle is that
+        # of a deflection. Four digits, as in a usual calibration; the gain itself is
+        # known to one per cent.
         scale = float(f"{1 / gain:.4g}")
         length = length_of_name(self.table.name(place))
         what = (
@@ -528,7 +534,7 @@ class _Matching:
 
     def sign(self, mode: Fit | None) -> Literal[1, -1]:
         """The sign with which the output is positive where the motor speeds up."""
-        # Where the motor speeds up the link is bent backwards, and Γ = c(θm − θt) is
+        # While the motor accelerates, the link is bent backwards, and Γ = c(θm − θt) is
         # positive: the sign convention of rig and law.
         sign: Literal[1, -1] = -1 if mode is not None and mode.gain < 0 else 1
         way = "with" if sign > 0 else "against"
@@ -564,7 +570,8 @@ class _Matching:
         unit = statement.unit or (own if own in UNITS["voltage"] else "")
         if not np.isfinite(raw).all() or not moves(raw):
             return None
-        # A motor runs where its voltage drives it, though a servo brakes as often.
+        # A motor usually turns in the direction of its voltage, although a servo brakes
+        # just as often.
         relation = float(np.corrcoef(raw, np.gradient(angle))[0, 1])
         sign: Literal[1, -1] = statement.sign or (-1 if relation < -_SHOWN else 1)
         evidence = f"correlation {relation:.2g} with the motor's speed"
@@ -574,7 +581,7 @@ class _Matching:
 
 
 def _vibration(angle: Reals, output: Reals, period: float) -> Fit | None:
-    """The one mode from `angle` to `output`; None where there is none."""
+    """The single mode from `angle` to `output`; None if there is none."""
     try:
         log = Experiment(
             period=period, motor_angle=angle, output=output, output_kind="deflection"

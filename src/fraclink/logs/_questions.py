@@ -1,5 +1,5 @@
-"""What `start` concludes and what it asks: guesses with their certainty, questions, and
-what an answer states.
+"""Conclusions and questions of `start`: guesses with their certainty, questions, and
+the statements made by answers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fraclink.errors import FieldError
 __all__ = ["ABSENT", "Certainty", "Guess", "Question", "statements"]
 
 Certainty = Literal["stated", "certain", "likely", "assumed"]
-# The answer where a log does not hold what a question asks for.
+# The answer if the log does not contain the requested signal.
 ABSENT = "none"
 
 
@@ -87,7 +87,7 @@ class Question:
         of_column = self.part == "column"
         if of_column and text == ABSENT and ABSENT not in self.choices:
             return replace(known, column=ABSENT)
-        # "36.8 deg" beside "deg" and "* 36.8 [deg]", the words of --column.
+        # "36.8 deg" as well as "deg" and "* 36.8 [deg]", the syntax of --column.
         factor, _, unit = text.removesuffix("]").replace("[", " ").rpartition(" ")
         stated = f"x * {factor.strip('* ')} [{unit}]" if factor else f"x [{unit}]"
         if of_column:
@@ -100,7 +100,7 @@ class Question:
         units = [*UNITS[QUANTITY_OF[role]], *(["raw"] * (self.role == "output"))]
         own = unit_of_name(each.column or "")
         if of_column and self.role == "motor_angle" and each.unit is None:
-            # The same question, and not a second one.
+            # This extends the existing question instead of adding a second one.
             each = replace(each, unit=own if own in units else "")
         named = not of_column or any(name in text for name in self.choices)
         optional = of_column and self.role == "output" and each.unit is None

@@ -1,5 +1,5 @@
-"""From a log that nobody has described to a first model: guess, ask what cannot be
-known, read, fit.
+"""From a log without a description to a first model: guess, ask about the rest, read,
+fit.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ class Start:
     @property
     def blanks(self) -> int:
         """How many numbers `design` still needs in the rig file."""
-        # A blank is a commented line with its key: the same by which the draft's reader
-        # names what is missing.
+        # A blank is a commented line with its key, which the draft's reader also uses
+        # to name missing values.
         return len(re.findall(r"^# \w+ = ", self.rig_file, flags=re.MULTILINE))
 
     def save(
@@ -187,16 +187,16 @@ def start(
     while state.questions:
         if ask is None:
             raise _open(table, state.questions)
-        # One at a time: an answer often settles what else was open, and all of it is
-        # matched again.
+        # One question at a time: an answer often settles others as well, since
+        # everything is matched again.
         question = state.questions[0]
         answer = question.statement(ask(question), stated.get(question.role))
         stated[question.role] = answer
         decisions += 1
         state = match_table(table, stated, str(log), interpolate)
     assert state.columns is not None  # without a question  # noqa: S101
-    # Through the one reader: what was guessed is stated to it, and it refuses or
-    # converts as it does for everybody.
+    # The common reader is used: it receives the guesses as statements, and rejects or
+    # converts them as always.
     experiment = read_log(
         place,
         columns=state.columns,
@@ -226,12 +226,12 @@ def start(
 def _known(
     log: Experiment, fit: Fit, payload: float | None
 ) -> dict[str, tuple[float, str]]:
-    """What the rig file need not leave blank: a torque log shows c, and the payload was
-    stated.
+    """Values that the rig file need not leave blank: c from a torque log, and the
+    stated payload.
     """
     known = {}
     if log.output_kind == "torque":
-        # Five digits: the rest is noise of the fit, and a rig file is read by people.
+        # Five digits: the rest is noise of the fit, and people read rig files.
         known["link.stiffness"] = (
             float(f"{fit.model.stiffness:.5g}"),
             "c, from this log",
@@ -258,7 +258,7 @@ def _open(table: LogTable, questions: tuple[Question, ...]) -> LogError:
 def _of_the_fit(
     experiment: Experiment, fit: Fit, payload: float | None
 ) -> tuple[Guess, ...]:
-    """What the reader and the fit add to the guesses: period, payload and delay."""
+    """The guesses added by the reader and the fit: period, payload and delay."""
     evidence = f"{experiment.motor_angle.size} samples, {experiment.duration:.4g} s"
     guesses = [
         Guess("period", f"{1e3 * experiment.period:.6g} ms", "certain", evidence)
@@ -274,7 +274,7 @@ def _of_the_fit(
     return tuple(guesses)
 
 
-# The guesses that stand above each line of the rig file's [log] table.
+# The guesses that belong above each line of the [log] table of the rig file.
 _LINES = {
     "time": ("time", "unit of time"),
     "motor_angle": ("motor angle", "unit of the motor angle"),
@@ -284,7 +284,7 @@ _LINES = {
 
 
 def _remarks(guesses: tuple[Guess, ...]) -> dict[str, tuple[str, ...]]:
-    """The guesses to check, as comments by role."""
+    """The guesses to be checked, as comments by role."""
     remarks = {
         role: tuple(
             f"{'CHECK, ' if guess.certainty in ('likely', 'assumed') else ''}{guess.certainty}: "
