@@ -1,4 +1,6 @@
-"""Design of the outer controller: every requirement a row, one solver, and the procedure of section 6."""
+"""Design of the outer controller: a table of requirements, one solver, and the
+procedure of section 6.
+"""
 
 from __future__ import annotations
 

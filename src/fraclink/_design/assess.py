@@ -1,5 +1,5 @@
-"""What a user asks of a design: where the phase goes, how margins move with the payload,
-the loop gain at higher modes; and what else could be asked for.
+"""Assessment of a design: the phase budget, margins over the payload, the loop gain at
+higher modes, and the feasible specifications.
 """
 
 from __future__ import annotations
@@ -90,12 +90,12 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
             allowed=allowed,
             remedy=remedy,
         )
-    # The highest crossing: where |L| rises through one the loop is slow, and no delay
-    # costs anything there.
+    # The highest crossing: at those where |L| rises through one the loop is slow, and a
+    # delay costs nothing.
     w = float(np.max(crossings))
     hold = 0.5 * design.rig.period
-    # What the gauge adds is the difference to a perfect one: its delay alone would
-    # leave out what the second mode does to the phase.
+    # The share of the gauge is the difference from a perfect one: its delay alone would
+    # omit the effect of the second mode on the phase.
     tip = float(
         replace(loop, gauge_delay=0.0, gauge_gain=1.0, second_mode=None)
         .link_log(w, w0)
@@ -149,7 +149,7 @@ def margin_curve(
     whole, masses = design.full_loop, axis_of("payloads", payloads, Payload)
     if kind == "sampled":
         found = [design.sampled_at(float(m)) for m in masses]
-        # An unstable loop may show a large margin at a crossing: it is drawn below
+        # An unstable loop may have a large margin at a crossing; it is drawn below
         # zero.
         sign = np.where([bool(f.stable) for f in found], 1.0, -1.0)
         return MarginCurve(
@@ -160,8 +160,8 @@ def margin_curve(
             np.array([f.modulus_margin for f in found]),
         )
     loops = {
-        # Up to the Nyquist frequency, as the others: a crossing of the paper's L beyond
-        # it belongs to no controller.
+        # Up to the Nyquist frequency like the others: no controller realises a crossing
+        # of the paper's L beyond it.
         "ideal": replace(design.ideal_loop, highest=whole.highest),
         "motor": replace(
             whole,
@@ -280,11 +280,12 @@ def feasibility_map(
             if found is None:
                 search = Search(cell, cell.first_links, cell.filter_orders[-1])
                 start = search.first()
-            else:  # from the last cell, and at all links that were worst there
+            # start from the previous cell, and from all links that were worst there
+            else:
                 search, start = replace(found.search, request=cell), found.x
             found = search.over_links(start[:, None])
             if found.slack > 0.0:
-                break  # nor is there one with a larger margin
+                break  # a larger margin is infeasible as well
             found = found.quieter()
             noise[row, column] = found.noise_gain
     return FeasibilityMap(crossovers, angles, noise)

@@ -1,4 +1,4 @@
-"""What a box of parameters costs a design, and which of its intervals costs most."""
+"""The cost of a parameter box for a design, and the interval that costs most."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fraclink.findings import Finding
 
 __all__ = ["cost_of_box"]
 
-# of an interval: the word for its parameter, and what narrows it
+# for each interval: the word for its parameter, and the remedy that narrows it
 _WORDS = {
     "order": ("λ", "a longer log, or several logs of the arm,"),
     "natural_frequency": ("ω₀", "a longer log, or weighing the payload,"),

@@ -1,5 +1,5 @@
-"""A design completed from its rig: what is asked for where neither the request nor the
-rig says.
+"""Designs completed from the rig, with defaults for what neither the request nor the
+rig states.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fracsys.checks import checked
 
 __all__ = ["design_for"]
 
-# What the rig's [design] table completes, and what else in the request takes its place.
+# Entries of the rig's [design] table, and the requests that replace each of them.
 _COMPLETED = {
     "gain_crossover": ("settling_time",),
     "phase_margin": ("max_sensitivity",),
@@ -61,7 +61,7 @@ def design_for(
 
 
 def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
-    """What takes the place of the frequency of a log that nobody knows the payload of."""
+    """The assumption that replaces the frequency of a log with unknown payload."""
     if link.payload is not None or known.payload is None:
         return ()
     own, weight = link.natural_frequency, 1e3 * known.payload
@@ -72,7 +72,7 @@ def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
 
 
 def _assumed(asked: dict[str, Any], made: Design) -> tuple[str, ...]:
-    """What takes the place of a crossover and of a margin."""
+    """The assumptions that replace a crossover and a margin."""
     nobody = "as neither the rig nor the request states one"
     found = []
     if not {"gain_crossover", "settling_time"} & set(asked):

@@ -26,18 +26,18 @@ from fracsys.checks import Between, Duration, Frequency, PhaseMargin, checked
 
 __all__ = ["tune_pid"]
 
-HORIZON = 40.0  # of ITAE, times 1/ω_c: six periods of an oscillation at the crossover
-# Of a law's phase margin: its own tolerance of 0.5°, and what 1.5 periods of delay
-# leave out of the hold.
+# horizon of ITAE times ω_c: six periods of an oscillation at the crossover
+HORIZON = 40.0
+# Loss of phase margin in the law: its own tolerance of 0.5°, and the difference between
+# the hold and a delay of 1.5 periods.
 LAW_LOSS = math.radians(1.0)
 MARGIN = math.radians(60.0)
-SENSITIVITY = (
-    2.0  # of a crossover that nothing but ITAE chooses: ITAE alone goes to Ms of 3 to 6
-)
-# With λ below a half an error lasts as t^(−λ) beyond every horizon, which ITAE does not
-# see.
+# bound on Ms if only ITAE determines the crossover: ITAE alone leads to Ms of 3 to 6
+SENSITIVITY = 2.0
+# With λ below one half an error decays like t^(−λ), beyond every horizon that ITAE
+# covers.
 _INTEGRAL_ORDERS, _DERIVATIVE_ORDERS = (0.5, 1.6), (0.1, 1.6)
-_SLOPES = (-1.5, 0.25)  # of arg L over ln ω, where it is free
+_SLOPES = (-1.5, 0.25)  # slope of arg L over ln ω, where it is free
 
 Form = Literal["PI", "PD", "PID"]
 
@@ -129,8 +129,8 @@ def tune_pid(
     if max_sensitivity is None and gain_crossover is None:
         max_sensitivity = SENSITIVITY
     own = _plant_of(plant)
-    # Hold and computation stand in the plant from the start: a margin met without them
-    # is lost by ω_c·1.5 T.
+    # Hold and computation delay are part of the plant from the start: a margin obtained
+    # without them would lose ω_c·1.5 T.
     problem = _problem(
         own.delayed(PERIODS * (period or 0.0)),
         form,
@@ -146,17 +146,17 @@ def tune_pid(
     found = searched(problem)
     if not found.count:
         raise _infeasible(problem)
-    # One horizon for all candidates: with 40/ω_c of each its own, a slow loop would be
-    # given more time to be late in, and its ITAE could not be compared with a fast
-    # one's.
+    # One horizon for all candidates: with 40/ω_c of each candidate, a slow loop would
+    # get more time to accumulate error, and its ITAE would not be comparable with that
+    # of a fast loop.
     length = HORIZON / float(np.max(found.crossover)) if horizon is None else horizon
     best = best_of(problem, found, length)
     made = PidTuning(
         plant=own,
         controller=best.controller(0),
         phase_margin=phase_margin,
-        # Eight times the search's samples: the value is stated, not only compared. To
-        # 1e-5 of the exact response's on the plants of the tests.
+        # Eight times as many samples as in the search, since this value is reported. It
+        # agrees to 1e-5 with the exact response on the plants of the tests.
         itae=float(itae(problem, best, length, 8192)[0]),
         horizon=length,
         gain_crossover=gain_crossover,
@@ -176,9 +176,7 @@ def tune_pid(
 
 
 def _of_law(made: PidTuning) -> tuple[Finding, ...]:
-    """What the law that ships keeps less of the phase margin, with the plant behind its
-    hold.
-    """
+    """The loss of phase margin in the law that ships, with the plant behind its hold."""
     if any(term.delay for term in made.plant.denominator):
         return (
             Finding(
@@ -189,11 +187,11 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "keep a larger margin, or simulate the law on the arm's own software",
             ),
         )
-    # The limits play no part in the linear loop: any finite ones do, as the caller need
-    # not have given them.
+    # The limits do not affect the linear loop: any finite values will do, since the
+    # caller need not have given them.
     found = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
-    # A stable loop's nearest crossing may lie on either side of -1; what counts is how
-    # far.
+    # The nearest crossing of a stable loop may lie on either side of -1; its distance
+    # counts.
     kept = abs(found.phase_margin)
     evidence = {
         "asked, °": math.degrees(made.phase_margin),
@@ -214,8 +212,8 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
     return (
         Finding(
             "W404",
-            # With less than half of the margin it is another loop than the one asked
-            # for: gauge, motor and damping are known to 5 % each at best.
+            # With less than half of the margin it is a different loop: gauge, motor and
+            # damping are known to 5 % each at best.
             "error" if kept < 0.5 * made.phase_margin else "warning",
             "the shipped law keeps less phase margin than was asked for",
             evidence,
@@ -225,9 +223,9 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
 
 
 def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, ...]:
-    """What is left of a step for ever, where neither controller nor plant integrates."""
+    """The steady-state error after a step, if neither controller nor plant integrates."""
     # An integral of any order λ > 0 has infinite gain at rest: the error then vanishes,
-    # if as slowly as t^(−λ).
+    # although only like t^(−λ).
     if controller.integral or problem.integrators > 0.0:
         return ()
     top, bottom = problem.plant.numerator[-1], problem.plant.denominator[-1]
@@ -245,7 +243,7 @@ def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, .
 
 
 def _words(problem: PidProblem) -> str:
-    """The form that was asked for, in words."""
+    """The requested form in words."""
     form = "P" + "I" * problem.integral + "D" * problem.derivative
     return (
         f"{form} controller with a flat phase" if problem.flat else f"{form} controller"
@@ -253,7 +251,9 @@ def _words(problem: PidProblem) -> str:
 
 
 def _plant_of(plant: Any) -> FractionalTransferFunction:
-    """The plant as a function; FieldError for one whose loop the search cannot count."""
+    """The plant as a function; FieldError if the search cannot count the encirclements
+    of its loop.
+    """
     own = (
         plant.transfer_function
         if isinstance(plant, StructureFit)
@@ -267,9 +267,9 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             allowed="a plant that answers",
             remedy="build it from s",
         )
-    # |L| of a plant that does not fall may stay above one for ever, and the 1.5 periods
-    # of delay then turn it round −1 without end: no count of turns, which decides
-    # stability here, comes to rest.
+    # |L| of a plant that does not fall at high frequency may stay above 1, and the 1.5
+    # periods of delay then turn it around −1 without end, so that the count of turns,
+    # which decides stability here, does not converge.
     if own.relative_degree <= 0.0:
         raise FieldError(
             "plant",
@@ -279,9 +279,9 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             remedy="write down the lag of its sensor or actuator",
         )
     order = own.denominator[-1].order
-    # A pole at the origin is no instability here: the scan knows how far L turns there.
-    # It is divided out, and what is left must be stable, as a Nyquist count without
-    # right half-plane poles is used.
+    # A pole at the origin is allowed: the scan knows how far L turns there. It is
+    # divided out, and the rest must be stable, because the Nyquist count assumes no
+    # poles in the right half plane.
     free = own / FractionalTransferFunction.power(-order) if order else own
     if not is_stable(free):
         raise FieldError(
@@ -291,8 +291,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             allowed="a stable plant, or one with integrators",
             remedy="stabilise it first, and tune for the closed loop",
         )
-    # The sign of the gain at rest: with gains of C that are >= 0, a plant of negative
-    # gain closes a positive feedback.
+    # The sign of the gain at rest: with gains of C >= 0, a plant of negative gain gives
+    # positive feedback.
     lowest = own.numerator[-1].coefficient / own.denominator[-1].coefficient
     if lowest < 0.0:
         remedy = "tune for -plant, and negate the controller's output"
@@ -326,8 +326,8 @@ def _problem(
             raise FieldError(
                 name, order, f"given for a {form}", allowed="none", remedy=remedy
             )
-    # Two gains are spent on ω_c and φ_m, so of a PI or PD the order is the one number
-    # left for a flat phase.
+    # ω_c and φ_m determine two gains; a PI or PD has only its order left to make the
+    # phase flat.
     single = integral_order if integral else derivative_order
     if flat_phase and not (integral and derivative) and single is not None:
         raise FieldError(
@@ -366,8 +366,8 @@ def _problem(
 def _crossovers(
     plant: FractionalTransferFunction, given: float | None
 ) -> tuple[float, float]:
-    """Range of ln ω_c: the one that is given, or three decades below where the delay
-    alone turns by 180°.
+    """Range of ln ω_c: the given one, or three decades below the frequency at which the
+    delay alone turns the phase by 180°.
     """
     if given is not None:
         return math.log(given), math.log(given)
@@ -380,8 +380,8 @@ def _crossovers(
             allowed="> 0 rad/s",
             remedy="give gain_crossover=, or period= of the law, whose delay bounds it",
         )
-    # Above π/τ the delay alone takes 180°. Three decades down no plant is left whose
-    # delay decides anything.
+    # Above π/τ the delay alone costs 180°. Three decades below, it no longer matters
+    # for any plant.
     high = math.log(math.pi / delay)
     return high - math.log(1e3), high
 
@@ -390,9 +390,9 @@ def _infeasible(problem: PidProblem) -> InfeasibleError:
     """The error, with the nearest phase margin for which there is a controller."""
     asked = problem.phase_margin
     more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
-    # Nearest first, so that the first that works is the offer; steps of 2.5° and every
-    # fourth crossover, as each trial is a search of its own and a person asks again in
-    # whole degrees.
+    # Nearest first, so that the first feasible one is the offer. Steps of 2.5° and
+    # every fourth crossover, because each trial is a search of its own and people
+    # specify whole degrees.
     steps = sorted(
         np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked)
     )

@@ -1,10 +1,10 @@
-"""Equations and search behind `tune_pid`: gains from margins, and what is free from the
-least ITAE.
+"""Equations and search behind `tune_pid`: gains from margins, remaining parameters from
+the least ITAE.
 
 With s^(-λ) and s^μ/(1 + T_f s)^n as given functions C is linear in its gains. L(jω_c) =
 e^(j(φ_m − π)) are two real equations, the slope of arg L at ω_c is a third: three gains
-follow by one linear solution for each (λ, μ). What is left, the two orders and perhaps
-slope and ω_c, is searched on a grid and then by Nelder and Mead.
+follow from one linear system for each (λ, μ). The rest, the two orders and possibly
+slope and ω_c, is searched on a grid and then by the Nelder-Mead method.
 """
 
 from __future__ import annotations
@@ -31,25 +31,29 @@ Complex = NDArray[np.complex128]
 Span = tuple[float, float]
 
 FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crossover
-# Eighty points a decade and those about the modes: on three plants the margins of 600
-# candidates are 2e-3 rad at most off those of a scan forty times as dense, Ms 3 %. That
-# ranks them; what is accepted is measured anew. of the scan in ω; margins are found
-# again by root finding once the search is over
+# Points of the scan in ω: eighty per decade and those about the modes. On three plants
+# the margins of 600 candidates differ by at most 2e-3 rad from those of a scan forty
+# times as dense, Ms by 3 %. This is enough to rank candidates; the margins of an
+# accepted one are computed again by root finding.
 _POINTS = 480
-_REACH = 1e3  # either side of the crossover
-# At 512 samples the least ITAE of a plant with an integrator is another candidate's
-# than at 16 384, at 1024 it is the same on the three plants tried, although a candidate
-# near its margin is 9 % off.
-_SAMPLES = 1024  # of the error in the search: frequencies to 80 times the crossover
-# A larger factor multiplies what the truncated series leaves out: with 1e8 candidates
-# near their margin come out wrong by a factor of three.
-_DAMPING = math.log(1e5)  # of the Fourier series: what wraps around counts 1e-5
-_TOLERANCE = 3e-4  # [rad] between scan and root
-_ROOM = 1.002  # between the scan's value of a bound and the true one
-# a side of the grid: λ, μ, slope, ln ω_c; fewer orders where the slope is free, too
+_REACH = 1e3  # factor on either side of the crossover
+# Samples of the error in the search: frequencies up to 80 times the crossover. With 512
+# samples a plant with an integrator gets another candidate than with 16 384; with 1024
+# it is the same one on the three plants tried, although the ITAE of a candidate near
+# its margin is 9 % off.
+_SAMPLES = 1024
+# Damping of the Fourier series: the wrap-around is multiplied by 1e-5. A larger factor
+# would amplify the truncation error of the series: with 1e8, candidates near their
+# margin are wrong by a factor of three.
+_DAMPING = math.log(1e5)
+_TOLERANCE = 3e-4  # [rad] largest difference between scan and root
+_ROOM = 1.002  # margin between the scan's value of a bound and the exact one
+# points along each side of the grid: λ, μ, slope, ln ω_c; fewer orders if the slope is
+# free as well
 _GRID, _WITH_SLOPE = (21, 21, 1, 24), (11, 11, 10, 24)
-_TOGETHER = 128  # candidates on the scan at once: a thousand take 100 MB, and more time
-_REFUSED = 1e300  # finite: the simplex subtracts its values
+# candidates scanned together: a thousand would take 100 MB and more time
+_TOGETHER = 128
+_REFUSED = 1e300  # finite, because the simplex method subtracts its values
 
 
 @dataclass(frozen=True)
@@ -135,11 +139,11 @@ class PidProblem:
         low, high = np.exp(self.spans[3]) * [1.0 / _REACH, _REACH]
         w = [np.geomspace(low, high, _POINTS)]
         try:
-            # A lightly damped mode is narrower than the scan's steps of 3 %, and a loop
-            # gain that rises to one there and falls again would be missed. Six modes:
-            # the lowest are the ones that a controller reaches.
+            # A lightly damped mode is narrower than the scan's steps of 3 %, so a loop
+            # gain that rises above 1 there would be missed. Six modes: the controller
+            # affects the lowest ones.
             modes = np.abs([pole for pole in poles(self.plant) if abs(pole.imag) > 0])
-        except FraclinkError:  # delays in the denominator: no finite list of poles
+        except FraclinkError:  # delays in the denominator: infinitely many poles
             modes = np.empty(0)
         for mode in modes[(modes > low) & (modes < high)][:6]:
             near = 1.0 + np.geomspace(1e-4, 0.3, 16)
@@ -168,7 +172,8 @@ class PidProblem:
         matrix = np.stack(rows, axis=1)[:, :count, used]
         gains = np.zeros((len(w), 3))
         gains[:, used] = (np.linalg.pinv(matrix) @ right[:, :count, None])[..., 0]
-        # λ = μ, or an order that makes two parts parallel at ω_c: no gains follow.
+        # λ = μ, or an order that makes two parts parallel at ω_c: the system has no
+        # solution.
         off = np.abs((gains * parts).sum(axis=1) - wanted) > 1e-9 * np.abs(wanted)
         gains[off] = math.nan
         own = ((gains * slopes).sum(axis=1) / wanted).imag + rise
@@ -179,8 +184,8 @@ class PidProblem:
         """Those without negative gains whose closed loop is stable, and that keep every
         bound, on the scan.
         """
-        # Negative gains are dropped rather than clipped to 0: clipped, the controller
-        # no longer crosses at ω_c with the margin.
+        # Candidates with negative gains are dropped rather than clipped to 0: clipped,
+        # the controller no longer crosses at ω_c with the margin.
         positive = np.all(found.gains >= 0.0, axis=1) & np.any(
             found.gains > 0.0, axis=1
         )
@@ -195,9 +200,9 @@ class PidProblem:
             good = _stable(loop, origin)
             good &= _least_margin(loop) >= self.phase_margin - _TOLERANCE
             if self.gain_margin is not None:
-                # The scan's minima are no better than its steps, so the bounds are
-                # asked for with `_ROOM` to spare, and the exact engine, which judges
-                # the result, finds them kept.
+                # The minima of the scan are only as accurate as its steps, so the
+                # bounds are tightened by `_ROOM`; the exact evaluation of the result
+                # then confirms them.
                 good &= _least_gain_margin(loop) >= self.gain_margin * _ROOM
             if self.max_sensitivity is not None:
                 distance = np.min(np.abs(1.0 + loop), axis=1)
@@ -212,7 +217,7 @@ class PidProblem:
 def _parts(
     s: Complex, lam: Real, mu: Real, lag: Real
 ) -> tuple[Complex, Complex, Complex]:
-    """1, s^(−λ) and s^μ/(1 + T_f s)^n; the arguments broadcast."""
+    """1, s^(−λ) and s^μ/(1 + T_f s)^n; the arguments are broadcast."""
     log = np.log(s)
     slow = np.exp(-lam * log)
     return np.ones_like(slow), slow, np.exp(mu * log) / (1.0 + lag * s) ** np.ceil(mu)
@@ -228,8 +233,8 @@ def _plant_at(plant: FractionalTransferFunction, w: Real) -> tuple[Complex, Real
 
 
 def _stable(loop: Complex, origin: Real) -> NDArray[np.bool_]:
-    """Whether 1 + L turns by as much as its pole at the origin asks for, and no more
-    (no pole elsewhere).
+    """Whether 1 + L turns exactly as its pole at the origin requires (there is no pole
+    elsewhere).
 
     Near the origin 1 + L ~ s^(-q) has the phase −qπ/2; from there to ω → ∞ it must turn
     back to that of 1 + L(∞), on the principal sheet.
@@ -238,8 +243,8 @@ def _stable(loop: Complex, origin: Real) -> NDArray[np.bool_]:
     first = -0.5 * math.pi * origin
     start = first + np.angle(turned[:, 0] * np.exp(-1j * first))
     end = start + np.angle(turned[:, 1:] / turned[:, :-1]).sum(axis=1)
-    # Turns differ by 2π; one radian tells them apart whatever the scan loses between
-    # two points.
+    # Turns differ by 2π; a limit of one radian separates them, whatever the scan misses
+    # between two points.
     return np.asarray(np.abs(end - np.angle(turned[:, -1])) < 1.0)
 
 
@@ -248,8 +253,8 @@ def _least_margin(loop: Complex) -> Real:
     none.
     """
     level = np.log(np.abs(loop))
-    # By the straight line between two points in ln ω: a root search for every one of
-    # some thousand candidates would take a hundred times as long.
+    # Linear interpolation between two points in ln ω: root finding for some thousand
+    # candidates would take a hundred times as long.
     crosses = (level[:, :-1] > 0.0) != (level[:, 1:] > 0.0)
     share = level[:, :-1] / (level[:, :-1] - level[:, 1:])
     angle = np.angle(-loop[:, :-1]) + share * np.angle(loop[:, 1:] / loop[:, :-1])
@@ -257,19 +262,17 @@ def _least_margin(loop: Complex) -> Real:
 
 
 def _least_gain_margin(loop: Complex) -> Real:
-    """Smallest factor by which the gain may change, up or down, before the loop passes
-    −1.
-    """
+    """Smallest factor by which the gain may rise or fall before the loop passes −1."""
     turns = np.angle(-loop)
-    # A change of sign by more than π is the phase wrapping at ±180° from −1, on the far
-    # side: no crossing.
+    # A change of sign by more than π is the phase wrap at ±180° as seen from −1, on the
+    # far side, and not a crossing.
     passes = (turns[:, :-1] * turns[:, 1:] < 0.0) & (
         np.abs(turns[:, 1:] - turns[:, :-1]) < math.pi
     )
     level = np.abs(np.log(np.abs(loop)))
     share = turns[:, :-1] / (turns[:, :-1] - turns[:, 1:])
     at = level[:, :-1] + share * (level[:, 1:] - level[:, :-1])
-    # e^300: a loop that never passes −1 bears any gain.
+    # e^300: a loop that never passes −1 tolerates any gain.
     return np.asarray(np.exp(np.min(np.where(passes, at, 300.0), axis=1)))
 
 
@@ -290,12 +293,12 @@ def itae(
     def figure(part: Candidates) -> Real:
         rate = part.crossover[:, None]
         with np.errstate(all="ignore"):
-            # E(s) = 1/(s (1 + L)), in closed form for any L: delays and orders need no
-            # model, and all candidates go through one FFT.
+            # E(s) = 1/(s (1 + L)) in closed form for any L: delays and fractional
+            # orders need no model, and one FFT serves all candidates.
             image = 1.0 / (s * (1.0 + part.response(s) * plant))
             series = np.fft.irfft(image - 1.0 / (s + rate), n=samples, axis=1)
-        # irfft's sum runs over s and its conjugate, and is divided by the number of
-        # samples
+        # The sum of irfft runs over s and its conjugate, and is divided by the number
+        # of samples.
         error = series[:, : time.size] * np.exp(shift * time) * samples / (
             2.0 * horizon
         ) + np.exp(-rate * time)
@@ -309,7 +312,7 @@ def searched(problem: PidProblem, *, every: int = 1) -> Candidates:
     `every`-th.
     """
     # 21 × 21 orders, or 11 × 11 with ten slopes each: some thousand linear systems of
-    # three, a few milliseconds.
+    # three equations, a few milliseconds.
     low, high = problem.spans[2]
     counts = _GRID if low == high else _WITH_SLOPE
     axes = [
@@ -325,7 +328,7 @@ def searched(problem: PidProblem, *, every: int = 1) -> Candidates:
 
 
 def _flat(problem: PidProblem, grid: Real, axis: int) -> Real:
-    """The places between two of the grid along one order where the phase is flat."""
+    """The points between two grid points along one order at which the phase is flat."""
     lines = np.moveaxis(grid, axis, 0).reshape(grid.shape[axis], -1, 4)
     slope = problem.solved(lines.reshape(-1, 4)).places[:, 2].reshape(lines.shape[:2])
     before, line = np.nonzero(slope[:-1] * slope[1:] < 0.0)
@@ -350,8 +353,8 @@ def best_of(problem: PidProblem, found: Candidates, horizon: float) -> Candidate
     def made(values: Real) -> Candidates:
         places = best.places.copy()
         places[0, varied] = values
-        # Four decimals: ITAE does not see the fifth, and L has terms whose orders would
-        # differ in it alone, which no root finder tells apart.
+        # Four decimals: the fifth does not change ITAE, and terms of L whose orders
+        # differ only there could not be separated by any root finder.
         places[0, :2] = np.round(places[0, :2], 4)
         return problem.admitted(problem.solved(places))
 
@@ -362,9 +365,9 @@ def best_of(problem: PidProblem, found: Candidates, horizon: float) -> Candidate
         )
 
     begin = best.places[0, varied]
-    # About the grid's step in the orders, and 6 % in ω_c, whose grid has steps of 35 %:
-    # the simplex begins inside the cell that won. SciPy's own start, 5 % of each value,
-    # is none where a slope is 0.
+    # About one grid step in the orders, and 6 % in ω_c, whose grid step is 35 %: the
+    # simplex starts inside the best cell. SciPy's default start, 5 % of each value, is
+    # zero where a slope is 0.
     steps = np.diag(np.array([0.04, 0.04, 0.05, 0.06])[varied])
     result = minimize(
         cost,

@@ -1,5 +1,5 @@
-"""The result of `tune_pid`: a fractional PID with its plant, its margins, its law, its
-answer to a step.
+"""The result of `tune_pid`: a fractional PID with its plant, margins, law and step
+response.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ __all__ = ["PERIODS", "PidStep", "PidTuning"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-PERIODS = 1.5  # of delay: half of the hold, and one until the output takes effect
-LAW_BAND = (
-    200.0,
-    50.0,
-)  # of the law's fit below and above ω_c: what a loop is judged by lies inside
-SPAN = 25.0  # of the sampled plant's modes, times the horizon: exact from ω_c/1000 on
-_FLAT = 1e-6  # [rad] of phase over ln ω: rounding and search
+# periods of delay: half of one for the hold, and one until the output takes effect
+PERIODS = 1.5
+# factors below and above ω_c that bound the band of the law's fit; the figures of a
+# loop depend on this band
+LAW_BAND = (200.0, 50.0)
+# span of the sampled plant's modes as a multiple of the horizon: exact from ω_c/1000
+# upwards
+SPAN = 25.0
+_FLAT = 1e-6  # [rad] change of phase over ln ω due to rounding and search
 
 
 class PidStep(NamedTuple):
@@ -122,17 +124,17 @@ class PidTuning(Saved):
     @cached_property
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
-        # The engine says None for a plant whose open-loop poles it cannot count; the
-        # closed loop's are then sought themselves.
+        # The Nyquist count returns None for a plant whose open-loop poles it cannot
+        # count; the closed-loop poles are computed instead.
         found = self.margins.stable
         return bool(is_stable(self.open_loop.feedback())) if found is None else found
 
     @property
     def phase_slope(self) -> float:
         """d arg L/d ln ω at the gain crossover [rad]: 0 where the phase is flat."""
-        # A central difference, 1e-10 off: the loop has delays and arbitrary orders, and
-        # its derivative in closed form would have to be written for every kind of
-        # plant. By the ratio, so that no turn of 2π comes between.
+        # A central difference, accurate to 1e-10: with delays and arbitrary orders a
+        # closed form would be needed for every kind of plant. It uses the ratio, so
+        # that no turn of 2π can occur.
         w, step = self.margins.gain_crossover, 1e-5
         loop = self.open_loop
         return float(
@@ -147,8 +149,8 @@ class PidTuning(Saved):
         at_least = {
             "phase margin": ("rad", self.phase_margin, found.phase_margin),
             "gain crossover": ("rad/s", self.gain_crossover, found.gain_crossover),
-            # A loop that becomes unstable with less gain has a margin below one: what
-            # is asked for is a factor either way.
+            # A loop that becomes unstable with less gain has a gain margin below 1; the
+            # requirement is a factor in either direction.
             "gain margin": ("", self.gain_margin, max(gain, 1.0 / gain)),
         }
         slope = _FLAT if self.flat_phase else None
@@ -195,7 +197,7 @@ class PidTuning(Saved):
             Row("itae", "ITAE", self.itae, "s²"),
             Row("horizon", "over", self.horizon, "s"),
         )
-        # Of an arm's requirement the payload is stated at which it is worst.
+        # A requirement on an arm states the payload at which it is worst.
         requirements = Table.of(
             "requirements", (requirement.rows for requirement in self.requirements)
         ).columns("requirement", "", "required", "achieved", "verdict")
@@ -204,7 +206,7 @@ class PidTuning(Saved):
             notes.append(
                 f"{quantity(self.delay, 'ms')} of the delay in the loop are those of the sampling"
             )
-        # A reader of arms' certificates must not take this verdict for one.
+        # This verdict must not be mistaken for a certificate of an arm.
         notes.append(
             "computed, not proved: a certificate knows the loop of an arm only"
         )
@@ -248,8 +250,8 @@ class PidTuning(Saved):
         chosen = Between(0.0, 1e3, "s", low_open=True).check("period", given["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / chosen
         band = None
-        # A crossover in the last fifth of the band has no fifty-fold above it: the
-        # default band then serves as well.
+        # If the crossover lies in the last fifth of the band, a band up to fifty times
+        # the crossover does not exist, and the default band is used.
         if math.isfinite(crossover) and crossover < 0.2 * high:
             band = (
                 max(crossover / LAW_BAND[0], 1e-5 * high),
@@ -276,8 +278,8 @@ class PidTuning(Saved):
 
         def loop(s: Complex) -> Complex:
             w = np.imag(s)
-            # A whole period, where `open_loop` counts one and a half: the half is the
-            # hold, which `modes` has exactly.
+            # A whole period, although `open_loop` uses one and a half: the other half
+            # is the hold, which `modes` contains exactly.
             late = np.exp(-1j * w * law.period)
             return np.asarray(pid_response(law, w) * modes.frequency_response(w) * late)
 
@@ -301,8 +303,8 @@ class PidTuning(Saved):
         length = self.horizon if duration is None else duration
         if law is not None:
             return _run(self.plant, law, size, max(2, round(length / law.period) + 1))
-        # A thousand points are more than a drawing shows; a loop without a delay is
-        # exact at each of them, whatever their number.
+        # A thousand points are more than a plot shows; for a loop without delay each of
+        # them is exact.
         time = np.linspace(0.0, length, 1001)
         loop, pressed = self.open_loop, np.full(time.size, size)
         closed, outer = (
@@ -318,14 +320,15 @@ class PidTuning(Saved):
 def _run(
     plant: FractionalTransferFunction, law: Law, size: float, count: int
 ) -> PidStep:
-    """law.c on the exactly held plant; its output takes effect one period later."""
+    """law.c with the plant discretised exactly behind its hold; the output takes effect
+    one period later.
+    """
     modes = discrete_modes(plant, law.period, span=count * law.period)
-    # Convolution with the plant's pulse response, O(N²): a state that is carried along
-    # would need the modes of a delayed plant written out once more, and N is a few
+    # Convolution with the plant's pulse response, O(N²): carrying a state along would
+    # require another implementation of the modes of a delayed plant, and N is a few
     # thousand.
-    weights = modes.respond(
-        np.eye(1, count)[0]
-    )  # to a pulse of one period, at the later samples
+    # response to a pulse of one period, at the later samples
+    weights = modes.respond(np.eye(1, count)[0])
     state, given = law.initial_state(), np.zeros(count)
     measured = np.zeros(count)
     for k in range(count):

@@ -1,7 +1,7 @@
-"""`design`: from a specification to a design, or to the reason why there is none.
+"""`design`: from a specification to a design, or to the reason why none exists.
 
-The solver meets every row of the requirements at every arm that is asked for. Beside it
-stands the procedure as it was published (section 6, (54)–(57)).
+The solver meets every row of the requirements at every requested arm. The procedure as
+published (section 6, (54)–(57)) is available beside it.
 """
 
 from __future__ import annotations
@@ -32,13 +32,15 @@ __all__ = ["design", "link_of", "request_of"]
 
 Goal = Literal["noise", "settling", "margin"]
 
-# What the law loses is asked for with that much more in reserve: its own error is
-# nearly the same in each round.
+# The loss in the law is added to the reserve of each row; it is nearly the same in each
+# round.
 _ROUNDS = 4
-# Of the fastest, or of the largest margin: the last tenth costs most, as the fastest
-# loop has no filter at all. (A tenth is what the published procedure gives its filter.)
+# Share of the fastest crossover or of the largest margin: the last tenth costs most,
+# since the fastest loop has no filter at all. (The published procedure also leaves a
+# tenth to its filter.)
 _SHARES = 0.9, 0.75, 0.5
-# Beyond the edge, relative, by which an offer may exceed it to pass with its law.
+# Relative distance beyond the limit that an offer may have in order to pass with its
+# law.
 _LOOSER = (0.0, 0.01, 0.1)
 _BOX = "ParameterBox.of(model, rig), or True for it"
 
@@ -140,8 +142,8 @@ def design(
                 request, goal or ("noise" if speed else "settling"), law, nearest
             )
     except InfeasibleError as error:
-        # A payload in grams or the model of another arm is refused for reasons that
-        # hide the cause.
+        # Check this first: payloads in grams, or the model of another arm, would
+        # otherwise be rejected for reasons that hide the cause.
         doubts = [one.message for one in doubts_of(rig, link, spec.get("payloads", ()))]
         if not doubts:
             raise
@@ -162,7 +164,7 @@ def request_of(
     known = with_payload(link, rig)
     asked = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
     if box is None and not asked & set(spec):
-        box = True  # nothing asked: what fit and rig leave open is kept, too
+        box = True  # nothing requested: also cover the uncertainty of fit and rig
     arms = ParameterBox.of(known, rig) if box is True else None
     if box and arms is None:
         arms = checked_noun("box", box, ParameterBox, remedy=_BOX)
@@ -170,8 +172,8 @@ def request_of(
 
 
 def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
-    """The design of a request; InfeasibleError where there is none, with the nearest
-    one that there is.
+    """The design of a request; InfeasibleError if there is none, with the nearest
+    feasible request.
     """
     made, solution = _best(request, goal, law, patient=True)
     if not made.missed and made.box is None:
@@ -179,7 +181,8 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     if not made.missed:
         return replace(made, findings=(*made.findings, cost_of_box(made)))
     condition, sentence = _in_the_way(solution, made)
-    # where what is not the user's is missed, no other request of his is known to pass
+    # if a requirement is missed that the user did not state, no other request is known
+    # to pass
     near = nearest and solution.eases
     offer = _offer(request, solution, goal, law) if near else {}
     raise InfeasibleError(condition, sentence, offer)
@@ -188,10 +191,10 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
 def _best(
     request: Request, goal: Goal, law: bool, *, patient: bool
 ) -> tuple[Design, Solution]:
-    """The design of a request, and where its search ended: with a quiet second mode, or
-    else with one whose phase keeps it from -1.
+    """The design of a request and the solution of its search: with a gain-stabilised
+    second mode, or else with a phase-stabilised one.
     """
-    # of a mode that the user bounds, or that the model does not know, nothing is loud
+    # `loud` needs a known second mode that the user does not bound
     known = request.model.second_mode is not None and "mode_gain" not in request.spec
     if known:
         made, solution = _reserved(request, goal, law, patient=False)
@@ -204,8 +207,8 @@ def _best(
 def _reserved(
     request: Request, goal: Goal, law: bool, *, patient: bool
 ) -> tuple[Design, Solution]:
-    """The design of a request, with more in reserve until the law that ships keeps every
-    row, too; the nearest one where none does.
+    """The design of a request, with reserves increased until the law that ships also
+    meets every row; the nearest design if none does.
     """
     for asked in _asked(request, goal):
         solution = solved(asked, patient=patient)
@@ -223,9 +226,9 @@ def _reserved(
 
 
 def _asked(request: Request, goal: Goal) -> list[Request]:
-    """The request for nine tenths of the highest crossover, or of the largest margin,
-    that there is, and for less where the law does not keep that; itself for no goal, or
-    where no loop keeps the other rows.
+    """The requests for nine tenths of the highest feasible crossover or margin, and for
+    less in case the law does not keep it; the request itself without such a goal, or if
+    no loop meets the other rows.
     """
     if goal == "noise":
         return [request]
@@ -244,7 +247,7 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
 
 
 def _lost_by_law(made: Design) -> dict[str, float]:
-    """By how much more each row has to be kept that the law loses, relative."""
+    """The relative reserve to add to each row that the law misses."""
     margin, modulus = made.requirements[-2:]
     lost: dict[str, float] = {}
     if not margin.passed:
@@ -279,10 +282,10 @@ def _design_of(solution: Solution) -> Design:
 
 
 def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
-    """(the row that is missed by most, the sentence that says by how much).
+    """(the row that is missed by most, the sentence that states the amount).
 
-    The nearest controller gives of everything that was asked for, so that its figure is
-    the best one only together with what the other rows give.
+    The nearest controller eases every requested row, so its figure is the best one only
+    in combination with the eased values of the other rows.
     """
     worst = max(
         made.missed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3)
@@ -319,7 +322,7 @@ def _offer(
     request: Request, solution: Solution, goal: Goal, law: bool
 ) -> dict[str, float]:
     """The nearest request in the user's own quantities, rounded inwards to three
-    digits; empty where none near passes when it is followed.
+    digits; empty if no such request passes when followed.
     """
     for share in _LOOSER:
         values: dict[str, float] = {}
@@ -340,7 +343,7 @@ def _offer(
 
 
 def _eased(item: Requirement, share: float) -> float:
-    """What is achieved or wanted, whichever is less to ask for, and a share less;
+    """The achieved or the wanted value, whichever demands less, reduced by a share and
     rounded to three digits, an angle in degrees.
     """
     least = item.bound == "at least"
@@ -368,8 +371,7 @@ def _floored(value: float) -> float:
 def link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     """The link of a model or a fit, with the gauge that the control loop has."""
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
-    # A fit knows what it could not show; anything else that carries a model is taken at
-    # its word.
+    # A fit knows its own doubts; any other model is trusted.
     found = (
         model.loop_model(rig)
         if hasattr(model, "loop_model")

@@ -1,5 +1,5 @@
-"""The procedure as it was published (section 6, (54)–(57)): crossover and margin of
-Ĉ·G met with equality, for who asks for it.
+"""The procedure as it was published (section 6, (54)–(57)): crossover and margin of Ĉ·G
+met with equality, on request.
 
 Magnitude at the heaviest payload gives ``k_d = χ/ω_c^β`` (54). The phase of (55) is
 linear in β and gives ``β(ω̄_c) = (2/π)(φ_m - π - arg G(jω̄_c; ω̄₀))``; its magnitude
@@ -33,8 +33,8 @@ __all__ = ["ClosedForm", "published"]
 
 Real = NDArray[np.float64]
 
-_SHARE = 0.1  # of the phase margin, what the filter may cost (section 6, step 5)
-_GRID = 240  # trial values of ω̄_c, among which a change of sign is looked for
+_SHARE = 0.1  # share of the phase margin that the filter may cost (section 6, step 5)
+_GRID = 240  # trial values of ω̄_c, between which a change of sign is sought
 _KNOWN = {
     "payloads",
     "natural_frequencies",
@@ -56,7 +56,7 @@ class ClosedForm:
     upper: float  # ω̄_c [rad/s]
     chi: float
     slope_low: (
-        float  # d ln|L| / d ln ω at (ω₀ low, ω_c): negative means right of the peak
+        float  # d ln|L| / d ln ω at (ω₀ low, ω_c): negative to the right of the peak
     )
     slope_high: float  # the same at (ω₀ high, ω̄_c)
 
@@ -67,8 +67,8 @@ class ClosedForm:
         minus the slope times a positive factor, so its sign is what makes ω_c rise and
         φ_m fall with ω₀. (39) is only sufficient.
         """
-        # β < λ is a condition of Theorem 1, and β < 2 what a controller may have: with
-        # λ = 2 they are one.
+        # β < λ is a condition of Theorem 1, and β < 2 holds for every controller; for λ
+        # = 2 they coincide.
         if self.order <= 0.0:
             return "β > 0"
         if self.order >= min(link_order, 2.0):
@@ -151,7 +151,7 @@ def published(
 
 
 def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding]:
-    """W405: the rows that the procedure does not know and that its loop misses."""
+    """W405: the rows that the procedure does not cover and that its loop misses."""
     gain = math.log(
         controller.derivative_gain
     ) + controller.derivative_order * math.log(request.reference)
@@ -174,7 +174,7 @@ def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding
 
 
 def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
-    """Every solution of (54), (55) with ω̄_c above 0.9 ω_c, lowest ω̄_c first."""
+    """All solutions of (54), (55) with ω̄_c above 0.9 ω_c, lowest ω̄_c first."""
     bare = replace(Loop.ideal(request.model), filter_order=order)
     low, high = request.natural_frequencies
     crossover, margin = request.spec["gain_crossover"], request.spec["phase_margin"]
@@ -183,8 +183,8 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
     def terms(upper: Real) -> tuple[Real, Real, Real]:
         """(residual of the magnitude of (55), β, ln χ) at trial values of ω̄_c."""
         at_high = bare.log(upper, high)
-        # arg L = −π + φ_m at ω̄_c, and arg (jω)^β is βπ/2 at every ω: linear in β, no
-        # branch to choose, as `bare.log` has the unwrapped phase.
+        # arg L = −π + φ_m at ω̄_c, and arg (jω)^β is βπ/2 at every ω: linear in β,
+        # without a choice of branch, since `bare.log` has the unwrapped phase.
         beta = 2.0 / math.pi * (margin - math.pi - at_high.imag)
         chi = -at_low.real
         # ln|L(jω̄_c)| with k_d from (54): ln χ + β ln(ω̄_c/ω_c) + ln|G|. Its zero is the
@@ -192,9 +192,9 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
         residual = chi + beta * (np.log(upper) - np.log(crossover)) + at_high.real
         return np.asarray(residual), np.asarray(beta), np.asarray(chi)
 
-    # Far above the mode |L| ∝ ω₀² ω^(β−λ), so between the payloads the crossing moves
-    # by (ω̄₀/ω₀)^(2/(λ−β)): the square of the ratio for λ − β = 1. The factor 50 leaves
-    # room for flatter slopes.
+    # Far above the mode |L| ∝ ω₀² ω^(β−λ), so from one payload to the other the
+    # crossing moves by (ω̄₀/ω₀)^(2/(λ−β)): the square of the ratio for λ − β = 1. The
+    # factor 50 covers flatter slopes.
     top = min(bare.highest, 50.0 * crossover * (high / low) ** 2)
     grid = np.geomspace(0.9 * crossover, max(top, 1.1 * crossover), _GRID)
     residual = terms(grid)[0]
@@ -213,7 +213,7 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
 
 
 def _admissible(request: Request) -> tuple[ClosedForm, int]:
-    """The admissible solution and its n; InfeasibleError where there is none."""
+    """The admissible solution and its n; InfeasibleError if there is none."""
     low, high = request.natural_frequencies
     asked = request.spec["gain_crossover"], request.spec["phase_margin"]
     own, found = request.spec.get("filter_order"), []
@@ -221,21 +221,22 @@ def _admissible(request: Request) -> tuple[ClosedForm, int]:
         for solution in _solutions(request, order):
             violated = solution.violated(request.model.order)
             found.append((solution, violated))
-            # With n = 1 and β ≥ 1 the noise gain of Ĉ would grow without bound: the
-            # next n is taken instead.
+            # With n = 1 and β ≥ 1 the noise gain of Ĉ would be unbounded: the next n is
+            # used instead.
             if violated or (own is None and order == 1 and solution.order >= 1.0):
                 continue
             loop = replace(
                 Loop.ideal(request.model), gain=solution.gain, order=solution.order
             )
             reached = [value for value, _ in worst_margins(loop, low, high)]
-            # A solution meets its own equations to rounding only.
+            # A solution meets its own equations up to rounding.
             if all(x >= y * (1.0 - 1e-9) for x, y in zip(reached, asked, strict=True)):
                 return solution, order
     if not found:
         sentence = "no ω̄_c solves equation (55) for this phase margin"
         raise InfeasibleError("phase margin unreachable", sentence, {})
-    # Of several the one in the middle of 0 < β < 2 is the closest to being one.
+    # Of several solutions, the one nearest to the middle of 0 < β < 2 is the closest to
+    # being admissible.
     best, violated = min(found, key=lambda pair: abs(pair[0].order - 1.0))
     if violated is None:
         violated = "phase margin at the other gain crossing"
@@ -251,8 +252,9 @@ def _filter_afterwards(request: Request, loop: Loop, n: int, upper: float) -> fl
     """δ [s] with which the filtered loop keeps exactly 90 % of the margin at the
     lightest payload.
 
-    The crossing moves down with the filter; both move together: δ(ω) follows from the
-    phase, and the magnitude is one equation in ω (eq. (57) and the criterion after it).
+    The filter lowers the crossing, so both are determined together: δ(ω) follows from
+    the phase, and the magnitude gives one equation in ω (eq. (57) and the criterion
+    after it).
     """
     high = request.natural_frequencies[1]
     kept = (1.0 - _SHARE) * request.spec["phase_margin"]
@@ -261,13 +263,13 @@ def _filter_afterwards(request: Request, loop: Loop, n: int, upper: float) -> fl
         return np.asarray(loop.log(frequency, high).imag + math.pi - kept)
 
     def level(frequency: Real) -> Real:
-        # Clipped: beyond a quarter turn per pole no filter takes that much.
+        # Clipped: beyond a quarter turn per pole no filter can provide that lag.
         turned = np.clip(lag(frequency) / n, 0.0, 0.45 * math.pi)
         return np.asarray(loop.log(frequency, high).real + n * np.log(np.cos(turned)))
 
-    # Below ω̄_c the unfiltered loop lags less and is louder: walk down until the filter
-    # can take enough of it. Steps of 1 %, down to 13 % of ω̄_c: no filter of a tenth of
-    # the margin moves the crossing that far.
+    # Below ω̄_c the unfiltered loop has less lag and more gain: go down until the
+    # filter can provide the lag. Steps of 1 %, down to 13 % of ω̄_c; no filter that
+    # costs a tenth of the margin moves the crossing that far.
     steps: Real = upper * np.power(0.99, np.arange(1.0, 201.0))
     enough = (lag(steps) >= 0.45 * math.pi * n) | (level(steps) > 0.0)
     low = steps[int(np.argmax(enough))] if enough.any() else steps[-1]

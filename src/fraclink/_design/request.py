@@ -1,5 +1,5 @@
-"""What a specification asks of an arm, every number settled: which loops are looked at,
-and what each has to keep.
+"""A specification with all numbers resolved for an arm: the loops to be evaluated, and
+the requirements on each.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ __all__ = ["Request"]
 
 Real = NDArray[np.float64]
 
-# What a gripper without its load weighs, of the lightest payload, where nobody says.
+# Mass of a gripper without its load, as a share of the lightest payload, if none is
+# stated.
 _EMPTY_SHARE = 0.4
-_PAYLOADS = 9  # of the model; of an arm of the box the two ends
+_PAYLOADS = 9  # payloads of the model; for an arm of the box only the two ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,7 @@ class Arms:
         masses = np.array([heavy, *inner, light])
         if self.model.second_mode is None or self.rig.link.mass <= 0.0:
             cases = [Case(Arm(self.model), w0, masses)]
-        else:  # the second mode moves with the payload
+        else:  # the second mode varies with the payload
             cases = [
                 Case(
                     Arm(model_at(self.model, self.rig, mass)),
@@ -148,7 +149,7 @@ class Arms:
 
 @lru_cache(maxsize=8)
 def _same(arms: Arms) -> Arms:
-    """The arms that are equal to these and have their tables already."""
+    """The cached arms that are equal to these and already have their tables."""
     return arms
 
 
@@ -167,7 +168,7 @@ class Request:
     box: ParameterBox | None
     soft: frozenset[str]
     loud: bool = False
-    # a row that is wanted out of reach, to have as much of it as there is
+    # a row with an unreachable goal, of which the search achieves as much as possible
     aim: tuple[str, float] | None = None
 
     @staticmethod
@@ -210,10 +211,10 @@ class Request:
                 remedy="leave one out",
             )
         if self.motor_loop.kind == "sampled":
-            # refused at once where its poles cannot be placed
+            # fails at once if its poles cannot be placed
             self.motor_loop.sampled(self.rig.motor, self.rig.period)
-        # above Nyquist nothing crosses; above the motor loop's pole its own lag alone
-        # exceeds 90°
+        # nothing crosses above the Nyquist frequency; above the pole of the motor loop,
+        # its lag alone exceeds 90°
         for limit, problem, remedy in (
             (
                 math.pi / self.rig.period,
@@ -369,11 +370,11 @@ class Request:
             mode = float(np.median(modes.frequency[modes.number == 2]))
         else:
             return (None,)
-        # the law follows Ĉ up to three quarters of the Nyquist frequency
+        # the law follows Ĉ up to half of the Nyquist frequency
         top, apart = (
             0.5 * math.pi / self.rig.period,
             math.sqrt(mode / self.arms.resonance),
         )
-        # one above a mode turns its phase away from -1
+        # a notch above the mode turns its phase away from -1
         low = mode if self.loud else mode / apart
         return (None,) if mode >= top else (None, (low, min(mode * apart, top)))

@@ -1,9 +1,10 @@
-"""The table of requirements: what is asked of a design, by a person or by us.
+"""The table of requirements of a design, both the user's and the built-in ones.
 
-Each row has a key (its name in `Specification` where a person may ask for it), words, a
-unit and a sense, what a request wants of it, and the figure of the loops that it judges.
-Solver, `Design.requirements`, command line, studio, tune, report and certificate show
-this table; a new requirement is one row here, and its words in `Specification`.
+Each row has a key (its name in `Specification`, if a user may state it), words, a unit
+and a sense, the value that a request requires, and the figure of the loops that it
+judges. Solver, `Design.requirements`, command line, studio, tune, report and
+certificate show this table; a new requirement is one row here, and its words in
+`Specification`.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ __all__ = ["NOISE_SHARE", "RESERVE", "ROWS", "SENSITIVITY", "Row", "specificatio
 
 Real = NDArray[np.float64]
 
-# Ms of 2 is the customary upper end of a robust loop (1.4 to 2): a gain margin of 2 and
-# a phase margin of 29° follow from it. Asked for where no margin is.
+# Ms of 2 is the customary upper end for a robust loop (1.4 to 2); it implies a gain
+# margin of 2 and a phase margin of 29°. Used if no margin is requested.
 SENSITIVITY = 2.0
-# A vibration that takes longer than ten of its periods to fall to 2 % is seen as
-# ringing: ζ = ln 50/(2π·10), for small ζ. Not less for a link that has less of its own:
-# with a resonance of 1/(2ζ) any gain crosses beside it with a large margin, and such a
-# loop passes every other row without damping anything.
+# A vibration that takes more than ten periods to decay to 2 % counts as ringing: ζ = ln
+# 50/(2π·10) for small ζ. The limit is the same for a link with less damping of its own:
+# with a resonance of 1/(2ζ), any gain crosses near it with a large margin, and such a
+# loop would meet every other row without damping anything.
 _PERIODS = 10
 _DAMPING = math.log(50.0) / math.hypot(2.0 * math.pi * _PERIODS, math.log(50.0))
-# Three standard deviations of the noise leave half of the voltage to the motion.
+# Three standard deviations of the noise leave half of the voltage for the motion.
 NOISE_SHARE = 0.5 / 3.0
-# What a search aims at beyond each row, relative: a payload between those of the table
-# must not miss it. Where stability is all that is asked for, 2° of margin.
+# Relative reserve that a search adds to each row, so that a payload between those of
+# the table does not miss it; and the phase margin where only stability is required.
 RESERVE, _STABLE = 2e-4, math.radians(2.0)
 
 
@@ -112,7 +113,7 @@ class Row:
 
 
 def _own(key: str) -> Callable[[Request], float | None]:
-    """What a person asks for, and nothing otherwise."""
+    """The value requested by the user, if any."""
     return lambda request: request.spec.get(key)
 
 
@@ -127,7 +128,7 @@ def _noise_share(trial: Trial, request: Request) -> Figure:
 
 
 def _gain_margin(request: Request) -> float:
-    """What Ms leaves at -180°."""
+    """The gain margin implied by Ms."""
     return request.max_sensitivity / (request.max_sensitivity - 1.0)
 
 
@@ -186,7 +187,7 @@ ROWS = (
         _gain_margin,
         lambda trial, request: trial.gain_margin,
     ),
-    # One sample that comes a period late must not make the loop unstable.
+    # A single sample delayed by a period must not make the loop unstable.
     Row(
         "delay_margin",
         "delay margin",

@@ -1,5 +1,5 @@
-"""The controller of a request: every row kept at every link, and then the least noise;
-or the one for which what was asked for has to be eased least.
+"""The controller for a request: the one with the least noise that meets every row at
+every link, or else the one whose requested rows have to be eased least.
 """
 
 from __future__ import annotations
@@ -23,22 +23,24 @@ __all__ = ["Search", "Solution", "solved"]
 
 Real = NDArray[np.float64]
 
-_ROUNDS = 8  # in which links are taken in that turn out to be worse
-# δ times the crossover of the first start, as a loop is quiet with a long filter and a
-# steep Ĉ
+_ROUNDS = 8  # rounds in which links are added that turn out to be worse
+# δ times the crossover at the first start: a long filter with a steep Ĉ makes a quiet
+# loop
 _LAG = 1.2
-# The other starts: δ times the resonance, and β over its limit; what is feasible may be
-# in parts
+# The other starts: δ times the resonance, and β as a share of its limit; the feasible
+# set may be disconnected.
 _LAGS, _ORDERS = (0.1, 0.4, 1.5), (0.3, 0.5, 0.7, 0.85)
-# ln δ [s]: ten periods of the slowest arm, and below every control period
+# Bounds of ln δ [s]: ten periods of the slowest arm, and less than any control period.
 _LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
-_LEAST_ORDER = 0.05  # β → 0 is a constant Ĉ, which (28) forbids
-_WIDTH, _DEPTH = 0.3, 0.1  # of a notch to begin from: ζ of its poles, and of its zeros
-# How often a descent of the noise begins anew where it won something: ln of the least
+_LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
+_WIDTH, _DEPTH = 0.3, 0.1  # first guess of a notch: ζ of its poles and of its zeros
+# Number of restarts of the descent of the noise, and the least gain in ln of the noise
+# that justifies another one.
 _TURNS, _IDLE = 4, 0.001
-_REACH = 2.0  # of a descent in each parameter: farther out its gradients say nothing
-# What five steps have to gain of what is left, or the search ends: towards rows, and
-# towards a row that is aimed at
+# radius of a descent in each parameter; its gradients are useless farther away
+_REACH = 2.0
+# Share of the remaining distance that five steps must gain to continue the search:
+# towards the rows, and towards a row that is an aim.
 _FAR, _AIMING = 0.1, 0.003
 
 
@@ -165,7 +167,7 @@ class Search:
         request, loop = self.request, self.request.arms.loops[0]
         low, high = request.natural_frequencies
         ratio = (high / low) ** (2.0 / request.model.order)
-        # a loop that crosses below the resonance leaves the vibration as it is
+        # a loop that crosses below the resonance does not affect the vibration
         least = max(request.reference, 1.1 * request.arms.resonance)
         w = min(least * ratio, 0.6 * request.highest)
         delta = request.spec.get("filter_time", _LAG / w)
@@ -192,7 +194,7 @@ class Search:
         return self._through(request.reference, steepest, lag)
 
     def _through(self, w: float, beta: float, delta: float) -> Real:
-        """Parameters with which |L| is one at `w` at the heaviest payload."""
+        """Parameters with |L| = 1 at `w` at the heaviest payload."""
         low, high = self.bounds
         beta = min(max(beta, low[1] + 0.05), high[1] - 0.05)
         gain = -float(
@@ -300,7 +302,7 @@ class Solution:
 
     @cached_property
     def _trial(self) -> Trial:
-        """Every link of the table."""
+        """The trial at every link of the table."""
         every = tuple(range(len(self.search.request.arms.table)))
         return replace(self.search, links=every).trial(self.x[:, None])
 
@@ -363,7 +365,7 @@ class Solution:
         search = self.search
         low, high = search.bounds
         if low[2] == high[2]:
-            return self  # with δ given there is one valley
+            return self  # with δ given there is a single minimum
         x, rows = eased(search.rows, search.elsewhere()[:, None], low, high)
         if rows.slack > KEPT:
             return self

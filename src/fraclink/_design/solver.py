@@ -1,11 +1,11 @@
-"""Towards rows that must be kept, by steps that are the shortest to keep them to first
-order.
+"""Solver for rows of inequalities: each step is the shortest one that meets them to
+first order.
 
-A row may be soft: what was asked for, and may be eased, or a goal that is set out of
-reach and eased as little as can be. Each step is a least distance problem, solved as a
-non-negative least squares problem (Lawson and Hanson, Solving Least Squares Problems,
-chapter 23); a weight between the rows and the length of the step is raised where it did
-what the gradients said, and lowered where not, as in Levenberg and Marquardt's method.
+A row may be soft: a request that may be eased, or an unreachable goal that is eased as
+little as possible. Each step is a least distance problem, solved as a non-negative
+least squares problem (Lawson and Hanson, Solving Least Squares Problems, chapter 23); a
+weight between the rows and the length of the step is raised after a step that agreed
+with the gradients, and lowered otherwise, as in the Levenberg-Marquardt method.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ __all__ = ["KEPT", "Rows", "eased", "least_distance", "lowest"]
 
 Real = NDArray[np.float64]
 
-KEPT = 2e-5  # of a row, relative: a tenth of what the rows keep in reserve
-# In a step, a row that may not be eased weighs so much more than one that may.
+KEPT = 2e-5  # relative violation that counts as met: a tenth of the reserve of the rows
+# Weights in a step of the rows that may not be eased, relative to those that may.
 _FIRST, _DEAR, _NEAR = 1e6, 1e3, 10.0
-# From a start ten to twenty steps do; a search that takes more is at a kink.
+# Ten to twenty steps suffice from a start; a search that takes more is at a kink.
 _STEPS = 40
-_ASIDE = 0.03  # of a row, relative: how far a step may miss one that was kept
-# of what is eased against the length of a step: hardly more than a step within its
-# bounds that is as good
+_ASIDE = 0.03  # relative violation that a step may cause in a row that was met
+# Weight of the easing against the length of the step: little more easing than in an
+# equally good step within its bounds.
 _EASED = 100.0
-# A step in each parameter, at most (all are logarithms or orders, of which the rows are
-# smooth functions up to about one), and where a search ends
+# Largest step in each parameter (all are logarithms or orders, in which the rows are
+# smooth up to about one), and the step at which a search ends.
 _RADIUS, _STILL = 1.0, 1e-4
-_FINE = 1e-4  # of a cost, absolute: where its descent ends
+_FINE = 1e-4  # absolute decrease of the cost at which a descent ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Rows:
     def step(self, low: Real, high: Real) -> tuple[Real, float]:
         """(the step within bounds, the slack that it leaves to first order)."""
         size, count = self.gradient.shape
-        # columns: the step, the easing, and what is missed
+        # columns: the step, the easing, and the violations
         system = np.zeros((count + 2 * size + 2, size + 2))
         system[:count, :size] = self.gradient.T
         system[:count, size] = np.where(self.soft, 1.0 / _EASED, 0.0)

@@ -1,4 +1,5 @@
-"""Loops without their Ĉ over many links, tabulated once, and what a Ĉ makes of them.
+"""Loops without Ĉ over many links, tabulated once, and the figures of the loops with a
+given Ĉ.
 
 The parameters of Ĉ are ln|Ĉ| without its filter at a frequency ω_r, β and ln δ, so that
 
@@ -30,10 +31,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Index = NDArray[np.int64]
 
-# Points a decade, from a twentieth of the resonance; cubics between them follow ln L to
-# 2e-5, as its slope is in the table.
+# Points per decade, from a twentieth of the resonance; cubics between them follow ln L
+# to 2e-5, since the table includes its slope.
 _DENSITY = 28
-_NEAR = np.geomspace(1e-4, 0.2, 12)  # to either side of a sharp resonance
+_NEAR = np.geomspace(1e-4, 0.2, 12)  # on both sides of a sharp resonance
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class Outer:
 def _notch_parts(
     s: NDArray[Any], centre: Real, poles: Real, depth: Real
 ) -> tuple[Complex, Complex, Real, Real]:
-    """Numerator and denominator of N(s), and ζ ω_N of each."""
+    """Numerator and denominator of N(s), and ζ ω_N for each."""
     centre = np.exp(centre)
     pole = np.exp(poles) * centre
     zero = np.exp(depth) * pole
@@ -188,7 +189,7 @@ def tabulated(
         more.append(bare.turns(0.25 * float(mode.min()), top, 6.0))
     points = np.broadcast_to(np.concatenate(more), (w0.size, sum(map(len, more))))
     w = np.sort(np.concatenate([mode[:, None] * shape, points], axis=1), axis=1)
-    # equal neighbours at the end make empty intervals, in which nothing crosses
+    # equal neighbours at the end make empty intervals without crossings
     w = np.minimum(w, top)
     noise = [] if empty else [noise_points(bare, float(x), period) for x in w0]
     count = max((row[0].size for row in noise), default=0)
@@ -199,7 +200,7 @@ def tabulated(
     drive = np.abs(noise_w * (1j * noise_w + decay)) / gain
     modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0))
     number = np.zeros((w0.size, 0), dtype=int)
-    if modes is not None:  # the same ones of each link, one link after the other
+    if modes is not None:  # the same modes for each link, one link after the other
         modes_w, level = (
             part.reshape(w0.size, -1) for part in (modes.frequency, modes.level)
         )
@@ -240,7 +241,7 @@ def _widened(name: str, value: NDArray[Any], width: int) -> NDArray[Any]:
     missing = ((0, 0), (0, width - value.shape[1]))
     if name in ("w", "rest", "slope"):
         return np.pad(value, missing, mode="edge")
-    # a weight of zero and a level of e^-1000 count nothing
+    # a weight of 0 and a level of e^-1000 have no effect
     fill = {"weight": 0.0, "modes_level": -1e3}.get(name, 1.0)
     return np.pad(value, missing, constant_values=fill)
 
@@ -281,8 +282,8 @@ class Trial:
         self.slope = outer.slope(table.w, every) + table.slope
 
     def _cubics(self, link: Index, i: Index) -> tuple[Real, Real, Complex]:
-        """(ln ω where it begins, width, coefficients of ln L by Hermite's cubic) of the
-        intervals behind columns i.
+        """(ln ω at the left end, width, coefficients of the cubic Hermite interpolant
+        of ln L) of the intervals that start at columns i.
         """
         u0, u1 = np.log(self.table.w[link, i]), np.log(self.table.w[link, i + 1])
         h = u1 - u0
@@ -293,7 +294,7 @@ class Trial:
 
     @cached_property
     def _crossings(self) -> tuple[Index, Real, Complex, Complex, NDArray[np.bool_]]:
-        """(link, ω, ln L, d ln L/d ln ω, whether it rises) where |L| is one."""
+        """(link, ω, ln L, d ln L/d ln ω, whether |L| rises) at the crossings |L| = 1."""
         above = self.log.real > 0.0
         link, i = np.nonzero(above[:, :-1] != above[:, 1:])
         return link, *self._zeros(link, i, 1.0), ~above[link, i]
@@ -301,8 +302,8 @@ class Trial:
     def _zeros(
         self, link: Index, i: Index, part: complex, line: Real | float = 0.0
     ) -> tuple[Real, Complex, Complex]:
-        """(ω, ln L, d ln L/d ln ω) where the real part of `part` times ln L is on a line,
-        inside the intervals behind columns i.
+        """(ω, ln L, d ln L/d ln ω) where the real part of `part` times ln L meets a
+        line, inside the intervals that start at columns i.
         """
         first, last = (
             (part * self.log[link, column]).real - line for column in (i, i + 1)
@@ -320,16 +321,16 @@ class Trial:
 
     @cached_property
     def _offsets(self) -> Real:
-        """How far the phase of each crossing is from the multiple of 2π in whose band
-        the loop has to stay there [rad].
+        """Distance of the phase of each crossing from the multiple of 2π within whose
+        band the loop must stay there [rad].
 
         |L| > 1 between a rising and the next falling crossing. The loop is stable where
         both lie in one band of 2π about a multiple of it.
         """
         link, _, log, _, rising = self._crossings
         phase = log.imag
-        # the partner: behind a rising crossing the next one of its link, before a
-        # falling one the last; the ends of the table where there is none
+        # the partner: for a rising crossing the next one of its link, for a falling one
+        # the previous one; the ends of the table if there is none
         other = np.arange(link.size) + np.where(rising, 1, -1)
         other = np.clip(other, 0, link.size - 1)
         paired = (link[other] == link) & (rising[other] != rising)
@@ -380,7 +381,7 @@ class Trial:
         return self._places(own[last])
 
     def _places(self, chosen: Index) -> Figure:
-        """ln of some of the crossings, at most one of each link."""
+        """ln of some of the crossing frequencies, at most one per link."""
         link, w, _, slope, _ = self._crossings
         value = np.full(len(self.table), -np.inf)
         gradient = np.zeros((len(self.outer.x), len(self.table)))
@@ -406,7 +407,7 @@ class Trial:
         )
 
     def _at_mode(self, w: Real, link: Index) -> NDArray[np.bool_]:
-        """Whether frequencies of some links belong to their second mode."""
+        """Whether the given frequencies of links belong to their second modes."""
         low, high = np.moveaxis(self.table.band[link], -1, 0)
         return np.asarray((w > low) & (w < high))
 
@@ -434,7 +435,7 @@ class Trial:
     def sensitivity(self) -> Figure:
         """ln of each peak of 1/|1 + L|, where that is above 2/3."""
         one = 1.0 + self._loop
-        # half of d|1 + L|²/d ln ω: where it goes from minus to plus lies a dent
+        # half of d|1 + L|²/d ln ω; a change from minus to plus is a local minimum
         turn = (np.conj(one) * self._loop * self.slope).real
         near = np.minimum(np.abs(one[:, :-1]), np.abs(one[:, 1:])) < 1.5
         link, i = np.nonzero((turn[:, :-1] < 0.0) & (turn[:, 1:] >= 0.0) & near)
@@ -445,7 +446,7 @@ class Trial:
             _, log, slope = _at(cubics, t)
             loop = np.exp(log)
             here = (np.conj(1.0 + loop) * loop * slope).real
-            # regula falsi on the side that still holds the root
+            # regula falsi on the side that still contains the root
             left = here < 0.0
             a, b = np.where(left, t, 0.0), np.where(left, 1.0, t)
             fa, fb = np.where(left, here, low), np.where(left, high, here)
@@ -485,8 +486,8 @@ class Trial:
 
     @cached_property
     def _noise_density(self) -> tuple[Index, Real, Real]:
-        """(links, |Ĉ/(1 + L)|² with its weight at every point of the noise integral, the
-        gradient of half of its logarithm).
+        """(links, weighted |Ĉ/(1 + L)|² at every point of the noise integral, gradient
+        of half of its logarithm).
         """
         links = np.flatnonzero(self.table.weight.any(axis=1))
         w, rest = self.table.noise_w[links], self.table.noise_rest[links]
@@ -529,7 +530,7 @@ class Trial:
             d, at = distance[own], w[own]
             dent = np.zeros(d.shape, dtype=bool)
             dent[:, 1:-1] = (d[:, 1:-1] <= d[:, :-2]) & (d[:, 1:-1] < d[:, 2:])
-            # farther out a root belongs to the motor loop or to the gauge's delay
+            # a root farther away belongs to the motor loop or to the delay of the gauge
             dent &= (at > 0.3 * mode[:, None]) & (at < 4.0 * mode[:, None])
             # a weak loop hardly moves the link's own pole
             dent[np.arange(own.size), self.table.mode_column[own]] = True
@@ -545,10 +546,10 @@ class Trial:
     def _roots(
         self, loop: Loop, link: Index, column: Index, mode: Real
     ) -> tuple[Real, Real, Index]:
-        """(damping ratio, its gradient, link) of the roots that Newton's method reaches
+        """(damping ratio, its gradient, link) of the roots that Newton's method finds
         from columns of the table: ω = s/j, so that the decay rate is Im ω.
         """
-        # to first order from the table
+        # first-order step from the table
         back = np.exp(-self.log[link, column])
         beside = (1.0 + back) / (back * self.slope[link, column])
         root = self.table.w[link, column] * (1.0 + _limited(beside, 0.2))
@@ -577,7 +578,7 @@ class Trial:
 
 
 def _at(cubics: tuple[Real, Real, Complex], t: Real) -> tuple[Real, Complex, Complex]:
-    """(ω, ln L, d ln L/d ln ω) at the share `t` of some intervals."""
+    """(ω, ln L, d ln L/d ln ω) at the fraction `t` of some intervals."""
     start, width, (c0, c1, c2, c3) = cubics
     value = c0 + t * (c1 + t * (c2 + t * c3))
     slope = (c1 + t * (2.0 * c2 + 3.0 * t * c3)) / np.where(width > 0.0, width, 1.0)
@@ -585,12 +586,12 @@ def _at(cubics: tuple[Real, Real, Complex], t: Real) -> tuple[Real, Complex, Com
 
 
 def _steep(slope: Real) -> Real:
-    """A slope to divide by, not flatter than 0.01."""
+    """A slope as a divisor, of modulus at least 0.01."""
     return np.copysign(np.maximum(np.abs(slope), 1e-2), slope)
 
 
 def _limited(step: Complex, most: float) -> Complex:
-    """A complex step of at most `most`: in the right half plane principal powers are L's
-    own.
+    """A complex step of at most `most`, so that ω stays where the principal powers are
+    those of L.
     """
     return np.asarray(step * np.minimum(1.0, most / np.maximum(np.abs(step), 1e-300)))
