@@ -81,10 +81,12 @@ static void know_nothing(payload_state *s)
     s->drift = zero;
     s->samples = zero;
     s->keep = zero;
-    s->before = zero;
-    s->cost[0] = zero;
-    s->cost[1] = zero;
-    s->cost[2] = zero;
+    s->before[0] = zero;
+    s->before[1] = zero;
+    /*@ loop unroll 5; */
+    for (i = 0U; i < 5U; i++) {
+        s->cost[i] = zero;
+    }
     s->best_drift = zero;
     s->best_told = zero;
     s->best_error = zero;
@@ -115,6 +117,8 @@ static void sample(payload_state *s, const payload_params *p)
 {
     const law_real periods = (law_real)s->count;
     const law_real angle = s->angle_sum / periods;
+    /* the first sample is the offset to begin with: a mean, as one reading's noise would stay in every filter */
+    s->offset = (s->samples == (law_real)0) ? (s->torque_sum / periods) : s->offset;
     const law_real torque = (s->torque_sum / periods) - s->offset;
     s->change = angle - s->angle;
     s->angle = angle;
@@ -144,28 +148,32 @@ static void sample(payload_state *s, const payload_params *p)
         s->samples = (s->keep * s->samples) + (law_real)1;
     }
     s->next = 0U;
-    s->before = PAYLOAD_NONE;
-    s->cost[1] = PAYLOAD_NONE;
+    s->before[0] = PAYLOAD_NONE;
+    s->before[1] = PAYLOAD_NONE;
+    s->cost[2] = PAYLOAD_NONE;
     s->least = PAYLOAD_NONE;
 }
 
-/* Remember the cost of model `i` where it is the smallest so far, or stands behind that one. */
+/* Remember the cost of model `i` where it is the smallest so far, or one of the two behind that one. */
 static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift, law_real told, law_real error)
 {
-    if (cost < s->cost[1]) {
-        s->cost[0] = s->before;
-        s->cost[1] = cost;
-        s->cost[2] = PAYLOAD_NONE;
+    if (cost < s->cost[2]) {
+        s->cost[0] = s->before[1];
+        s->cost[1] = s->before[0];
+        s->cost[2] = cost;
+        s->cost[3] = PAYLOAD_NONE;
+        s->cost[4] = PAYLOAD_NONE;
         s->best = i;
         s->best_drift = drift;
         s->best_told = told;
         s->best_error = error;
-    } else if (i == (s->best + 1U)) {
-        s->cost[2] = cost;
+    } else if ((i - s->best) <= 2U) {
+        s->cost[(i - s->best) + 2U] = cost;
     } else {
         /* one of the others */
     }
-    s->before = cost;
+    s->before[1] = s->before[0];
+    s->before[0] = cost;
 }
 
 /* The filters of a model from one sample to the next, in the form that keeps what they will add to it. */
@@ -256,27 +264,44 @@ static void judge(payload_state *s, const payload_params *p)
     s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
 }
 
-/* The estimate: the bottom of the parabola through the costs of the best model and the two beside it. */
+/* The estimate: the bottom of the curve through the costs of the best model and the two on either side of it. */
 static void conclude(payload_state *s, const payload_params *p)
 {
     const uint32_t i = s->best;
     law_real deviation = s->deviation;
-    s->deviation = PAYLOAD_DEVIATION; /* beyond the bank, or another payload than before */
     s->drift = s->best_drift;
     judge(s, p);
+    s->deviation = ((s->flags & PAYLOAD_CHANGED) == 0U) ? PAYLOAD_DEVIATION : deviation; /* beyond the bank */
     if ((i > 0U) && (i < (PAYLOAD_MODELS - 1U)) && ((s->flags & PAYLOAD_CHANGED) == 0U)) {
-        const law_real tilt = s->cost[0] - s->cost[2];
-        const law_real bend = (s->cost[0] - s->cost[1]) + (s->cost[2] - s->cost[1]);
-        const law_real at = ((law_real)0.5F * tilt) / bend;
+        const law_real *const cost = s->cost;
+        const law_real tilt = cost[3] - cost[1];
+        const law_real bulge = (cost[3] - cost[2]) + (cost[1] - cost[2]);
+        law_real third = (law_real)0;
+        law_real fourth = (law_real)0;
+        if ((i > 1U) && (i < (PAYLOAD_MODELS - 2U))) { /* at the ends of the bank a parabola has to do */
+            third = ((cost[4] - cost[0]) - ((law_real)2 * tilt)) / (law_real)12;
+            fourth = (((cost[4] - cost[2]) + (cost[0] - cost[2])) - ((law_real)4 * bulge)) / (law_real)24;
+        }
+        const law_real first = ((law_real)0.5F * tilt) - third;
+        const law_real second = ((law_real)0.5F * bulge) - fourth;
+        law_real at = ((law_real)-0.5F * tilt) / bulge;
+        law_real bend = bulge;
+        uint32_t round;
+        /*@ loop unroll 2; */
+        for (round = 0U; round < 2U; round++) { /* Newton's method, from the bottom of the parabola */
+            const law_real fall = first + (at * (((law_real)2 * second) + (at * (((law_real)3 * third) + (at * ((law_real)4 * fourth))))));
+            bend = ((law_real)2 * second) + (at * (((law_real)6 * third) + (at * ((law_real)12 * fourth))));
+            at -= fall / bend;
+        }
         const law_real here = p->model[i].mass;
         const law_real rise = (law_real)0.5F * (p->model[i + 1U].mass - p->model[i - 1U].mass);
         const law_real curve = (law_real)0.5F * ((p->model[i + 1U].mass - here) - (here - p->model[i - 1U].mass));
         const law_real mass = here + (at * (rise + (at * curve)));
         const law_real slope = (rise + (((law_real)2 * at) * curve)) / mass;
-        const law_real least = (s->cost[1] - (((law_real)0.25F * tilt) * at)) / s->samples;
+        const law_real least = (cost[2] + (at * (first + (at * (second + (at * (third + (at * fourth)))))))) / s->samples;
         const law_real noise = p->spread * ((least > p->variance) ? least : p->variance);
         const law_real variance = ((((law_real)2 * noise) / bend) * (slope * slope)) + p->doubt;
-        if ((sound(at, (law_real)1) != 0U) && (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION))) {
+        if (((sound(at, (law_real)1) != 0U) && (bend > (law_real)0)) && (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION))) {
             deviation = ((deviation > (law_real)0) && (deviation <= PAYLOAD_DEVIATION)) ? deviation : PAYLOAD_DEVIATION;
             /* Newton's square root comes from above and is never too narrow; the next samples bring it nearer */
             deviation = (law_real)0.5F * (deviation + (variance / deviation));

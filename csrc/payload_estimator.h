@@ -112,8 +112,8 @@ typedef struct {
     law_real drift;      /* of the offset from there, as the best model has it */
     law_real samples;    /* in the sums, as far as they are kept */
     law_real keep;       /* part of them that is kept in this sample */
-    law_real before;     /* cost of the model before, of the best one and of those beside it */
-    law_real cost[3];
+    law_real before[2];  /* costs of the two models before, of the best one and of the two on either side of it */
+    law_real cost[5];
     law_real best_drift; /* of the best one: offset, predicted torque, and error over what a right model may err by */
     law_real best_told;
     law_real best_error;
