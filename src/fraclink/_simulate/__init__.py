@@ -1,5 +1,5 @@
-"""One arm and one run: the model (a massless link) or the twin, under the law that is
-shipped; its moves.
+"""Single runs of one arm, model (massless link) or twin, under the law that ships; and
+shaped moves.
 """
 
 from __future__ import annotations

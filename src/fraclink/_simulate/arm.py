@@ -31,14 +31,14 @@ from fracsys.checks import (
 
 __all__ = ["Twin", "damping_of", "geared"]
 
-# Hub inertia over the arm's below which the compensation of the coupling torque, late
-# by a period and a half, feeds the mode more than the motor loop takes from it. Seen on
-# the paper's rig with 8 to 40 g at 4 ms: 0.5 % (as printed) and 2 % are unstable, 4.5 %
-# rings at 8 g, 12 % and more hold.
+# Ratio of hub inertia to that of the arm below which the compensation of the coupling
+# torque, delayed by 1.5 periods, feeds more energy into the mode than the motor loop
+# removes. On the paper's rig with 8 to 40 g at 4 ms, 0.5 % (as printed) and 2 % are
+# unstable, 4.5 % rings at 8 g, and 12 % or more is stable.
 LIGHT_HUB = 0.1
 
-# A model's frequency and equation (5) may differ by what the mass of the link does, up
-# to 17 % at 8 g.
+# The frequency of the model and equation (5) may differ by the effect of the link's
+# mass, up to 17 % at 8 g.
 SAME_ARM = 0.2
 
 
@@ -70,8 +70,8 @@ def damping_of(model: LinkModel) -> Damping:
     """
     if model.order < 2.0:
         return PowerLaw(model.order)
-    # (15) and (16) have μ s^α beside ω₀²: divided by ω₀² it is D − 1, whatever the
-    # payload is.
+    # (15) and (16) have μ s^α next to ω₀²; divided by ω₀² it is D − 1 for every
+    # payload.
     factor = model.damping / model.natural_frequency**2
     if model.damping == 0.0 or model.damping_order == 1.0:
         return KelvinVoigt(factor)
@@ -79,10 +79,8 @@ def damping_of(model: LinkModel) -> Damping:
 
 
 def _agree(rig: Rig, model: LinkModel) -> None:
-    """Refuse a rig whose model is another arm than its length, stiffness and payload
-    make.
-    """
-    # A model that does not know its payload cannot contradict one.
+    """Reject a rig whose model contradicts its length, stiffness and payload."""
+    # A model without a known payload cannot contradict one.
     if model.payload is None:
         return
     lumped = rig.natural_frequency(model.payload)
@@ -175,8 +173,8 @@ class Twin:
                 )
             _agree(rig, link)
             damping = damping_of(link)
-        # A gauge that leads is the fit's way to say that the motor angle is late; no arm
-        # runs ahead.
+        # A fit expresses a delayed motor angle as a leading gauge; a real gauge never
+        # leads.
         late, gain = (
             (max(link.gauge_delay, 0.0), link.gauge_gain) if link else (0.0, 1.0)
         )
@@ -204,8 +202,8 @@ class Twin:
     @property
     def breakaway(self) -> float:
         """Stiction at the gear's output [N·m]."""
-        # 1.2: the excess of static over sliding friction of greased harmonic drives;
-        # the paper gives none.
+        # 1.2: ratio of static to sliding friction of greased harmonic drives; the paper
+        # gives none.
         return 1.2 * self.coulomb
 
     @property

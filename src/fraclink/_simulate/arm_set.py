@@ -1,8 +1,8 @@
-"""The arms that one move has to serve, and what the worst of them makes of it.
+"""The set of arms that a move has to serve, and the result of the worst of them.
 
-A feed-forward s^λ/ω₀² is exact for one link. What is not known of the link, the box of
-its fit and the law by which it is damped, is therefore a set of links, and a move is
-judged by the one of them that it suits least.
+A feed-forward s^λ/ω₀² is exact for one link. The uncertainty of the link (the box of
+its fit and its damping law) is therefore represented by a set of links, and a move is
+judged by the worst of them.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ Over = Literal["model", "box"]
 On = Literal["twin", "model"]
 Payloads = Annotated[tuple[float, float], ascending()]
 
-# of ln m between two payloads that are tried: the link's frequency changes by a tenth
+# step in ln m between two payloads: the frequency of the link changes by a tenth
 PAYLOAD_STEP = 0.2
-# vibration periods that an arm is watched for after the reference's end
+# vibration periods for which an arm is observed after the end of the reference
 REST = 5.0
 
 
@@ -80,7 +80,7 @@ def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, Link
             intervals=(),
         )
     else:
-        # cos(π/λ) = −ζ: the pole of s^λ + ω₀² stands at the angle π/λ
+        # cos(π/λ) = −ζ: the pole of s^λ + ω₀² has the argument π/λ
         order = math.pi / math.acos(-ratio)
         links[f"fractional, λ {order:.4g}"] = replace(
             model, order=order, damping=0.0, intervals=()
@@ -126,7 +126,8 @@ class ArmSet:
                 remedy="give kg: 0.030 is 30 g",
             )
         steps = math.ceil(math.log(high / low) / PAYLOAD_STEP)
-        # Geometric, as ω₀ goes with the root of the payload.
+        # Geometric spacing, since ω₀ varies with the inverse square root of the
+        # payload.
         tried = np.geomspace(low, high, steps + 1).tolist() if steps else [low]
         model = with_payload(design.model, design.rig)
         links = links_over(model, design.rig, over)
@@ -162,8 +163,8 @@ class ArmSet:
                 payload=payload,
                 **options,
             )
-        # The rig's stiffness and length set the twin's frequency: an ω₀ that is not the
-        # model's is that of another mass at the tip.
+        # The rig's stiffness and length determine the frequency of the twin: another ω₀
+        # than the model's corresponds to another mass at the tip.
         other = (self.model.natural_frequency / link.natural_frequency) ** 2
         twin = Twin.from_rig(self.rig, model=link, payload=payload * other)
         return simulate(self.law, reference, arm=twin, **options)
@@ -177,7 +178,7 @@ class ArmSet:
                 for payload in self.payloads
                 for seed in range(seeds)
             ]
-            # A run that is cut short has settled nowhere.
+            # A run that was cut off has not settled.
             settling = [
                 run.metrics.settling_time if run.verdict.passed else math.inf
                 for run in runs

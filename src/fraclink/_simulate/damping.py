@@ -1,8 +1,8 @@
-"""What the link's material does: a passive chain of springs and dashpots for each
+"""Damping of the link's material: a passive chain of springs and dashpots for each
 damping law.
 
-Stress and strain of the link are tied by D(s), in the modal equation q̈i + ωi² D(s) qi
-= −Γi θ̈m:
+Stress and strain of the link are related by D(s), in the modal equation q̈i + ωi² D(s)
+qi = −Γi θ̈m:
 
     viscous (Kelvin–Voigt)       D = 1 + η s            massless limit: D-IOM, equation (15), μ = η ω₀²
     fractional (Kelvin–Voigt)    D = 1 + η s^α          massless limit: D-FOM, equation (16), μ = η ω₀²
@@ -13,8 +13,9 @@ s^a with 0 < a < 1 is the exact superposition of Maxwell elements s/(s + r),
     s^a = (sin πa/π) ∫ r^a s/(s + r) d(ln r),
 
 and the trapezoid rule in ln r is exponentially accurate. Every weight is positive, so
-the chain is passive whatever the step and the truncation: energy can be stored or lost,
-never made. The two tails of the integral become two elements each, by Gauss quadrature.
+the chain is passive for any step and truncation: it stores or dissipates energy, but
+never generates it. The two tails of the integral become two elements each, by Gauss
+quadrature.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 
-# Range of the relaxation rates [1/s] that the trapezoid covers. What lies outside is
-# two elements at either end with the tail's first four moments, so that the neglected
-# terms are (SLOWEST/s)⁴ and (s/fastest)⁴ times the tail's share: 3e-6 of the damping at
-# 1000 rad/s, and at low frequencies, where D matters like (s/ω)², less than 2e-7 of the
-# tip's angle. The trapezoid alone would need twice the elements for as much.
+# Range of the relaxation rates [1/s] covered by the trapezoidal rule. The rest is
+# represented by two elements at either end with the first four moments of the tail, so
+# that the neglected terms are (SLOWEST/s)⁴ and (s/fastest)⁴ times the tail: 3e-6 of the
+# damping at 1000 rad/s, and less than 2e-7 of the tip angle at low frequencies, where
+# the effect of D falls as (s/ω)². The trapezoidal rule alone would need twice as many
+# elements.
 SLOWEST, FASTEST = 0.1, 3e3
-# the highest frequency lies at least this factor below the fastest rate of the
-# trapezoid
+# ratio of the fastest rate of the trapezoidal rule to the highest frequency, at least
 REACH = 2.0
 
 
@@ -68,15 +69,15 @@ class Chain:
 
 
 def _gauss(moments: list[float]) -> tuple[Vector, Vector]:
-    """Two nodes and weights with the first four moments of a positive measure on (0,
-    1): both positive.
+    """Two nodes and weights, all positive, with the first four moments of a positive
+    measure on (0, 1).
     """
     m0, m1, m2, m3 = moments
     determinant = m0 * m2 - m1 * m1
     linear = (m1 * m2 - m0 * m3) / determinant
     constant = (m1 * m3 - m2 * m2) / determinant
-    # Roots of the quadratic orthogonal polynomial of the measure; the smaller by the
-    # product, since the difference would cancel.
+    # Roots of the quadratic orthogonal polynomial of the measure; the smaller one from
+    # the product, since the difference would cancel.
     large = 0.5 * (-linear + math.sqrt(linear * linear - 4.0 * constant))
     small = constant / large
     weight = (m1 - m0 * small) / (large - small)
@@ -86,17 +87,17 @@ def _gauss(moments: list[float]) -> tuple[Vector, Vector]:
 def _chain(
     spring: float, scale: float, order: float, tolerance: float, highest: float
 ) -> Chain:
-    """Return spring + scale·s^order as a passive chain, to `tolerance` relative on the
-    imaginary axis.
+    """Return spring + scale·s^order as a passive chain, with relative error `tolerance`
+    on the imaginary axis.
     """
-    # The nearest singularity of the integrand lies π/2 off the real axis of ln r for s
-    # = jω, so that the trapezoid's error is 2 exp(−π²/h). So 3e-8 takes h = 0.55: 20
-    # elements for four and a half decades of rates.
+    # For s = jω the nearest singularity of the integrand lies π/2 off the real axis of
+    # ln r, so the error of the trapezoidal rule is 2 exp(−π²/h): 3e-8 takes h = 0.55,
+    # which is 20 elements for four and a half decades of rates.
     step = math.pi**2 / math.log(2.0 / tolerance)
     count = math.ceil(math.log(max(FASTEST, REACH * highest) / SLOWEST) / step) + 1
     rates = SLOWEST * np.exp(step * np.arange(count))
     factor = scale * step * math.sin(math.pi * order) / math.pi
-    # The trapezoid's sum goes on to both sides; its moments there are geometric sums,
+    # The trapezoidal sum continues on both sides; its moments there are geometric sums,
     # in r/SLOWEST below the range and, for Σ w s/(s + r) = s Σ (w/r)/(1 + s/r), in
     # fastest/r above it.
     near, near_weights = _gauss(
@@ -211,7 +212,7 @@ class PowerLaw:
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
-        # A springpot has no spring beside it: in rest its slowest element bears the
+        # A springpot has no parallel spring: at rest its slowest element bears the
         # load, and creeps.
         return _chain(0.0, 1.0, 2.0 - self.order, tolerance, highest)
 

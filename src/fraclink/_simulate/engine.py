@@ -1,9 +1,9 @@
-"""What loop and twin take as WebAssembly (csrc/web/engine.c): the numbers of an arm in
-the engine's order.
+"""The inputs of loop and twin as WebAssembly (csrc/web/engine.c): the numbers of an arm
+in the order of the engine.
 
-The engine has no library of mathematics. Whatever takes one is computed here, by the
-functions and kernels that `simulate` uses, so that a run in a page has the bits of a
-run in Python.
+The engine has no mathematics library. Whatever needs one is computed here, by the
+functions and kernels that `simulate` uses, so that a run in a page is identical to the
+bit with a run in Python.
 """
 
 from __future__ import annotations
@@ -41,18 +41,17 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-# 16 s at 4 ms: a page shows a move and what is left of it.
-LONGEST = 4001  # periods: room in the engine's buffers
-MOST_ROWS, MOST_GAUGE = (
-    96,
-    1024,
-)  # of the twin: states and two inputs; steps that its gauge is late
-# the third doubles the time of a run, and moves the tip by 1.3 mrad at most in a move
-# of 1 rad
+# periods: capacity of the engine's buffers; 16 s at 4 ms show a move and its residual
+# vibration
+LONGEST = 4001
+# limits of the twin: states and two inputs; steps of gauge delay
+MOST_ROWS, MOST_GAUGE = (96, 1024)
+# A third mode would double the time of a run and change the tip by at most 1.3 mrad in
+# a move of 1 rad.
 TWIN_MODES = 2
 
-# The rig's numbers in the order of loop_rig. A page changes delay, offset, noise and
-# payload.
+# The numbers of the rig in the order of loop_rig. A page changes delay, offset, noise
+# and payload.
 RIG_NUMBERS = (
     "sampled",
     "substeps",
@@ -84,8 +83,8 @@ def engine_bytes() -> bytes:
     >>> engine_bytes()[:4]
     b'\\x00asm'
     """
-    # Read from the package and not built: a user has no compiler for it, and its digest
-    # is tested against csrc.
+    # Read from the package instead of being built: a user has no compiler for it, and a
+    # test compares its digest with csrc.
     return (files("fraclink._simulate") / "engine.wasm").read_bytes()
 
 
@@ -107,8 +106,8 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     >>> engine_link(LinkModel(1.56, 11.094, order=2.0), 0.004, 4.0).numbers.size
     36
     """
-    # As `simulate` does, whose bits the page must have: for two periods at least, since
-    # a response has to be remembered for one.
+    # As in `simulate`, with which the page must agree to the bit: at least two periods,
+    # since a response has to be stored for one.
     weights = link_weights(model, period, max(span, 2 * period))
     second = weights.second.ravel()
     pair = (
@@ -120,7 +119,7 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     parts = (
         model.stiffness,
         weights.first,
-        # Always fifteen numbers: the engine finds what follows by counts alone.
+        # Always fifteen numbers: the engine locates the next ones by counts alone.
         second if second.size else np.zeros(15),
         weights.decay,
         weights.weight,
@@ -152,8 +151,8 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
         "noise": gauge.noise,
         "limit": gauge.limit,
         "quantum": gauge.quantum,
-        # In periods, as the kernel counts; a gauge that leads is the motor angle being
-        # late, as in `simulate`.
+        # In periods, as the kernel counts; a leading gauge means a delayed motor angle,
+        # as in `simulate`.
         "gauge_delay": max(model.gauge_delay, 0.0) / law.period,
         "gauge_gain": model.gauge_gain,
         "payload": 0.0,
@@ -191,15 +190,14 @@ def engine_twin(
     >>> found.modes, found.elements, found.arms.shape
     (2, 24, (2, 7))
     """
-    # The first payload's twin gives what all have in common: motor, sensors, material.
+    # The twin of the first payload gives the common parts: motor, sensors, material.
     twin = Twin.from_rig(
         rig, model=model, payload=payloads[0], link_mass=link_mass, modes=TWIN_MODES
     )
     numbers = twin_numbers(twin, rig.period)
     fine = rig.period / numbers[0]
     plant = twin.plant(fine)
-    # Two more rows than states: the matrix whose exponential is the step holds the
-    # inputs, too.
+    # Two more rows than states: the matrix of the exponential includes the inputs.
     if plant.order + 2 > MOST_ROWS or numbers[2] >= MOST_GAUGE:
         return None
     chain, arms = plant.chain, []

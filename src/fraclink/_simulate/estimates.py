@@ -1,5 +1,5 @@
-"""What the payload estimator said during a run: its signals, and what a reader should
-know of them.
+"""The output of the payload estimator during a run: its signals and the findings about
+them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-# what `told` and a run's "payload_given" say where the law was given the estimate
+# value of `told` and of a run's "payload_given" if the law was given the estimate
 ESTIMATED = "estimated"
 _NAMES = (
     "payload_given",
@@ -60,8 +60,8 @@ def estimated_over(
     after, found = estimator.run(
         state, motor_angle[called], torque[called], ticks=ticks[called]
     )
-    # Number of the last call up to each period; before the first there is nothing, and
-    # the first stands in.
+    # Number of the latest call at each period; before the first call the first one is
+    # used.
     row = np.maximum(np.cumsum(called) - 1, 0)
     return after, Estimates(*(column[row] for column in found))
 
@@ -95,8 +95,8 @@ def estimator_for(
     """
     if isinstance(told, PayloadEstimator):
         law = design.law() if isinstance(design, Design) else design
-        # Its models are recursions at one period: at another they would see every
-        # frequency scaled.
+        # The models are recursions at one period: at another one all frequencies would
+        # be scaled.
         if not math.isclose(told.period, law.period, rel_tol=1e-9):
             raise FieldError(
                 "told.period",
@@ -105,7 +105,7 @@ def estimator_for(
                 allowed=f"{law.period} s",
                 remedy="make it for this law: design.estimator()",
             )
-        # law.c and the estimator share their type of reals on a board.
+        # On a board, law.c and the estimator share the same type of reals.
         return told.in_precision(law.precision)
     if told != ESTIMATED:
         return None
@@ -120,7 +120,8 @@ def estimator_for(
             allowed="a design, or a law with rig= and model=",
             remedy="give the design in place of its law",
         )
-    # A law alone does not say for which payloads it was designed: those of its rig.
+    # A law alone does not state the payloads of its design, so those of its rig are
+    # used.
     return payload_estimator(
         with_payload(link, rig), rig, design, (rig.payloads.low, rig.payloads.high)
     )
@@ -136,8 +137,8 @@ def estimate_findings(
     outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0
     if outside.any():
         low, high = estimator.certified
-        # The last look outside: early in a move the interval is wide, and leaves the
-        # range for a while by its width.
+        # The last time outside: early in a move the interval is wide, and part of it
+        # lies outside the range for a while.
         last = int(np.flatnonzero(outside)[-1])
         share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
         findings.append(
@@ -155,7 +156,7 @@ def estimate_findings(
         )
     touched = (estimates.flags & _kernels.PAYLOAD_CONTACT) != 0
     if touched.any():
-        # The first touch: what follows is the arm swinging from it.
+        # The first contact; later ones are due to the arm swinging from it.
         first = float(period * np.flatnonzero(touched)[0])
         findings.append(
             Finding(

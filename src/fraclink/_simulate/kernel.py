@@ -1,4 +1,4 @@
-"""Where Python meets the compiled arm: what the kernels take, and the two calls into
+"""The interface to the compiled arm: the inputs of the kernels and the two calls into
 them.
 
 The model, whose link is massless and lumped, runs through `run_lumped`, one arm or
@@ -44,7 +44,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
+SUBSTEPS = 10  # friction steps per period: a stop is located to 0.4 ms at 4 ms
 
 # Columns of the twin's record (csrc/kernels/twin.h).
 RECORD = (
@@ -67,7 +67,7 @@ RECORD = (
 
 _SEEN = ("motor_angle_measured", "torque_measured", "tip_estimate")
 
-# What `run_lumped` returns of each arm, in the order of batch.h.
+# Signals that `run_lumped` returns for each arm, in the order of batch.h.
 SIGNALS = (
     "tip_angle",
     "motor_reference",
@@ -85,7 +85,7 @@ MARKS = ("flags", "mode", "reason")
 # ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
-# Columns of a run's numbers, in the order of batch.h.
+# Columns of the numbers of a run, in the order of batch.h.
 _NUMBERS = (
     "stiffness",
     "motor_gain",
@@ -171,7 +171,8 @@ def shared_rig(
         substeps=substeps,
         period=law.period,
         pole=law.motor_loop_pole,
-        coupling=0.0,  # what the gauge shows of it is compensated without error
+        # the coupling torque that the gauge measures is compensated without error
+        coupling=0.0,
         encoder=rig.encoder.resolution,
         limit=rig.gauge.limit,
         quantum=rig.gauge.quantum,
@@ -208,7 +209,7 @@ def run_lumped(
     runs, length = len(arms.seed), path.shape[2]
     signals = np.empty((len(SIGNALS), runs, length))
     marks = np.empty((len(MARKS), runs, length), dtype=np.uint32)
-    # The kernel walks rows: what was sliced or stacked must lie one behind the other.
+    # The kernel reads rows: sliced or stacked arrays must be contiguous.
     links = {
         field.name: np.ascontiguousarray(getattr(arms.links, field.name))
         for field in fields(LinkWeights)
@@ -243,8 +244,8 @@ def twin_numbers(twin: Twin, period: float) -> Real:
     period [s].
     """
     count = substeps(period, twin.step)
-    # In the arm's own steps and not in periods: the queue of true torques is written at
-    # every step.
+    # In steps of the arm instead of periods, because the queue of true torques is
+    # written at every step.
     oldest, weights = delay_line(twin.gauge_delay / (period / count))
     return np.array(
         [
@@ -277,20 +278,18 @@ class ArmState:
         self.rig = twin_numbers(twin, period)
         self.plant, self.step = _discretised(twin, self.fine)
         self.state = self.step.rest()
-        # A straight link at rest: the hub at its angle, and each mode where Γi θm puts
-        # its absolute coordinate.
+        # A straight link at rest: the hub at its angle, and the absolute coordinate of
+        # each mode at Γi θm.
         self.state[0] = start_angle
         self.state += _straight(self.plant, start_angle, self.state.size)
-        # The queues hold zeros: the link is straight, and no voltage has been asked
-        # for.
+        # The queues hold zeros: the link is straight, and no voltage was commanded.
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
-        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
+        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck; first tick
         self.law = np.frombuffer(bytearray(law_state), dtype=np.uint8)
-        self.estimate = np.zeros(
-            0, dtype=np.uint8
-        )  # of the payload estimator, where the law has one
+        # state of the payload estimator, if the law has one
+        self.estimate = np.zeros(0, dtype=np.uint8)
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
 
@@ -337,18 +336,18 @@ class ArmState:
         """Return the record of `run` for the periods from `first` on, and the estimates
         behind it.
         """
-        # The estimator's memory before the run: what it said is recomputed from there,
-        # bit for bit, since the kernel records what the law did and not what it was
-        # told.
+        # Memory of the estimator before the run, from which its output is recomputed
+        # bit for bit: the kernel records the law's actions, not its inputs.
         single, before = law.precision == "single", self.estimate.tobytes()
         record = self.run(law.block, inputs, single=single, estimator=estimator)
         if estimator is None:
             return record, []
         angle, torque, tip = (record[:, RECORD.index(name)] for name in _SEEN)
+        # the law missed a period without an output
         ticks, called = (
             first + 1 + np.arange(len(record)),
             np.isfinite(tip),
-        )  # the law missed a period without
+        )
         state = before or estimator.initial_state()
         return record, [
             estimated_over(estimator, state, angle, torque, ticks, called)[1]
@@ -379,8 +378,8 @@ class ArmState:
 
 @lru_cache(maxsize=64)
 def _discretised(twin: Twin, step: float) -> tuple[Plant, StepMatrices]:
-    # Modes and matrix exponential cost more than a run; a campaign asks for the same
-    # few arms over and over.
+    # Modes and the matrix exponential take longer than a run, and a campaign uses the
+    # same few arms repeatedly.
     plant = twin.plant(step)
     return plant, plant.discretise(step)
 
@@ -396,7 +395,7 @@ def _straight(plant: Plant, angle: float, size: int) -> Real:
 
 
 def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
-    """Project link, velocity and every Maxwell element of the old modes on the new
+    """Project link, velocity and every Maxwell element from the old modes onto the new
     ones.
     """
     # Least squares in the norm of the kinetic energy, in which the new modes are
@@ -406,8 +405,8 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     result = step.rest()
     result[:2] = state[:2]
     blocks = np.array([state[old.mode_slice(i)] for i in range(old.modes.count)])
-    # From absolute to bending coordinates and back: the rigid rotation Γi θm belongs to
-    # the payload's own Γi.
+    # From absolute to bending coordinates and back, because the rigid rotation Γi θm
+    # depends on the Γi of the payload.
     blocks[:, 0] -= old.modes.participation * state[0]
     blocks[:, 1] -= old.modes.participation * state[1]
     moved = projection @ blocks
@@ -434,8 +433,8 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
         elif isinstance(event, PayloadChange):
             state.change_payload(event.payload)
         elif isinstance(event, Restart):
-            # The law and its estimator forget; arm, queues and clock go on, as the
-            # processor restarts and the world does not.
+            # The law and its estimator lose their memory; arm, queues and clock go on,
+            # as after a restart of the processor.
             state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
             state.estimate = np.zeros(0, dtype=np.uint8)
 
@@ -445,7 +444,8 @@ def motor_loop_of(twin: Twin, law: Law) -> DiscreteMotorLoop:
     return DiscreteMotorLoop(
         pid=place_pid(motor, law.motor_loop_pole).discretize(law.period),
         voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
-        # The link's torque acts at the output: nK volts hold it.
+        # The link's torque acts at the output: a voltage of 1/(nK) per torque balances
+        # it.
         torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,

@@ -1,5 +1,5 @@
-"""The lumped links of a model, one or many: how their tips answer a motor angle
-between two samples.
+"""The lumped links of a model, one or many: the response of their tips to the motor
+angle between two samples.
 
 Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of
 the link to each power is exact: at the end of its own period by the power series of G =
@@ -10,8 +10,8 @@ In the link's own time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ)
 
 ``S = 1 − 2 Re p^λ/(λ p^λ + α M p^α) e^(x p) + (1/π) ∫ Im G(e^(v + iπ)) e^(−x e^v) dv``,
 
-so one grid in v = ln(r/Ω) serves every payload (Lemma 1's homothety) and only
-exponentials are left to do.
+so one grid in v = ln(r/Ω) serves every payload (homothety of Lemma 1), and only
+exponentials remain to be computed.
 """
 
 from __future__ import annotations
@@ -33,16 +33,18 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 # Degree 5: angle, speed and acceleration of the motor at both ends of a period are six
-# numbers.
+# conditions.
 POWERS = 6
-# |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no
-# loop passes.
+# |pole|·T [rad]: beyond, with three samples per vibration, the power series cancels and
+# no loop passes.
 LONGEST = 2.0
-# Of the step response, as e^(−x): three digits below what is promised of a move, and for
-# a campaign, whose metrics are read to 1e-4, three digits below that.
+# Truncation of the step response, as e^(−x): three digits below the accuracy promised
+# for a move; for a campaign, whose metrics are accurate to 1e-4, three digits below
+# that.
 ALONE, MANY = 21.0, 15.0
-# arg p of a link whose vibration has ζ = cos(π/4) = 0.71: beyond it nothing swings, and
-# the pole of the next sheet, which no exponential can stand for, nears the integrand.
+# arg p of a link whose vibration has ζ = cos(π/4) = 0.71: beyond it nothing vibrates,
+# and the pole of the next sheet, which no exponential represents, approaches the
+# integrand.
 APERIODIC = 0.75 * np.pi
 
 
@@ -63,10 +65,10 @@ class LinkWeights:
 
     def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
         """Return the recursions of some of the links."""
-        # Every array has a row for each link: no field is to be forgotten here when one
-        # is added.
+        # Every array has one row per link: a field added later must not be forgotten
+        # here.
         own = {field.name: getattr(self, field.name) for field in fields(self)}
-        # No link has a second mode: no rows to take.
+        # No link has a second mode, so there are no rows to select.
         return LinkWeights(
             **{
                 name: value[rows] if len(value) else value
@@ -96,8 +98,8 @@ def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
     """
     if mode is None:
         return np.zeros((0, 15))
-    # The step response of gain s²/(s² + 2ζωs + ω²): starts at the gain, with the slope
-    # of −2ζω.
+    # The step response of gain s²/(s² + 2ζωs + ω²): it starts at the gain with the
+    # slope −2ζω, relative to the gain.
     damped = math.sqrt(1.0 - mode.damping_ratio**2)
     z = mode.frequency * period * complex(-mode.damping_ratio, damped)
     step = mode.gain * complex(1.0, mode.damping_ratio / damped) * np.expm1(z)
@@ -109,15 +111,16 @@ def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
 
 
 def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
-    """Answers to the powers x^j of modes e^(zt/T), z = `log_decay`, that answer a unit
-    step by `step`, at the end of one period: an axis of length 6 before the last.
+    """Responses to the powers x^j at the end of one period, for modes e^(zt/T), z =
+    `log_decay`, whose response to a unit step is `step`: an axis of length 6 before the
+    last.
 
-    A mode answers x^j in proportion to φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx. Where |z| is
-    large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series
-    j! Σ zⁿ/(n + j + 1)! is used.
+    The response of a mode to x^j is proportional to φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx.
+    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the
+    series j! Σ zⁿ/(n + j + 1)! is used.
     """
-    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and 1/20! ends the
-    # series at 4e-19: they meet at |z| = 1.
+    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and the series ends
+    # with 1/20! = 4e-19: at |z| = 1 both are equally accurate.
     near = np.abs(log_decay) < 1.0
     small, large = np.where(near, log_decay, 0.0), np.where(near, 1.0, log_decay)
     rows = []
@@ -152,7 +155,7 @@ def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Com
             log_pole = log_pole - (moving + friction + 1.0) / (
                 order * moving + alpha * friction
             )
-    # NaN, too: a link far beyond the limit has no pole to follow.
+    # This includes NaN: a link far beyond the limit has no pole to follow.
     if not np.all(log_pole.imag < APERIODIC):
         raise FieldError(
             "damping",
@@ -208,8 +211,8 @@ def batch_links(
     speed = stiff ** (1.0 / order)
     log_pole = link_poles(model, stiff, order, damping)
     reach = speed * period
-    # One arm of a block that cannot be simulated is an error of the draws, and named;
-    # leaving it out would make the campaign's share of failures a lie.
+    # An arm that cannot be simulated is an error of the draw, and reported as such;
+    # leaving it out would falsify the campaign's share of failures.
     if float(reach.max()) >= LONGEST:
         raise FieldError(
             "period",
@@ -218,19 +221,21 @@ def batch_links(
             allowed=f"< {LONGEST / float(speed.max()):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
             remedy="simulate at a shorter period, or a heavier payload",
         )
-    # One grid for all: the smallest exponent needs both ends farthest out. Whole
+    # One grid for all: the smallest exponent needs the widest one at both ends. Integer
     # exponents have no branch cut.
     alpha, damped = model.damping_order, bool(np.any(damping))
     slowest = min(float(order.min()), alpha) if damped else float(order.min())
-    # The poles of the next sheet lie π(3/λ − 1) from the integrand without damping; with
-    # it, where λ nears 2, as far as p. A trapezoidal step leaves e^(−2π distance/step).
+    # Without damping the poles of the next sheet lie π(3/λ − 1) from the integrand;
+    # with damping and λ near 2, as far as p. The error of the trapezoidal rule is
+    # e^(−2π distance/step).
     distance = np.pi - float(log_pole.imag.max()) if damped else 0.5 * np.pi
     width = 2.0 * np.pi * min(distance, 0.5 * np.pi) / digits
     whole = bool(np.all(order == 2.0)) and (not damped or alpha == 1.0)
     grid = np.zeros(0)
     if not whole:
-        # The density falls like e^(−λ|v|). Below, a mode hardly moves within the span;
-        # above, it is over within a period. The sooner of the two is enough at either end.
+        # The density falls like e^(−λ|v|). Very slow modes hardly move within the span;
+        # very fast ones have decayed within a period. At either end the stricter of the
+        # two limits is sufficient.
         still = (digits + math.log(float(speed.max()) * span)) / (1.0 + slowest)
         over = math.log(digits / float(reach.min()))
         ends = -min(digits / slowest, still), min(digits / slowest, over)
@@ -240,8 +245,8 @@ def batch_links(
     restoring = 1.0 + scaled[:, None] * np.exp(alpha * (grid + 1j * np.pi))
     moving = np.exp(order[:, None] * (grid + 1j * np.pi))
     density = (restoring / (moving + restoring)).imag / np.pi
-    # Weight of e^(−r t) in S; over one period a mode answers a step by −gain·(1 −
-    # e^(−rT)) of it.
+    # Weight of e^(−r t) in S; over one period the response of a mode to a step is
+    # −gain·(1 − e^(−rT)) of it.
     real = width * density
     log_decay = -reach[:, None] * np.exp(grid)
     pole = reach * np.exp(log_pole)
@@ -267,8 +272,7 @@ def batch_links(
 
 
 def _correction(log_pole: Complex, start: float, width: float) -> Complex:
-    """What the trapezoidal rule leaves of a pole's residue: the rule counts the rest of
-    it by itself.
+    """The part of a pole's residue that the trapezoidal rule does not include.
 
     The density has simple poles at v = ln p − iπ and its conjugate, whose exponential
     is the link's own pair.
@@ -281,16 +285,16 @@ def _correction(log_pole: Complex, start: float, width: float) -> Complex:
 def _powers_at_end(
     stiff: Real, order: Real, damping: Real, damping_order: float, period: float
 ) -> Real:
-    """Response of G to x^j at x = 1, shape (R, 6): G = −Σ (−X)ⁿ, X = (μ s^α + ω₀²)/s^λ,
-    term by term as t^q/Γ(q + 1).
+    """Response of G to x^j at x = 1, shape (R, 6): the terms of G = −Σ (−X)ⁿ, X = (μ
+    s^α + ω₀²)/s^λ, as t^q/Γ(q + 1).
     """
     power = np.arange(POWERS)[:, None]
     spring = np.log(stiff * period**order)[:, None, None]
     with np.errstate(divide="ignore"):  # without damping its powers are e^−∞ = 0
         damper = np.log(damping * period ** (order - damping_order))[:, None, None]
     total = np.zeros((len(stiff), POWERS))
-    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) outruns 4ⁿ: some
-    # twenty terms do. Logarithms, since Γ of the highest overflows.
+    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) grows faster than
+    # 4ⁿ: some twenty terms suffice. Logarithms, because the highest Γ overflows.
     for n in range(1, 100):
         k = np.arange(n + 1 if np.any(damping) else 1)
         exponent = order[:, None, None] * n - damping_order * k + power

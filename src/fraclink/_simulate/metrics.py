@@ -1,6 +1,4 @@
-"""What runs are judged by: the same figures and the same verdict for one run and for a
-million.
-"""
+"""Metrics of runs: the same figures and the same verdict for one run and for a million."""
 
 from __future__ import annotations
 
@@ -23,16 +21,20 @@ __all__ = ["Metrics", "MoveVerdict", "judge", "judge_many", "measure", "measure_
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
-BAND = 0.02  # of the move: the usual band of the settling time
-REST_BAND = 2e-3  # [rad]: what "settled" means where there is no move to take 2 % of
-# A growing vibration differs from one that noise drives by how straight its envelope is
-# in a logarithmic plot: slope over standard error. Student's t would be enough for
-# independent windows; those of a lightly damped loop are not, hence the floor: with it
-# none of 5000 good arms with the paper's noise grows, nor one of 500 resonances that
-# noise rings. The printed controller (58) reaches 20 to 160 in 4 s, where 18 is asked.
+BAND = 0.02  # fraction of the move: the usual band of the settling time
+REST_BAND = 2e-3  # [rad]: the band of "settled" for a reference that does not move
+# A growing vibration differs from one driven by noise in the straightness of its
+# logarithmic envelope: slope over standard error. Student's t would suffice for
+# independent windows, but those of a lightly damped loop are not, hence the lower
+# limit: with it none of 5000 good arms with the paper's noise is found to grow, nor any
+# of 500 resonances excited by noise. The printed controller (58) reaches 20 to 160 in 4
+# s; the limit is 18.
 CHANCE, STRAIGHT = 2e-4, 10.0
-WINDOWS = 4  # vibration periods: a line through three points has no error to speak of
-# of the periods at rest: white noise with half the limit as its RMS is at it in 4.6 %
+# vibration periods: a straight line through three points has no meaningful standard
+# error
+WINDOWS = 4
+# share of the periods at rest: white noise with an RMS of half the limit reaches it in
+# 4.6 %
 _AT_LIMIT = 0.05
 
 
@@ -164,15 +166,15 @@ def measure_many(signals: Signals) -> dict[str, Real]:
     tenth = _tenth(tip.shape[1])
     beyond = (excess * np.sign(move)[:, None]).max(axis=1)
     return {
-        # In the direction of the move; where there is none there is nothing to be
-        # overshot, and `settling_time` has its own band.
+        # In the direction of the move; without a move there is no overshoot, and
+        # `settling_time` has its own band.
         "overshoot": np.maximum(
             0.0,
             np.divide(beyond, np.abs(move), out=np.zeros_like(move), where=move != 0),
         ),
         "settling_time": _settling(np.abs(excess), _band(reference), signals.period),
         "residual_vibration": _residual(signals),
-        # A mean, so that neither the gauge's noise nor a vibration that dies away is
+        # A mean, so that neither the noise of the gauge nor a decaying vibration is
         # taken for an offset.
         "steady_state_error": (tip[:, -tenth:] - reference[:, -tenth:]).mean(axis=1),
         "peak_tip_error": np.abs(tip - reference).max(axis=1),
@@ -200,7 +202,7 @@ def judge_many(
     mode = signals.mode[rows, within]
     normal = mode == _kernels.LAW_RUN
     # Half a period of the vibration: a swing of constant size that happens to end
-    # inside the band has been outside within that time.
+    # inside the band was outside within that time.
     settled = metrics["settling_time"] <= _latest_settling(signals)
     return {
         "mode": mode,
@@ -268,7 +270,7 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
 
 
 def _tenth(count: int) -> int:
-    # Eight samples at least: a parabola through fewer is no noise.
+    # At least eight samples: the deviation from a parabola through fewer is not noise.
     return max(8, int(0.1 * count))
 
 
@@ -281,10 +283,9 @@ def _band(reference: Real) -> Real:
 def _settling(distance: Real, band: Real, period: float) -> Real:
     outside = distance > band[:, None]
     length = distance.shape[1]
-    # From the end: the band may be left and entered again any number of times.
-    last = (
-        length - 1 - np.argmax(outside[:, ::-1], axis=1)
-    )  # last sample outside, where there is one
+    # From the end: the band may be left and entered any number of times.
+    # index of the last sample outside the band, if there is one
+    last = length - 1 - np.argmax(outside[:, ::-1], axis=1)
     time = np.where(outside.any(axis=1), (last + 1.0) * period, 0.0)
     return np.asarray(np.where(outside[:, -1], np.inf, time))
 
@@ -300,33 +301,32 @@ def _residual(signals: Signals) -> Real:
     length = signals.tip_angle.shape[1]
     time = signals.period * np.arange(length)
     begin = np.searchsorted(time, signals.ended, side="left")
-    # Two periods: one may begin at a node of what several modes leave.
+    # Two periods: the first may start at a node of the remaining modes.
     end = np.searchsorted(
         time, signals.ended + 2.0 * signals.vibration_period, side="right"
     )
-    begin = np.minimum(
-        begin, length - _tenth(length)
-    )  # a run that ends with its reference: its last tenth
+    # for a run that ends with its reference, the last tenth
+    begin = np.minimum(begin, length - _tenth(length))
     rows = zip(signals.tip_angle, begin, end, strict=True)
     return np.array([0.5 * np.ptp(row[b : max(e, b + 1)]) for row, b, e in rows])
 
 
 def _noise(tail: Real) -> Real:
-    """Standard deviation about a parabola, which is taken out as one projection."""
+    """Standard deviation about a parabola, which is removed by one projection."""
     steps = np.linspace(-1.0, 1.0, tail.shape[1])
-    # The motor reference still creeps at the end of a run, by the slow modes of the
-    # correction: that is no noise.
+    # At the end of a run the motor reference still creeps with the slow modes of the
+    # correction, which is not noise.
     basis, _ = np.linalg.qr(np.vander(steps, 3))
     return np.asarray(np.std(tail - (tail @ basis) @ basis.T, axis=1))
 
 
 def _driven(signals: Signals) -> Real:
-    """Part of the last tenth with the voltage at its limit, 0 where the reference still
+    """Share of the last tenth with the voltage at its limit, 0 if the reference still
     moves; shape (R,).
     """
     length = signals.tip_angle.shape[1]
     tenth = _tenth(length)
-    # A reference that still moves may need all of the voltage.
+    # A reference that still moves may need the full voltage.
     rests = signals.ended <= signals.period * (length - tenth)
     at_limit = (signals.flags[:, -tenth:] & _kernels.LAW_FLAG_SATURATED) != 0
     return np.asarray(np.where(rests, at_limit.mean(axis=1), 0.0))
@@ -345,8 +345,8 @@ def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
 def _growth(signals: Signals) -> Real:
     stop = _first_abnormal(signals.mode)
     deviation = signals.tip_angle - signals.reference
-    # A period after the reference's end: what the move itself leaves there is a step of
-    # the envelope, no growth.
+    # One period after the end of the reference: the residual of the move itself is a
+    # step of the envelope and not growth.
     begin = np.ceil((signals.ended + signals.vibration_period) / signals.period).astype(
         int
     )
@@ -360,21 +360,21 @@ def _growth(signals: Signals) -> Real:
 
 
 def _rate(deviation: Real, window: int) -> float:
-    """Growth of ln(envelope) in each vibration period, 0 where its line is not straight
-    enough to trust.
+    """Growth of ln(envelope) per vibration period, 0 if the envelope is not straight
+    enough to be trusted.
     """
     count = len(deviation) // window
     if count < WINDOWS:
         return 0.0
     # Peak to peak in windows of one vibration period, counted back from the end: an
-    # offset falls out, and the last window, the largest of a growing vibration, is a
-    # whole one.
+    # offset cancels, and the last window, which holds the largest amplitude of a
+    # growing vibration, is complete.
     peaks = np.ptp(deviation[-count * window :].reshape(count, window), axis=1)
-    # Below 2 mrad a vibration is the sensors', however straight its envelope; `not >=`,
-    # as NaN is no vibration either.
+    # A vibration below 2 mrad is attributed to the sensors, however straight its
+    # envelope; `not >=` because NaN is not a vibration either.
     if not peaks.max() >= REST_BAND:
         return 0.0
-    # A quiet window has no logarithm: a picoradian in its place.
+    # A window without motion has no logarithm: use one picoradian.
     level = np.log(np.maximum(peaks, 1e-12))
     at = np.arange(count) - 0.5 * (count - 1)
     spread = float(at @ at)

@@ -1,5 +1,5 @@
-"""A run of the twin: law.c's own code around the arm with distributed mass, cut where
-something changes.
+"""A run of the twin: law.c itself around the arm with distributed mass, in segments
+between changes.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ def with_motor_loop(
             {},
             "simulate design.law(), which has the motor loop that is shipped",
         )
-        # With rig and link the law gets the guards of its sensors, too; the twin's
-        # motor alone gives a loop and no limits.
+        # With rig and link the law also gets the guards of its sensors; the motor of
+        # the twin alone gives a motor loop without limits.
         if rig is not None and link is not None:
             return equip(law, rig, link), (finding,)
         if twin is not None:
             return replace(law, motor_loop=motor_loop_of(twin, law)), (finding,)
-    # Each is a recursion of its own period: run at another, its pole would be elsewhere
-    # without a word.
+    # Both are recursions of their own period: at another period the poles would move
+    # without notice.
     elif not math.isclose(law.motor_loop.pid.period, law.period, rel_tol=1e-9):
         raise FieldError(
             "period",
@@ -101,15 +101,15 @@ def on_twin(
     for first, last, changes in segments(events, law.period, inputs):
         apply(state, law, changes)
         if estimator is None:
-            # Within a segment the payload is constant: an event that changes it begins
-            # the next, and True follows the arm.
+            # Within a segment the payload is constant: an event that changes it starts
+            # the next segment, and True follows the arm.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part, seen = state.estimating(law, inputs[first:last], estimator, first)
         estimates += seen
         records.append(part)
         payloads.append(np.full(len(part), state.twin.beam.payload))
-        # The arm has left every bound: the run ends here, and says that it is not
-        # finished.
+        # The arm has exceeded all bounds: the run ends here and is marked as
+        # unfinished.
         if len(part) < last - first:
             break
     return twin_run(
@@ -135,7 +135,7 @@ def on_twin(
 
 
 def _said(told: bool | float | str | PayloadEstimator) -> str | float:
-    """What a run of the twin keeps about the payload that the law was told."""
+    """The record of the payload given to the law in a run of the twin."""
     return "the arm's own" if told is True else given_payload(told, None)
 
 
@@ -161,7 +161,7 @@ def twin_run(
     columns |= {
         name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")
     }
-    # What only a twin has stays out of the signals that all runs share.
+    # Signals that only a twin has are kept apart from those that all runs share.
     extras = {
         name: columns.pop(name)
         for name in ("motor_velocity", "contact_force", "voltage_asked")

@@ -1,4 +1,4 @@
-"""The linear part of the twin, stepped exactly: its hub and the modes of its link.
+"""The linear part of the twin with exact steps: its hub and the modes of its link.
 
 Hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi
 θm, its velocity, and one state zj per Maxwell element of the damping:
@@ -38,11 +38,12 @@ __all__ = [
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# Relative error of D(jω), for all modes alike so that the elements keep their meaning
-# when the payload and with it the shapes change. At λ = 1.92 the resonance amplifies it
-# about 50 times in the tip angle.
+# Relative error of D(jω), the same for all modes, so that the elements keep their
+# meaning when the payload, and with it the mode shapes, change. At λ = 1.92 the
+# resonance amplifies it about 50 times in the tip angle.
 TOLERANCE = 3e-8
-# [s]; longer steps would hold the hub's force or speed over a quarter of mode 2
+# [s]; in longer steps the force or speed of the hub would be held for a quarter of mode
+# 2
 LONGEST_STEP = 1e-3
 Step = Annotated[
     float, Between(1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")
@@ -111,7 +112,8 @@ class Plant:
         block = np.zeros((n + m, n + m))
         block[:n, :n], block[:n, n:] = self.dynamics * step, self.inputs * step
         exact = _kernels.twin_exponential(block)
-        # Whole vectors of eight doubles, so that the kernel's inner loops have no rest.
+        # Padded to vectors of eight doubles, so that the inner loops of the kernel have
+        # no remainder.
         stride = -(-n // 8) * 8
         columns, drives = np.zeros((n, stride)), np.zeros((m, stride))
         outputs = np.zeros((self.outputs.shape[0], stride))
@@ -128,7 +130,8 @@ class Plant:
 @checked
 def substeps(period: Period, step: Step) -> int:
     """Return how many steps of at most `step` [s] fill one period [s]."""
-    # 3 ms over steps of 0.3 ms are 10.000000000000002 in binary: not eleven.
+    # 3 ms over steps of 0.3 ms is 10.000000000000002 in binary; this must not become
+    # eleven.
     return max(1, math.ceil(period / step - 1e-9))
 
 
@@ -136,10 +139,11 @@ def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
     """Return the modes that a step resolves; an explicit number that it does not is
     refused.
     """
-    # Three of the link: the third moves the tip by 1.3 mrad at most in a move of 1 rad.
+    # Three modes of the link: the third moves the tip by at most 1.3 mrad in a move of
+    # 1 rad.
     candidates = beam.modes(3 if modes is None else modes)
-    # Four steps per period: with fewer the input held over a step cannot follow the
-    # mode at all.
+    # At least four steps per period of a mode: with fewer, the held input cannot follow
+    # it at all.
     count = int(np.count_nonzero(candidates.frequencies * step <= np.pi / 2))
     if count == 0 or (modes is not None and count < candidates.count):
         raise FieldError(
@@ -197,13 +201,12 @@ def assemble(
     True
     """
     kept = resolved(beam, modes, step)
-    chain = damping.chain(
-        TOLERANCE, 0.5 * np.pi / step
-    )  # no mode is above that, whatever the payload
+    # no mode has a higher frequency, whatever the payload
+    chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)
     size = 2 + kept.count * (2 + chain.rates.size)
     a, b, y = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size))
-    # What of the arm's inertia the modes that were kept do not carry turns rigidly with
-    # the hub; without it a heavy link would be too light by its higher modes.
+    # The inertia of the arm that is not carried by the retained modes turns rigidly
+    # with the hub; without it a heavy link would be too light by its higher modes.
     inertia = hub_inertia + residual_inertia(beam, kept)
     y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = y[TIP_VELOCITY, 1] = 1.0
 
@@ -220,8 +223,8 @@ def assemble(
         a[elements] = speed
         a[elements, elements] -= np.diag(chain.rates)
         y[TIP_ANGLE] += tip * place
-        # EI w''(0) by the modes' own curvature at the clamp, without D(s): a gauge sees
-        # strain and not stress.
+        # EI w''(0) from the curvature of the modes at the clamp, without D(s): a gauge
+        # measures strain, not stress.
         y[GAUGE_TORQUE] -= omega**2 * load * place
         y[TIP_VELOCITY] += tip * speed
         y[HUB_MOMENT] += load * force

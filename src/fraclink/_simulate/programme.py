@@ -1,11 +1,11 @@
-"""The linear programme that bends a reference for the loops of a set of arms.
+"""The linear programme that shapes a reference for the loops of a set of arms.
 
 As long as no limit acts, the law, its motor loop and an arm are linear and the same in
 every period. The reference's velocity is a quadratic B-spline with a knot every few
 periods, so that angle, velocity and acceleration are continuous and each coefficient
-c_j is a smooth step of c_j rad in three knots. One run of law.c for one such step, on
-the arm without friction, noise and limits, says what every reference does: the arm
-answers with the sum of c_j times that run, later by j knots.
+c_j is a smooth step of c_j rad in three knots. One run of law.c for such a step, on the
+arm without friction, noise and limits, determines the response to every reference: the
+sum of c_j times that run, delayed by j knots.
 
     minimise e  subject to  |Σ c_j y_a(t − jh) − target(t)| <= e
                        and  |Σ c_j V_a(t − jh)| <= V             for all arms a, all t
@@ -31,16 +31,17 @@ Real = NDArray[np.float64]
 Bounds = list[tuple[float | None, float | None]]
 
 UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
-# [rad] of the step that is run: far below every guard of the law, and so far above the
-# rounding of doubles that nothing is lost
+# [rad] height of the step that is run: far below every guard of the law, and far enough
+# above the rounding of doubles
 STEP = 1e-3
-# periods after the reference's end in which a limit may still be reached
+# periods after the end of the reference in which a limit may still be reached
 AFTER = 25
-FIRST = 31  # one row in so many is in the programme from the beginning
-# of a row's side, or of a thousandth of the largest one: 0.1 mrad of 1 rad, 1 mV of 8 V
+FIRST = 31  # stride of the rows that are in the programme from the beginning
+# Tolerances relative to the side of a row, and to a thousandth of the largest one: 0.1
+# mrad of 1 rad, 1 mV of 8 V.
 BROKEN, PART = 1e-4, 1e-3
-# Pieces of the unit step in powers of x = t/h: the angle over the three knots in which
-# it rises, then rest.
+# Pieces of the unit step in powers of x = t/h: the angle over the three knots of its
+# rise, then rest.
 _PIECES = np.array(
     [
         [0.0, 0.0, 0.0, 1 / 6],
@@ -58,14 +59,14 @@ def spline_path(coefficients: Real, step: float) -> Path:
     for j, size in enumerate(coefficients):
         pieces[j : j + 3] += size * _PIECES[:3]
         pieces[j + 3 :, 0] += size
-    # from powers of t/h to powers of t
+    # convert powers of t/h to powers of t
     pieces /= step ** np.arange(4.0)
     return Path("shaped", step * np.arange(count + 3.0), pieces, step * (count + 2))
 
 
 def _without_friction(rig: Rig) -> Rig:
-    """Return the rig with an amplifier that has no limit, a motor without friction, and
-    sensors that neither round nor add anything; a late gauge stays late.
+    """Return the rig with an amplifier without limit, a motor without friction, and
+    sensors without quantisation, noise and offset; the delay of the gauge remains.
     """
     motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
     gauge = replace(rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
@@ -74,9 +75,7 @@ def _without_friction(rig: Rig) -> Rig:
 
 
 def _linear(arms: ArmSet) -> ArmSet:
-    """Return the set whose loops are linear: no friction, no compensation of it, no
-    limit.
-    """
+    """Return the set with linear loops: without friction, its compensation, and limits."""
     drive = arms.law.motor_loop
     assert drive is not None  # a design's law drives its motor  # noqa: S101
     free = replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED)
@@ -118,7 +117,8 @@ class Programme:
         for link in linear.links.values():
             for payload in linear.payloads:
                 run = linear.run(link, payload, step, duration=duration)
-                # A loop that is not stable leaves every bound and is cut, or grows.
+                # An unstable loop exceeds all bounds and is cut off, or its vibration
+                # grows.
                 if not run.finished or run.metrics.growth > 0.0:
                     raise FieldError(
                         "payloads",
@@ -134,8 +134,8 @@ class Programme:
                     run.torque / torque,
                 )
                 answers.append(np.array(signals) / STEP)
-        # A row may be broken by a ten thousandth: a guard that acts at the limit itself
-        # is then ten times as far away.
+        # A row may be violated by a ten-thousandth; for a guard that acts exactly at
+        # the limit the margin is ten times as large.
         kept, own = 1.0 - 10.0 * BROKEN, arms.law.limits
         return Programme(
             np.stack(answers),
@@ -175,7 +175,7 @@ class Programme:
         rows, sides = self._rows(count, target, first, last)
         bounds: Bounds = [(None, None)] * count + [(0.0, None)]
         ends = np.append(np.ones(count), 0.0)
-        # The last unknown is e, the distance; nothing else costs.
+        # The last unknown is e, the distance, which is the only cost.
         solution = _least(1.0 - ends, rows, sides, ends, float(target[-1]), bounds)
         return None if solution is None else (solution[:count], float(solution[-1]))
 
@@ -186,8 +186,8 @@ class Programme:
         whose acceleration varies least: the nearest one rattles between its limits.
         """
         rows, sides = self._rows(count, target, first, last)
-        # Σ |differences of the acceleration| as a linear programme: each is bounded by
-        # an unknown of its own.
+        # Σ |differences of the acceleration| as a linear programme: each one is bounded
+        # by an unknown of its own.
         jerk = np.diff(_differences(count), axis=0, prepend=0.0, append=0.0)
         more = len(jerk)
         bent = np.pad(jerk, ((0, 0), (0, 1)))
@@ -210,8 +210,8 @@ class Programme:
         self, count: int, target: Real, first: int, last: int
     ) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
-        # Once the reference rests the loop only decays: its peaks lie before, or within
-        # a tenth of a second.
+        # After the reference has come to rest the loop only decays: its peaks lie
+        # before, or within a tenth of a second.
         until = min(count * self.knot + AFTER, self.length)
         step = self.knot * self.period
         # velocity and acceleration at the knots, which bound them in between
@@ -233,7 +233,7 @@ class Programme:
         return np.vstack(rows), np.concatenate(sides)
 
     def _moved(self, answer: Real, count: int) -> Real:
-        """An answer in columns, each later by a knot; shape (N, count)."""
+        """A response in columns, each delayed by one more knot; shape (N, count)."""
         columns = np.zeros((len(answer), count))
         for j in range(count):
             columns[j * self.knot :, j] = answer[: len(answer) - j * self.knot]
@@ -248,18 +248,18 @@ def _differences(count: int) -> Real:
 def _least(
     cost: Real, rows: Real, sides: Real, ends: Real, end: float, bounds: Bounds
 ) -> Real | None:
-    """Minimise cost @ x with rows @ x <= sides and ends @ x = end; None where nothing
-    fulfils them.
+    """Minimise cost @ x with rows @ x <= sides and ends @ x = end; None if this is
+    infeasible.
 
-    Of thousands of rows some dozens bind: the programme is solved with a few of them
-    and again with all that its solution breaks, until it breaks none. That is exact,
-    and takes a third of the time of all rows at once.
+    Of thousands of rows only dozens are active: the programme is solved with a few of
+    them, and again with those that its solution violates, until none is violated. This
+    is exact, and takes a third of the time of all rows at once.
     """
     scale = np.maximum(np.abs(sides), PART * np.max(np.abs(sides)))
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[::FIRST] = True
     while True:
-        # presolve removes nothing from a dense programme, and costs more than the
+        # presolve removes nothing from a dense programme and takes longer than the
         # solution
         solution = linprog(
             cost,
@@ -276,5 +276,5 @@ def _least(
         broken = rows @ solution.x - sides > BROKEN * scale
         if not np.any(broken & ~chosen):
             return np.asarray(solution.x)
-        # with their neighbours, which are next where the peak moves to one side
+        # including their neighbours, which are next if the peak moves sideways
         chosen |= np.convolve(broken, np.ones(5), mode="same") > 0

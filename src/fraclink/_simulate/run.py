@@ -1,6 +1,4 @@
-"""One run of the closed loop, whatever arm it was made on: the model, the twin, or a
-real one.
-"""
+"""One run of the closed loop with any arm: the model, the twin, or a real one."""
 
 from __future__ import annotations
 
@@ -132,8 +130,8 @@ class Run(Saved):
 
     def __post_init__(self) -> None:
         for name in SIGNALS:
-            # A run is shared by plots, reports and comparisons: who wants to change a
-            # signal takes a copy.
+            # Plots, reports and comparisons share a run: to change a signal, take a
+            # copy.
             getattr(self, name).flags.writeable = False
         for values in self.extras.values():
             values.flags.writeable = False
@@ -141,7 +139,7 @@ class Run(Saved):
     @property
     def period(self) -> float:
         """Control period [s]."""
-        # From the samples and not stored twice: the two could then differ.
+        # Computed from the samples: a stored period could differ from them.
         return float(self.time[1] - self.time[0])
 
     @property
@@ -161,8 +159,8 @@ class Run(Saved):
         if given == "estimated":
             estimate = float(self.extras["payload_estimate"][-1])
             return f"{payload}, estimated {quantity(estimate, 'g') if estimate else 'not yet'}"
-        # "told" and the true payload are one; any other number is a payload that the
-        # law was wrongly given, and both are shown.
+        # If the given value equals the payload it is the same as "told"; any other
+        # number is a wrong payload given to the law, and both are shown.
         if isinstance(given, str) or given == self.payload:
             return f"{payload}, given"
         return f"{payload}, given {quantity(given, 'g')}"
@@ -182,8 +180,8 @@ class Run(Saved):
     def overview(self) -> Overview:
         """What the move came to."""
         return Overview(
-            # The reason already says which requirement of the move was missed, with its
-            # number.
+            # The reason already names the missed requirement of the move with its
+            # value.
             f"move with {self.carried}: {self.verdict.reason}",
             state_of(self.verdict.passed),
             self.rows,
@@ -220,8 +218,8 @@ def judged_run(
         of the vibration [1/s], where a longer run than this one measured it.
     """
     block = Signals.of(signals, period, ended, vibration_period)
-    # A campaign follows a growing vibration for twice as long; its replay must have its
-    # verdict, and not that of four seconds.
+    # A campaign follows a growing vibration for twice as long; its replay must reach
+    # the same verdict, not that of four seconds.
     metrics = (
         measure(block) if growth is None else replace(measure(block), growth=growth)
     )
@@ -242,7 +240,7 @@ def payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
     """Return W603 where the law was given a payload that it cannot use: it ran as if
     none were given.
     """
-    # A flag and no error: the law is a controller, it goes on with what it can use.
+    # A flag, not an error: the law goes on controlling with the inputs that it can use.
     periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))
     if not periods:
         return ()

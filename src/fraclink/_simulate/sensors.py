@@ -1,4 +1,4 @@
-"""What happens to an arm and its sensors while it moves, as a run's inputs."""
+"""Events of an arm and its sensors during a run, as inputs of the run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 
-# Columns of the twin's inputs (csrc/kernels/twin.h); the model reads those of a fault.
+# Columns of the twin's inputs (csrc/kernels/twin.h); for the model only those of faults
+# apply.
 REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
 ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(
     6, 12
@@ -54,12 +55,12 @@ def delay_line(delay: float) -> tuple[int, Vector]:
     ((2, array([1., 0., 0., 0.])), 3)
     """
     whole = round(delay)
-    # A millionth of a step is the rounding of a delay in seconds over a period:
-    # interpolated, it would take four entries for one.
+    # A millionth of a step is the rounding of a delay in seconds over a period;
+    # interpolating it would take four entries instead of one.
     if abs(delay - whole) < 1e-6:
         return whole, np.array([1.0, 0.0, 0.0, 0.0])
-    # In the middle of its four points the cubic errs least; a delay below one step has
-    # no younger entry, and is read off one side.
+    # The error of the cubic is smallest in the middle of its four points; for a delay
+    # below one step there is no newer entry, and they lie on one side.
     youngest = max(math.floor(delay) - 1, 0)
     at, nodes = delay - youngest, range(4)
     lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
@@ -152,7 +153,7 @@ class Restart:
     time: Time
 
 
-# Kind -> (bit of the kernel's fault word or 0, the input column it sets or None).
+# Kind -> (bit of the kernel's fault word or 0, input column that it sets or None).
 FAULTS: dict[str, tuple[int, int | None]] = {
     "encoder value": (1, ENCODER_VALUE),
     "gauge value": (2, GAUGE_VALUE),
@@ -242,8 +243,8 @@ def healthy_inputs(
     inputs[:, VELOCITY] = reference.velocity(time)
     inputs[:, ACCELERATION] = reference.acceleration(time)
     inputs[:, GAUGE_ERROR] = gauge.offset
-    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its
-    # size.
+    # Drawn even if the noise is 0, so that a seed gives the same noise sequence for
+    # every amplitude.
     inputs[:, GAUGE_ERROR] += gauge.noise * generator.standard_normal(count)
     return inputs
 
@@ -263,7 +264,8 @@ def segments(
     count = len(inputs)
     changes: dict[int, list[Event | None]] = {0: []}
     for event in sorted(events, key=lambda e: e.time):
-        # To the nearest period: the arm is changed between two, never within one.
+        # Rounded to a whole period: the arm is changed between two periods, never
+        # within one.
         at = round(event.time / period)
         if isinstance(event, TipPulse):
             inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += (
@@ -271,7 +273,7 @@ def segments(
             )
             continue
         if isinstance(event, SensorFault):
-            # One period at least: a fault that was asked for must happen.
+            # At least one period: a requested fault must occur.
             _inject(event, inputs[at : max(at + 1, round(event.until / period))])
             continue
         changes.setdefault(min(at, count), []).append(event)
@@ -288,13 +290,13 @@ def segments(
 def _inject(fault: SensorFault, rows: Vector) -> None:
     """Write a sensor's fault into the kernel's inputs."""
     bit, column = FAULTS[fault.kind]
-    # Two faults at once are both: the column holds a word of bits as a real.
+    # Two simultaneous faults are combined: the column holds a bit mask as a real.
     rows[:, FAULT_BITS] = rows[:, FAULT_BITS].astype(int) | bit
     if column is None or fault.value is None:
         return
     if column in (ENCODER_ERROR, GAUGE_ERROR):
-        # An error adds to what is there, the noise and the offset of the gauge; a gain
-        # or a value takes its place.
+        # An error is added to the existing noise and offset of the gauge; a gain or a
+        # value replaces the previous one.
         rows[:, column] += fault.value
     else:
         rows[:, column] = fault.value

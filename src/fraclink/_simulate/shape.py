@@ -1,4 +1,4 @@
-"""Shape a move: the fastest reference, or the gentlest that settles in time, for every
+"""Shape a move: the fastest reference, or the smoothest that settles in time, for every
 arm of a set.
 """
 
@@ -28,15 +28,18 @@ __all__ = ["ShapedMove", "shape"]
 
 Real = NDArray[np.float64]
 
-# Beyond, what is left of a vibration only decays: a tip that was in the band for two
-# and a half periods stays.
-TAIL = 2.5  # vibration periods after settling that the programme looks at
+# Vibration periods after settling that the programme covers: beyond them a vibration
+# only decays, and a tip that was in the band for 2.5 periods stays there.
+TAIL = 2.5
 LONGEST = 12.0  # vibration periods: no move of an arm takes longer
-KNOTS = 30  # in a vibration period: more do not settle sooner, and cost the square
-# Rows and columns of the programme both grow with it, and the time of a solution with
-# more than the square.
-MOST = 60  # coefficients; a longer reference gets fewer knots in a second
-FAR = 0.1  # of a path's span: a tip that is farther away does not follow it
+# per vibration period: more do not make the move settle sooner, and the cost is
+# quadratic
+KNOTS = 30
+# Coefficients; a longer reference gets fewer knots per second. Both rows and columns of
+# the programme grow with their number, and the time of a solution more than
+# quadratically.
+MOST = 60
+FAR = 0.1  # fraction of the span of a path: a tip farther away does not follow it
 
 
 @displayed
@@ -235,7 +238,7 @@ def shape(
     move = move.through() if isinstance(move, SampledReference) else move
     arms = ArmSet.of(design, payloads, told=told, over=over, on=on)
     limits, amplifier = arms.law.limits, arms.rig.motor.voltage_limit
-    # Whatever is allowed, the amplifier gives no more.
+    # The amplifier limits the voltage, whatever is allowed.
     most = amplifier if voltage is None else min(voltage, amplifier)
     left = 1.0 - reserve
     if isinstance(move, Path):
@@ -243,7 +246,7 @@ def shape(
         coefficients, programme = search.following(move)
         promised = _farthest(programme.tips(coefficients), move, programme.period)
     else:
-        # Beyond the law's own limit of an angle its guard would reject the reference.
+        # Beyond the law's own angle limit, its guard would reject the reference.
         if move == 0.0 or abs(move) >= limits.angle_limit:
             raise FieldError(
                 "move",
@@ -293,9 +296,10 @@ def _farthest(tips: Real, path: Path, period: float) -> float:
 
 @dataclass(frozen=True)
 class _Search:
-    """What is looked for: a reference that ends at `end` [rad] for a set of arms.
+    """The search for a reference that ends at `end` [rad] for a set of arms.
 
-    left: part of the band and of the voltage for the linear loops. voltage: limit [V].
+    left: share of the band and of the voltage available to the linear loops. voltage:
+    limit [V].
     """
 
     arms: ArmSet
@@ -338,14 +342,14 @@ class _Search:
 
         low, high = 0, math.floor((settle or self.arms.vibration) / period)
         while distance(high) > allowed:
-            # Up by half until it is within reach: the fastest is then sought between
-            # the last two.
+            # Increase by half until the goal is within reach; the fastest move then
+            # lies between the last two values.
             low, high = high, math.ceil(1.5 * high)
             if settle is not None or high + tail > programme.length:
                 raise self._out_of_reach(low * period)
             programme = self.programme(high * period)
-        # To a period, or to one in a hundred: the last bit of a second is below what
-        # noise does to the settling time.
+        # To within a period, or one per cent: finer steps are below the effect of noise
+        # on the settling time.
         while settle is None and high - low > max(1, high // 100):
             middle = (low + high) // 2
             if distance(middle) <= allowed:
@@ -376,8 +380,8 @@ class _Search:
         """Return the reference whose tips are nearest to a path, and its programme."""
         programme = self.programme(path.duration)
         count = programme.count(path.duration)
-        # The loop is at rest at zero; a path from elsewhere is that path and a jump
-        # before it.
+        # The loop is at rest at zero; a path that starts elsewhere would begin with a
+        # jump.
         if float(path.angle(0.0)) != 0.0:
             raise FieldError(
                 "move",
@@ -403,7 +407,7 @@ class _Search:
 
 
 def _findings(move: ShapedMove) -> tuple[Finding, ...]:
-    """W501: the arms do not do what the linear loops promise; W504: a path that is too
+    """W501: the arms do not behave as the linear loops predict; W504: the path is too
     fast.
     """
     worst, figures = move.worst_case.worst, move.worst_case.arms
@@ -418,7 +422,7 @@ def _findings(move: ShapedMove) -> tuple[Finding, ...]:
         doubt(
             f"the arm ({worst.arm}) settles later than the linear loop promises",
             worst.settling_time,
-            # measured and promised are both counted in periods, and each may round
+            # both times are counted in periods, and each may round
             move.promised + 1.5 * move.period,
             "keep a larger reserve: friction or noise takes more of the band",
         )

@@ -1,5 +1,5 @@
-"""Simulate the arm under its law: the law's own C code around the model of the link, or
-around the twin.
+"""Simulate the arm under its law: the C code of the law around the model of the link,
+or around the twin.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def simulate(
         gauge = _changed(twin.gauge, **own_gauge)
         twin = _changed(twin, gauge=gauge, voltage_delay=delay_samples, **line)
         return on_twin(twin, law, reference, length, events, seed, told, estimator)
-    # A massless model has no modes to be exchanged and no tip to be pushed; its sensors
+    # A massless model has neither modes to exchange nor a tip to push; only its sensors
     # can fail.
     faults = tuple(event for event in events if isinstance(event, SensorFault))
     if len(faults) < len(events):
@@ -191,7 +191,7 @@ def simulate(
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
     own, link = _rig_and_link(law, rig, model, payload)
-    # A law without a motor loop asks for a motor angle: it is run behind the M(s) for
+    # A law without a motor loop outputs a motor angle: it is run with the M(s) for
     # which it was designed.
     kind = motor_loop or ("ideal" if law.motor_loop is None else "sampled")
     law, findings = (
@@ -210,7 +210,7 @@ def simulate(
         "motor_loop": kind,
         "gauge_delay": max(
             link.gauge_delay, 0.0
-        ),  # one that leads: the motor angle is late, as for the twin
+        ),  # a leading gauge means a delayed motor angle, as for the twin
         "gauge_gain": link.gauge_gain,
         "gauge_offset": own.gauge.offset,
         "gauge_noise": own.gauge.noise,
@@ -226,7 +226,7 @@ def simulate(
 
 
 def _changed(part: Part, **values: Any) -> Part:
-    """Return the part with the values that are stated."""
+    """Return the part with the stated values."""
     return replace(part, **{k: v for k, v in values.items() if v is not None})
 
 
@@ -244,7 +244,7 @@ def _length(reference: Reference, duration: float | None, period: float) -> floa
 
 
 def _not_here(option: str, allowed: str, remedy: str) -> FieldError:
-    """The error of an option that this arm does not have."""
+    """The error for an option that this arm does not have."""
     return FieldError(
         option, "given", "not an option of this arm", allowed=allowed, remedy=remedy
     )
@@ -284,8 +284,8 @@ def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
     """
     if link.payload is not None:
         return link if payload == link.payload else model_at(link, rig, payload)
-    # Without the payload of its log ω₀ cannot be carried over by (5); the rig's
-    # stiffness and length make one.
+    # Without the payload of the log, ω₀ cannot be converted by (5); the rig's stiffness
+    # and length give one.
     return replace(
         link, natural_frequency=rig.natural_frequency(payload), payload=payload
     )
@@ -302,7 +302,7 @@ def _on_model(
     faults: tuple[SensorFault, ...],
     estimator: PayloadEstimator | None,
 ) -> Run:
-    # Whole periods that fit: 4.9 ms over 0.1 ms are 48.99999999999999 in binary.
+    # Number of whole periods: 4.9 ms over 0.1 ms is 48.99999999999999 in binary.
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
     path = sampled(reference, law.period, count)
     if not np.all(np.isfinite(path)):
@@ -353,7 +353,7 @@ def _on_model(
         law,
         link,
         signals | {"reference": path[0]},
-        # A run that is cut before its reference rests is judged by its last tenth.
+        # A run cut off before its reference rests is judged by its last tenth.
         ended=min(reference.duration, (count - 1) * law.period),
         about=about,
         findings=findings,
