@@ -63,7 +63,8 @@ class HeldQuotient:
         """Split a quotient at low frequency."""
         integrator, top = without_integrator(whole.top, whole.bottom)
         direct = _direct(top, whole.bottom)
-        gain = not top or (direct != 0.0 and len(top) == len(whole.bottom) == 1)
+        alone = len(top) == len(whole.bottom) == 1
+        gain = not top or (alone and top[0].order == whole.bottom[0].order)
         # The only pole of an integrator is 0; the other poles are computed once, for
         # the whole quotient.
         rest = None if gain else Quotient(top, whole.bottom, whole.zeros)
@@ -264,24 +265,16 @@ class HeldQuotient:
 
         At 0 it is the limit from the right, t^(a−1)/Γ(a) for G - D ~ s^-a.
         """
-        bottom = self.whole.bottom
-        falling = _without_direct(self.whole.top, bottom)
-        if not falling:
-            return Part(np.zeros(len(times)), 0.0, 0, "modes")
-        part = self._slope.at(times)
-        degree = snap(bottom[0].order - falling[0].order)
-        limit = falling[0].coefficient / bottom[0].coefficient
-        if degree < 1.0:
-            limit = math.copysign(math.inf, limit)
-        part.output[times == 0.0] = limit if degree <= 1.0 else 0.0
-        return part
+        return self._slope.at(times)
 
     @cached_property
     def _slope(self) -> HeldQuotient:
-        """s(G - D), which has the poles of G."""
+        """s(G - D), which has the poles of G; improper where G - D falls by less than
+        one order.
+        """
         whole = self.whole
         falling = _without_direct(whole.top, whole.bottom)
-        raised = tuple(Term(t.coefficient, t.order + 1.0) for t in falling)
+        raised = tuple(Term(t.coefficient, snap(t.order + 1.0)) for t in falling)
         return HeldQuotient.of(Quotient(raised, whole.bottom, whole.zeros))
 
     def _unseen(self, parts: Expansion, span: float, steps: int) -> float:
@@ -349,9 +342,13 @@ def _sampled(quotient: Quotient, times: Reals, start: float) -> tuple[Reals, flo
 
 
 def _direct(top: Sequence[Term], bottom: Sequence[Term]) -> float:
-    """The direct part of N/D, which does not fall at high frequency."""
-    same_degree = bool(top) and top[0].order == bottom[0].order
-    return top[0].coefficient / bottom[0].coefficient if same_degree else 0.0
+    """What of N/D does not fall at high frequency, where its step response begins;
+    infinite for an improper one.
+    """
+    if not top or top[0].order < bottom[0].order:
+        return 0.0
+    ratio = top[0].coefficient / bottom[0].coefficient
+    return ratio if top[0].order == bottom[0].order else math.copysign(math.inf, ratio)
 
 
 def _without_direct(top: Sequence[Term], bottom: Sequence[Term]) -> list[Term]:
