@@ -15,10 +15,7 @@ from typing import TextIO
 import pytest
 
 from fraclink import main
-from fraclink._cli import tunings
-from fraclink._cli.console import (
-    guarded,
-)
+from fraclink._cli.console import guarded
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 
@@ -263,32 +260,50 @@ def test_without_typer_the_extra_is_named(
 # --- questions ----------------------------------------------------------------------------------------------
 
 
+TUNE = (
+    "tune --io serial:nowhere@1000000 --payload 0.03 --speed 3 --torque 2 --voltage 5"
+)
+
+
 @pytest.mark.parametrize(
     ("said", "go"),
     [("y", True), ("YES", True), ("no", False), ("", False), ("ye", False)],
 )
 def test_an_arm_moves_after_a_yes_only(
-    monkeypatch: pytest.MonkeyPatch, said: str, go: bool
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    said: str,
+    go: bool,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     terminal = on_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stdin", Terminal(said + "\n"))
-    assert tunings._confirmed() is go
-    assert terminal.getvalue() == "Go ahead? [no] > "
+    code = main([*TUNE.split(), "--angle-deg", "90"])
+    assert "Go ahead? [no] > " in terminal.getvalue()
+    # After a yes the line is opened, which is not there.
+    assert code == (2 if go else 1)
+    assert ("nowhere" in terminal.getvalue().partition("Go ahead?")[2]) is go
+    assert ("nothing was moved" in capsys.readouterr().out) is not go
 
 
 @pytest.mark.parametrize("blind", ["stdin", "stderr"])
 def test_nobody_is_asked_where_one_end_is_a_pipe(
-    monkeypatch: pytest.MonkeyPatch, blind: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, blind: str
 ) -> None:
-    on_terminal(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    terminal = on_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
     monkeypatch.setattr(sys, blind, io.StringIO("1\n"))
-    with pytest.raises(
-        FieldError, match=r"yes: not confirmed .*Give --yes where nobody can be asked"
-    ):
-        tunings._confirmed()
-    with pytest.raises(FieldError, match=r"angle_deg is required; .*Give --angle-deg"):
-        tunings._asked("angle_deg", None)
+    seen = sys.stderr if blind == "stderr" else terminal
+    assert isinstance(seen, io.StringIO)
+    assert main(TUNE.split()) == 2
+    told = " ".join(seen.getvalue().split())
+    assert "angle_deg is required; " in told and "Give --angle-deg" in told
+    assert main([*TUNE.split(), "--angle-deg", "90"]) == 2
+    told = " ".join(seen.getvalue().split())
+    assert "yes: not confirmed" in told
+    assert "Give --yes where nobody can be asked" in told
 
 
 def test_memory_that_does_not_suffice_is_no_defect(
