@@ -183,21 +183,20 @@ def _role(name: str) -> str:
 
 
 def _unit(name: str, role: str, in_file: str) -> str:
-    """The unit stated by the name or the file, the one implied by the name, or ""."""
-    known = _UNITS[role]
-    # "freqHz" is split after the word of its role and not at the capital, so that
-    # "fkHz" is f in kHz and not "fk" in Hz.
-    words = "|".join(sorted(_ROLES[role], key=len, reverse=True))
-    parted = re.sub(rf"^((?i:{words}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
-    unit = stated_unit(parted, known) or unit_of_name(f"[{name}]", known)  # "kHz" alone
-    unit = unit or stated_unit(f"[{in_file}]", known)
-    if (
-        not unit
-        and {*words_of(name), name.strip()} & set(_OMEGA)
-        and role == "frequency"
-    ):
-        return "rad/s"
-    return unit or ("1" if "1" in known else "")
+    """The unit that the file or a name states, that of a name which needs none, or ""."""
+    known, words = _UNITS[role], words_of(name)
+    # "freqHz" is split behind the word of the role, and not in front of the capital:
+    # "fkHz" is no "fk" in Hz.
+    called = "|".join(sorted(_ROLES.get(role, ()), key=len, reverse=True))
+    parted = re.sub(rf"^((?i:{called}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
+    # The file's own statement goes before the name's: a TDMS property is set by the
+    # program, a name by a person. "kHz", "millis" and "ms_since_start" state a unit,
+    # too.
+    units = [stated_unit(text, known) for text in (f"[{in_file}]", parted)]
+    units += [unit_of_name(f"[{text}]", known) for text in (name, *words)]
+    if role == "frequency" and {*words, name.strip()} & set(_OMEGA):
+        units.append("rad/s")
+    return next(filter(None, units), "1" if "1" in known else "")
 
 
 # --- two channels of any file -------------------------------------------------------------------------------
@@ -284,13 +283,8 @@ def _period(table: LogTable, time: str | None) -> float:
     table = table.with_combined([name])
     place = table.place(name, "time", _CALLED)
     stamps, name = table.clean(place)[0], table.names[place]
-    # "millis" and "ms_since_start" state their unit too. A unit in the file takes
-    # precedence over one in the name: a program sets a TDMS property, a person a name.
     in_file = table.units[place] if table.units else ""
-    texts = [f"[{in_file}]", name, *(f"[{x}]" for x in words_of(name))]
-    units = [stated_unit(text, UNITS["time"]) for text in texts[:2]]
-    units += [unit_of_name(text, UNITS["time"]) for text in texts[2:]]
-    unit = next(filter(None, units), "s")
+    unit = _unit(name, "time", in_file) or "s"
     seconds = _in_si({"time": (stamps, unit, name)}, "time")
     return time_base(seconds, slowest=math.inf).period
 
