@@ -96,12 +96,15 @@ class Session:
         self._kept = _digests(folder) if kept else {}
         self.history = History.of(folder)
         self.subject = _subject_of(study)
+        # What the study's design was asked for: asked again, it stands as it is.
+        self.asked: dict[str, Any] | None
         self.state = self._first_state()
 
     def _first_state(self) -> dict[str, Any]:
         """The state that a crash left behind, what the study's design was asked for, or
         what the rig asks.
         """
+        self.asked = None
         try:
             if self.history.state is not None:
                 return checked_request(parted(self.history.state)[0])
@@ -121,7 +124,9 @@ class Session:
             if rig.design is not None:
                 asked["gain_crossover"] = rig.design.gain_crossover
                 asked["phase_margin_deg"] = rig.design.phase_margin_deg
-        return checked_request(asked)
+        request = checked_request(asked)
+        self.asked = request if made is not None else None
+        return request
 
     def become(self, study: Study) -> None:
         """Show another study: what is designed for may have changed with it."""
@@ -149,6 +154,8 @@ class Session:
         SupersededError is raised then.
         """
         request, before = checked_request(parted(state)[0]), self.study
+        if before.runs and request == self.asked:
+            return Reply(self._answer(arm_key))
         made = designed(bare(before), **wanted_of(request))
         if newer():
             raise SupersededError
@@ -173,11 +180,13 @@ class Session:
             if same:  # proof, arms and faults are of this very design
                 kept = ("certificate", "missing", "arms", "faults")
                 made = replace(made, **{name: getattr(before, name) for name in kept})
-            self.state = request
+            self.state = self.asked = request
             self.become(made)
-        return Reply(
-            {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
-        )
+        return Reply(self._answer(arm_key))
+
+    def _answer(self, arm_key: object) -> dict[str, Any]:
+        """What the page is told of the study's design."""
+        return {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
 
     def arm(self, known: object = "") -> dict[str, Any]:
         """What the engine in the page runs; the key of the arm alone, and its law,
