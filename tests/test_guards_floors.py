@@ -194,7 +194,7 @@ CEILINGS = {
     "_simulate": 1272,
     "lab": 1930,
     "logs": 680,
-    "studio": 1360,
+    "studio": 1280,
     "trials": 1496,
     "view": 1730,
 }

@@ -28,11 +28,7 @@ from fraclink.studio._logs import LOG_VERBS
 from fraclink.studio._messages import NAMES, Reply, parsed
 from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
-from fraclink.studio._preview import Subject, nearest, preview
-from fraclink.studio._regions import (
-    fan_of,
-    map_of,
-)
+from fraclink.studio._preview import Subject, fan_of, map_of, nearest, preview
 from fraclink.studio._server import POLICY, Studio, application
 from fraclink.studio._session import Session, SupersededError, opened
 from fraclink.studio._work import Job, swept
@@ -171,27 +167,6 @@ def test_a_refusal_names_the_nearest_that_is_feasible(subject):
     found = nearest(subject, {**ASKED, "gain_crossover": 30.0}).head["state"]
     assert preview(subject, found).head["ok"]
     assert 10 < found["gain_crossover"] < 30
-
-
-@pytest.mark.parametrize(
-    "regions",
-    [
-        5,
-        [1],
-        [{"plot": "arm"}],
-        [{"plot": "gain", "left": 0.0, "right": 1.0, "low": 0.0, "high": 1.0}],
-        [{"plot": "gain", "left": 2.0, "right": 1.0, "low": 0.0, "high": 1.0}],
-        [{"plot": "nichols", "left": -1e9, "right": 1.0, "low": 0.0, "high": 1.0}],
-        [{"plot": "nichols", "left": True, "right": 1.0, "low": 0.0, "high": 1.0}],
-        [{"plot": "nichols", "left": math.nan, "right": 1.0, "low": 0.0, "high": 1.0}],
-    ],
-)
-def test_what_is_no_region_is_refused(subject, regions):
-    assert (
-        preview(subject, {**ASKED, "regions": regions})
-        .head["error"]
-        .startswith("regions: no regions")
-    )
 
 
 def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject):

@@ -19,8 +19,7 @@ from fraclink.studio._logs import LOG_VERBS
 from fraclink.studio._messages import Message, Reply, checked_request, parsed, refusal
 from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
-from fraclink.studio._preview import Subject, nearest, preview
-from fraclink.studio._regions import map_of, parted
+from fraclink.studio._preview import Subject, map_of, nearest, preview
 from fraclink.studio._session import Session, SupersededError
 from fraclink.studio._work import JOBS, WORK_VERBS, Job
 
@@ -44,7 +43,7 @@ def _note(session: Session, given: Mapping[str, Any]) -> Reply:
             allowed="a state",
             remedy="send the state",
         )
-    checked_request(parted(from_page)[0])
+    checked_request(from_page)
     session.history.add(from_page)
     return Reply(
         {"ok": True, "at": session.history.at, "states": len(session.history.states)}
@@ -70,7 +69,7 @@ def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
     history = session.history
     head = {
         "ok": True,
-        "state": {**session.state, "regions": (history.state or {}).get("regions", [])},
+        "state": session.state,
         "states": history.states,
         "at": history.at,
         "kept": sorted(history.kept),
@@ -218,8 +217,8 @@ class Conversation:
             if self._newest["map"] is not message:
                 raise SupersededError
 
-        asked = parted(message.given.get("state"))[0]
-        return Reply({"ok": True, **map_of(_subject(self.session), asked, going)})
+        state = message.given.get("state")
+        return Reply({"ok": True, **map_of(_subject(self.session), state, going)})
 
     async def _in_order(self) -> None:
         while True:

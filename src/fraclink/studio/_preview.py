@@ -7,7 +7,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,27 +15,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._design.assess import phase_budget
+from fraclink._design.assess import feasibility_map, phase_budget
 from fraclink._design.completed import design_for
 from fraclink._display import number
 from fraclink._law import Law
 from fraclink._law.refit import refitted
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.studio._messages import Reply, checked_request, refusal, wanted_of
-from fraclink.studio._regions import fan_of, parted, violated
 from fraclink.view._text import grams
 
-__all__ = ["Subject", "blocks_of", "nearest", "preview"]
+__all__ = ["Subject", "blocks_of", "fan_of", "map_of", "nearest", "preview"]
 
 Real = NDArray[np.float64]
 
 _POINTS, _PAYLOADS = 280, 49
 _LIGHTER, _HEAVIER = 0.4, 2.0  # of the rig's payload range: where a margin is drawn
 _DECIBELS = 20.0 / math.log(10.0)
+# Six intervals have 64 corners: at two payloads and 280 frequencies 36 000 numbers, for
+# what is drawn as a veil.
+_ARMS, _SKIPPED = (
+    16,
+    4,
+)  # of the fan: at most so many corners of the box, every fourth frequency
+# Cells of the map, 20 ms each: the margins of 10° to 100° in tens.
+_CROSSOVERS, _MARGINS = 17, 10
+_FASTEST, _WIDEST = (
+    4.0,
+    100.0,
+)  # of the map: beyond the lightest link's ω₀ (as rad/s), and degrees of margin
 
 
 @dataclass(frozen=True)
@@ -98,29 +110,17 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
 
     A plain function of its arguments: no file is read or written, nothing is
     remembered. The law of the answer, where there is one, is `refitted`, and its
-    figures are a preview of those of the exact law. `state` may hold regions that the
-    loop shall not enter; with `fan` the answer has arms of the box, too.
+    figures are a preview of those of the exact law. With `fan` the answer has arms of
+    the box, too.
     """
     try:
-        asked, regions = parted(state)
-        request = checked_request(asked)
+        request = checked_request(state)
         # What is nearest to a refused request is looked for when the hand lets go.
         wanted = wanted_of(request) | {"nearest": False}
         made, assumed = design_for(subject.rig, subject.model, **wanted)
         shown = _shown(subject, made, assumed)
-        entered = violated(made, regions, subject.frequencies) if regions else []
-        words = [
-            region.said(inside) for region, inside in zip(regions, entered, strict=True)
-        ]
-        head = dict(shown.head) | {
-            "of": subject.key,
-            "entered": entered,
-            "regions": words,
-        }
-        return Reply(
-            head,
-            dict(shown.curves) | (fan_of(made, subject.frequencies) if fan else {}),
-        )
+        curves = fan_of(made, subject.frequencies) if fan else {}
+        return Reply({**shown.head, "of": subject.key}, {**shown.curves, **curves})
     except FraclinkError as error:
         return refusal(error)
 
@@ -129,7 +129,7 @@ def nearest(subject: Subject, state: object) -> Reply:
     """Return the state nearest to a refused one: the offer of the refusal, which passed
     when it was followed.
     """
-    request = checked_request(parted(state)[0])
+    request = checked_request(state)
     try:
         design_for(subject.rig, subject.model, **wanted_of(request))
         return Reply({"ok": True, "state": request})
@@ -266,3 +266,62 @@ def described(made: Design, payloads: Real, margin: Real) -> str:
     middle = f", least {least:.1f}° between" if least < ends.min() - 0.05 else ""
     both = f"{ends[0]:.1f}° at {1e3 * low:.3g} g, {ends[1]:.1f}° at {1e3 * high:.3g} g"
     return f"Phase margin {both}{middle}{rest}."
+
+
+# --- beside the loop: what can be asked for, and arms of a box ---------------------------
+
+
+def map_of(
+    subject: Subject, state: object, going: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
+    """Return which pairs of crossover and margin can be had: noise gain of each cell,
+    −1 where none is.
+
+    It takes seconds: `going` is called before each crossover, and may wait or raise.
+    """
+    request = checked_request(state)
+    # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the frequency [rad/s] that it belongs to.
+    slowest = float(subject.link_frequencies.min()) ** (2.0 / subject.model.order)
+    fastest = float(subject.link_frequencies.max()) ** (2.0 / subject.model.order)
+    crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)
+    margins = np.linspace(10.0, _WIDEST, _MARGINS)
+    names = ("payloads", "filter_time")
+    given = {name: request[name] for name in names if request[name] is not None}
+    if "payloads" not in given:
+        given["payloads"] = (subject.rig.payloads.low, subject.rig.payloads.high)
+    columns = []
+    for crossover in crossovers:
+        going()
+        found = feasibility_map(
+            subject.model,
+            subject.rig,
+            gain_crossovers=[crossover],
+            phase_margins=np.radians(margins),
+            filter_order=request["filter_order"] or 1,
+            **given,
+        )
+        columns.append(found.noise_gain)
+    noise = np.nan_to_num(np.hstack(columns), nan=-1.0, posinf=-1.0)
+    return {"crossovers": crossovers, "margins": margins, "noise": noise}
+
+
+def fan_of(made: Design, frequencies: Real) -> dict[str, Real]:
+    """Return gain [dB] and phase [°] of arms at the corners of what fit and rig leave
+    open, at both payloads.
+
+    Every row is one arm; of more than sixteen corners, sixteen spread over them.
+    """
+    box = made.box if made.box is not None else ParameterBox.of(made.model, made.rig)
+    arms = arms_of(box, made.model)
+    chosen = [
+        arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, _ARMS).astype(int))
+    ]
+    w = frequencies[::_SKIPPED]
+    links = np.array([made.natural_frequency(mass) for mass in made.payloads])
+    logs = np.concatenate(
+        [arm.loop(made.controller, made.rig).log(w, links[:, None]) for arm in chosen]
+    )
+    return {
+        "fan_gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
+        "fan_phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
+    }

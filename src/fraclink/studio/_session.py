@@ -24,7 +24,6 @@ from fraclink.studio._copied import copies
 from fraclink.studio._history import History
 from fraclink.studio._messages import Reply, checked_request, wanted_of
 from fraclink.studio._preview import Subject, blocks_of
-from fraclink.studio._regions import parted
 from fraclink.trials._stages import designed, moved, subject
 from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view._arm_box import arm_box
@@ -107,7 +106,7 @@ class Session:
         self.asked = None
         try:
             if self.history.state is not None:
-                return checked_request(parted(self.history.state)[0])
+                return checked_request(self.history.state)
         except FieldError:  # a state of another release, or edited
             self.history.states, self.history.at = [], -1
         made, rig = self.study.design, self.study.rig
@@ -153,7 +152,7 @@ class Session:
         `newer` tells whether somebody has asked for something else meanwhile:
         SupersededError is raised then.
         """
-        request, before = checked_request(parted(state)[0]), self.study
+        request, before = checked_request(state), self.study
         if before.runs and request == self.asked:
             return Reply(self._answer(arm_key))
         made = designed(bare(before), **wanted_of(request))

@@ -28,15 +28,15 @@ def _margins(design: Design, payload: float) -> tuple[Row, ...]:
     ideal = design.at(payload)
     sampled = design.sampled_at(payload) if design.has_law else None
     figures = (
-        ("gain_crossover", "sampled ω_c", "rad/s"),
-        ("phase_margin", "sampled φ_m", "rad"),
+        ("gain_crossover", "sampled crossover", "rad/s"),
+        ("phase_margin", "sampled phase margin", "rad"),
         ("gain_margin", "gain margin", ""),
         ("sensitivity_peak", "Ms", ""),
     )
     return (
         Row("payload", "payload", payload, "g"),
-        Row("gain_crossover", "ω_c", ideal.gain_crossover, "rad/s"),
-        Row("phase_margin", "φ_m", ideal.phase_margin, "rad"),
+        Row("gain_crossover", "crossover", ideal.gain_crossover, "rad/s"),
+        Row("phase_margin", "phase margin", ideal.phase_margin, "rad"),
         *(
             Row(f"sampled.{name}", label, sampled and getattr(sampled, name), unit)
             for name, label, unit in figures

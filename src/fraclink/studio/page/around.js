@@ -1,74 +1,15 @@
 // @ts-check
-// Around the loop: regions that it keeps out of, the map of what can be asked for, states laid over one another.
+// Around the loop: the map of what can be asked for, states laid over one another.
 import {Plot, digits, el, ends, limited, line, plain} from './plot.js';
 import {$, make, button, emptied, on, put, table} from './dom.js';
 
-const EDGES = [['left', 'x', 'right', 'Left'], ['right', 'x', 'left', 'Right'], ['low', 'y', 'high', 'Lower'], ['high', 'y', 'low', 'Upper']];
-
 export class Around {
   constructor(app, design) {
-    Object.assign(this, {app, design, key: '', of: '', pictures: new Map(), pinned: '', entered: []});
-    this.plots = {gain: design.gain, nichols: design.nichols};
-    for (const [name, plot] of Object.entries(this.plots)) this.tool(name, plot);
+    Object.assign(this, {app, design, of: '', pictures: new Map(), pinned: ''});
     this.map = new Plot('p-map');
-    this.both = (x, y) => { design.set('gain_crossover', round(x)); design.set('phase_margin_deg', Math.round(y)); };
+    this.both = (x, y) => { design.set('gain_crossover', digits(x, 3)); design.set('phase_margin_deg', Math.round(y)); };
     this.map.painted(app.hand, (from, to) => this.both(...to));
     on('fan', 'change', () => app.change());
-  }
-
-  // ---- regions ----
-  list() { return this.app.state.regions || []; }
-  put(list) { this.app.state = {...this.app.state, regions: list}; }
-  change(list) { this.app.begin(); this.put(list); this.app.change(); this.app.end(); }
-  drop(i) { this.change(this.list().filter((r, k) => k !== i)); }
-  tool(name, plot) {
-    const mode = on(`keepout-${name}`, 'click', (event) => {
-      if (event.detail) { draw(mode.ariaPressed !== 'true'); return; }
-      // by keys: one in the middle, with its edges to be moved
-      this.change([...this.list(), box([plot.value(plot.x, 0.6), plot.value(plot.y, 0.6)], [plot.value(plot.x, 0.75), plot.value(plot.y, 0.75)])]);
-      $(`h-region-${this.list().length - 1}-left`).focus();
-    });
-    const draw = (now) => { put(mode, {'aria-pressed': now}); plot.svg.classList.toggle('drawing', now); };
-    const box = ([x, y], [u, v]) => ({plot: name, left: round(Math.min(x, u)), right: round(Math.max(x, u)), low: round(Math.min(y, v)), high: round(Math.max(y, v))});
-    let before = [];
-    plot.painted({...this.app.hand, end: () => { draw(false); this.app.end(); }}, (from, to) => {
-      if (from === to) before = this.list();
-      else this.put([...before, box(from, to)].filter((r) => r.left < r.right && r.low < r.high));
-    }, () => plot.svg.classList.contains('drawing') && this.list().length < 8);
-  }
-  edges() {
-    for (const plot of Object.values(this.plots)) plot.drop('region');
-    this.list().forEach((region, i) => {
-      const plot = this.plots[region.plot], logs = plot.x.log;
-      for (const [edge, drag, other, words] of EDGES) {
-        const now = () => this.list()[i] || region, axis = plot[drag];
-        plot.handle({
-          id: `h-region-${i}-${edge}`, label: `${words} edge of region ${i + 1}`, unit: drag === 'y' ? 'dB' : logs ? 'rad/s' : '°',
-          low: axis.low, high: axis.high, step: 1, drag, shape: 'small', get: () => now()[edge],
-          set: (v) => { const least = edge === 'left' || edge === 'low'; if (least ? v < now()[other] : v > now()[other]) this.put(this.list().map((r, k) => (k === i ? {...r, [edge]: round(v)} : r))); },
-          at: () => { const r = now(), x = logs ? Math.sqrt(r.left * r.right) : (r.left + r.right) / 2; return drag === 'x' ? [r[edge], (r.low + r.high) / 2] : [x, r[edge]]; },
-          remove: () => this.drop(i),
-        }, this.app.hand);
-      }
-    });
-  }
-  place() {
-    const list = this.list(), key = list.map((r) => r.plot).join();
-    if (key !== this.key) { this.key = key; this.edges(); }
-    list.forEach((r, i) => this.plots[r.plot].box(`region${i}`, `keepout${this.entered[i] ? ' entered' : ''}`, [r.left, r.right], [r.low, r.high]));
-    this.map.place();
-  }
-  /** Which of them the loop enters, as Python found it. */
-  found({entered, regions}) {
-    this.entered = entered;
-    const said = regions.join();
-    if (said === this.said) return;
-    this.said = said;
-    const place = emptied('regions');
-    regions.forEach((words, i) => {
-      const item = make('li', entered[i] ? 'error' : 'info', `${words} `, place);
-      button('×', 'chip', item, () => this.drop(i), `Remove region ${i + 1}`);
-    });
   }
 
   // ---- the map ----
@@ -121,4 +62,3 @@ export class Around {
     table($('compared'), ['figure', 'A, now', 'B'], a.facts.map(([name, value], i) => [name, value, b.facts[i][1]]), 'A and B');
   }
 }
-const round = (v) => digits(v, 3);

@@ -120,11 +120,14 @@ export class Design {
     nichols.box('bound', 'bound', [-180 - m, m - 180], [-1.2, 1.2]);
     if (ms) nichols.curve('disk', 'bound', ...disk(-1, 1 / ms)); else nichols.remove('disk');
   }
-  place() { this.forbidden(); this.around.place(); for (const plot of this.four) plot.place(); }
+  place() { this.forbidden(); for (const plot of [...this.four, this.around.map]) plot.place(); }
 
   /** Circles of constant |T| about −180° and the disk about −1 that Ms = 2 is. */
   contours() {
-    for (const peak of [1.2, 1.5, 2, 4]) this.nichols.curve(`m${peak}`, 'contour', ...disk(-peak * peak / (peak * peak - 1), peak / (peak * peak - 1)));
+    for (const peak of [1.2, 1.5, 3]) {
+      const left = disk(-peak * peak / (peak * peak - 1), peak / (peak * peak - 1)).map((list) => [...list.slice(60), ...list.slice(0, 61)]);
+      this.nichols.curve(`m${peak}`, 'contour', ...left, `${plain(20 * Math.log10(peak), 2)} dB`);
+    }
     this.nichols.cross('critical', -180, 0);
   }
 
@@ -157,6 +160,7 @@ export class Design {
     const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
     const {names} = answer, named = Object.fromEntries(KINDS.map((kind, i) => [kind, names[i]]));
     for (const plot of [this.gain, this.phase, this.nichols, this.tip]) plot.names = named;
+    KINDS.forEach((kind, i) => { document.querySelector(`.k-${kind}`).textContent = names[i]; });
     this.nichols.curve('band', 'area', [...c.phase[0], ...Array.from(c.phase[2]).reverse()], [...c.gain[0], ...Array.from(c.gain[2]).reverse()]);
     KINDS.forEach((kind, i) => {
       this.gain.curve(kind, kind, w, c.gain[i]);
@@ -171,7 +175,6 @@ export class Design {
     fan(this.gain, () => few, c.fan_gain);
     fan(this.phase, () => few, c.fan_phase);
     fan(this.nichols, (k) => c.fan_phase[k], c.fan_gain);
-    this.around.found(answer);
     this.around.compare();
     this.place();
     this.fields();
@@ -190,8 +193,8 @@ export class Design {
     const place = emptied('controller'), sign = preview ? '≈ ' : '';
     place.classList.toggle('preview', preview);
     for (const [name, value] of answer.facts.slice(2)) {
-      const box = make('div', '', '', place);
-      make('dt', '', name, box);
+      const box = make('div', '', '', place), [letter, index] = name.split('_'), term = make('dt', '', letter, box);
+      if (index) make('sub', '', index, term);
       make('dd', '', `${sign}${value}`, box);
     }
   }
@@ -215,7 +218,7 @@ export class Design {
     const found = await this.app.need('nearest', {state: this.app.state});
     if (!found) return;
     this.app.begin();
-    this.app.state = {...found.state, regions: this.app.state.regions};
+    this.app.state = found.state;
     this.app.change();
     this.app.end();
   }

@@ -216,8 +216,9 @@ export class Logs {
 
   // ---- the fits ----
   async models(structure) {
+    if (structure) this.app.outdated(true);
     const answer = await this.app.need('model', structure ? {structure} : {});
-    if (!answer) return;
+    if (!answer) { if (structure) this.app.outdated(false); return; }
     this.drawModels(answer);
     if (structure) this.app.renew(answer);
   }

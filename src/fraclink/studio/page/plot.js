@@ -5,7 +5,7 @@ import {button, emptied, make, on, put, table} from './dom.js';
 /** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
 /** @typedef {Slider & {get: () => number, set: (v: number) => void, at: () => [number, number], line?: boolean}} Placed */
-/** @typedef {Placed & {toAxis?: (v: number) => number, remove?: () => void, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
+/** @typedef {Placed & {toAxis?: (v: number) => number, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
 
 const SVG = 'http://www.w3.org/2000/svg';
 export const el = (name, attributes = {}, parent = null, text = '') => {
@@ -58,6 +58,7 @@ const ROWS = 14; // of a table of numbers
 const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are drawn beside what is told
 
 let clips = 0;
+/** @type {Plot[]} */ const plots = [];
 
 export class Plot {
   /** @param {string} id of an svg in a figure, whose axes are its `data-x` and `data-y` */
@@ -70,6 +71,7 @@ export class Plot {
     this.rect = el('rect', {}, el('clipPath', {id: this.clip}, el('defs', {}, svg)));
     this.inside = el('g', {'clip-path': `url(#${this.clip})`, 'aria-hidden': 'true'}, svg);
     this.over = el('g', {'aria-hidden': 'true'}, svg);
+    this.reader = el('g', {class: 'reader', 'aria-hidden': 'true'}, svg);
     this.grips = el('g', {}, svg);
     this.curves = new Map();
     this.handles = [];
@@ -80,6 +82,9 @@ export class Plot {
     this.opener = button('▦', 'chip tool numbers', null, () => { put(this.opener, {'aria-expanded': this.opener.ariaExpanded !== 'true'}); this.tell(); }, `${caption.firstChild.textContent.trim()}: the numbers as a table`);
     put(this.opener, {'aria-expanded': 'false'});
     caption.prepend(this.opener);
+    plots.push(this);
+    on(svg, 'pointermove', (event) => { if (!event.buttons) this.point(this.spot(event)[0]); });
+    on(svg, 'pointerleave', () => this.point(NaN));
     new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
@@ -125,7 +130,7 @@ export class Plot {
       el('line', {class: 'grid', x1: x, x2: x, y1: TOP, y2: height - FOOT}, this.frame);
       if (x - last < 34) continue;
       last = x;
-      el('text', {x, y: height - 5, 'text-anchor': 'middle'}, this.frame, plain(t) + this.x.unit);
+      el('text', {x, y: height - 5, 'text-anchor': x > W - 25 ? 'end' : 'middle'}, this.frame, plain(t) + this.x.unit);
     }
     for (const t of this.y.ticks || steps(this.y.low, this.y.high, height / 40)) {
       const y = this.Y(t);
@@ -206,7 +211,6 @@ export class Plot {
     if (h.line) el('line', {class: 'edge'}, g), el('line', {class: 'reach'}, g);
     el('circle', {class: 'touch', r: 14}, g);
     if (h.shape === 'square') el('rect', {class: 'knob', x: -6, y: -6, width: 12, height: 12, rx: 2}, g);
-    else if (h.shape === 'small') el('circle', {class: 'knob', r: 4}, g);
     else if (h.shape === 'diamond') el('path', {class: 'knob', d: 'M0-8L8 0L0 8L-8 0Z'}, g);
     else el('circle', {class: 'knob', r: 7}, g);
     const entry = {h, g, now: ''};
@@ -234,7 +238,6 @@ export class Plot {
     on(g, 'keydown', (event) => {
       if (event.key === 'Escape') { release('cancel'); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) return;
-      if (event.key === 'Delete' && h.remove) { h.remove(); return; }
       const many = {ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
       const v = many ? h.get() + many * h.step : event.key === 'Home' ? h.low : event.key === 'End' ? h.high : null;
       if (v === null) return;
@@ -249,11 +252,6 @@ export class Plot {
     return entry;
   }
 
-  /** Handles and marks whose names begin so are taken away. */
-  drop(name) {
-    this.handles = this.handles.filter(({h, g}) => { const gone = h.id.startsWith(`h-${name}`); if (gone) g.remove(); return !gone; });
-    for (const key of [...this.curves.keys()]) if (key.startsWith(name)) this.remove(key);
-  }
   /** A grid of values in four strengths: from edges[k] to edges[k + 1], the last without an end. */
   cells(xs, ys, values, edges, said = plain) {
     this.grid = {xs, ys, values, said};
@@ -280,6 +278,18 @@ export class Plot {
     on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
     on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
   }
+  /** One hair through every plot over the same axis, and what its curves are there. */
+  point(v) { for (const plot of plots) if (plot.x.name === this.x.name && plot.W) plot.read(v); }
+  read(v) {
+    const place = emptied(this.reader), told = v === v && this.told();
+    if (!told?.length) return;
+    const x = this.X(v), near = (xs) => xs.reduce((a, u, i) => (Math.abs(this.X(u) - x) < Math.abs(this.X(xs[a]) - x) ? i : a), 0), left = x > this.W / 2, unit = this.x.unit || ` ${(this.x.name.match(/\[(.*)\]/) || ['', ''])[1]}`;
+    el('path', {d: `M${tenth(x)} ${TOP}V${this.height - FOOT}`}, place);
+    [plain(v, 3) + unit, ...told.map(({name, xs, ys}) => `${told.length > 1 ? `${name}: ` : ''}${plain(ys[near(xs)], 3)}${this.y.unit}`)].forEach((text, i) => {
+      el('text', {x: left ? LEFT + 4 : this.W - RIGHT - 4, y: TOP + 12 + 13 * i, 'text-anchor': left ? 'start' : 'end'}, place, text);
+    });
+  }
+  told() { return [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys}]) => ({name: this.names[key] || key, xs, ys})); }
   /** Where a pointer is, as numbers of the axes. */
   spot(event) {
     const box = this.svg.getBoundingClientRect();
@@ -306,7 +316,7 @@ export class Plot {
 
   /** What the curves show: a sentence for those who cannot see them, and tables for those who want the numbers. */
   tell() {
-    const told = [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys}]) => ({name: this.names[key] || key, xs, ys})), {x, y, grid} = this;
+    const told = this.told(), {x, y, grid} = this;
     const at = (list, unit) => plain(list, 3) + unit, least = (ys, pick) => at(ys.reduce((a, v) => pick(a, v)), y.unit);
     this.desc.textContent = told.map(({name, xs, ys}) => `${name} from ${at(ys[0], y.unit)} at ${at(xs[0], x.unit)} to ${at(ys[ys.length - 1], y.unit)} at ${at(xs[xs.length - 1], x.unit)}, least ${least(ys, Math.min)}, most ${least(ys, Math.max)}`).join('; ');
     emptied(this.numbers);

@@ -119,8 +119,7 @@ export const app = {
       const box = make('details', `scope ${state.slice(2).replace(' ', '-')}`, '', strip), top = make('summary', '', '', box);
       make('b', '', name, top);
       make('span', 'state', ` ${state}`, top);
-      make('small', '', what, top);
-      make('p', '', why, box);
+      make('p', 'hint', `${what}: ${why}`, box);
     }
     proof.took(answer);
     design.took(answer);
