@@ -194,9 +194,9 @@ CEILINGS = {
     "_simulate": 1272,
     "lab": 1930,
     "logs": 680,
-    "studio": 1280,
+    "studio": 1298,
     "trials": 1496,
-    "view": 1730,
+    "view": 1723,
 }
 
 
