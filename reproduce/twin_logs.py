@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.rig import Encoder, Gauge
+from fraclink._simulate.kernel import delay_line
 from fraclink._simulate.plant import LONGEST_STEP, Plant, assemble, substeps
-from fraclink._simulate.sensors import delay_line
 from fraclink.extend import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw
 
 __all__ = ["TwinLog", "marched", "on_servo", "simulate_log"]

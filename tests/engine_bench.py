@@ -20,14 +20,14 @@ from fraclink._simulate.engine import (
     engine_rig,
     twin_noise,
 )
-from fraclink._simulate.kernel import twin_numbers
-from fraclink._simulate.sensors import (
+from fraclink._simulate.events import (
     ACCELERATION,
     GAUGE_ERROR,
     PAYLOAD,
     REFERENCE,
     fault_rows,
 )
+from fraclink._simulate.kernel import twin_numbers
 from needed_tools import missing
 
 try:

@@ -24,7 +24,7 @@ from fraclink._simulate.engine import (
     TWIN_MODES,
     engine_bytes,
 )
-from fraclink._simulate.sensors import fault_rows
+from fraclink._simulate.events import fault_rows
 from fraclink.extend import KelvinVoigt, SensorFault
 from needed_tools import missing, tool
 

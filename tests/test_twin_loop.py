@@ -11,9 +11,9 @@ import fraclink as fl
 from fraclink import Run, Twin, smooth_step
 from fraclink._arm.rig import Encoder, Gauge
 from fraclink._law import Modes, discretize_controller
+from fraclink._simulate.events import healthy_inputs
 from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import with_motor_loop
-from fraclink._simulate.sensors import healthy_inputs
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import (
     KelvinVoigt,

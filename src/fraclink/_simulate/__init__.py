@@ -11,16 +11,16 @@ from fraclink._simulate.damping import (
     KelvinVoigt,
     PowerLaw,
 )
-from fraclink._simulate.metrics import Metrics, MoveVerdict
-from fraclink._simulate.plant import Plant, assemble
-from fraclink._simulate.run import Run
-from fraclink._simulate.sensors import (
+from fraclink._simulate.events import (
     Obstacle,
     PayloadChange,
     Restart,
     SensorFault,
     TipPulse,
 )
+from fraclink._simulate.metrics import Metrics, MoveVerdict
+from fraclink._simulate.plant import Plant, assemble
+from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
 
 __all__ = [

@@ -7,6 +7,7 @@ many; the twin through `ArmState`, which can be stopped, tampered with and conti
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
@@ -25,18 +26,11 @@ from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import estimated_over
 from fraclink._simulate.links import LinkWeights
 from fraclink._simulate.plant import Plant, StepMatrices, substeps
-from fraclink._simulate.sensors import (
-    Event,
-    Obstacle,
-    PayloadChange,
-    Restart,
-    delay_line,
-)
 
 __all__ = [
     "ArmState",
     "LumpedArms",
-    "apply",
+    "delay_line",
     "run_lumped",
     "shared_rig",
     "twin_numbers",
@@ -239,6 +233,31 @@ def run_lumped(
 # ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+def delay_line(delay: float) -> tuple[int, Real]:
+    """Return the queue of a delayed signal: age of its oldest entry [steps], weights of
+    its four oldest.
+
+    A whole delay is one entry; between two steps it is the cubic through the four
+    around it, as in the kernels.
+
+    delay: steps, >= 0
+
+    >>> delay_line(2.0), delay_line(0.5)[0]
+    ((2, array([1., 0., 0., 0.])), 3)
+    """
+    whole = round(delay)
+    # A millionth of a step is the rounding of a delay in seconds over a period:
+    # interpolated, it would take four entries for one.
+    if abs(delay - whole) < 1e-6:
+        return whole, np.array([1.0, 0.0, 0.0, 0.0])
+    # In the middle of its four points the cubic errs least; a delay below one step has
+    # no younger entry, and is read off one side.
+    youngest = max(math.floor(delay) - 1, 0)
+    at, nodes = delay - youngest, range(4)
+    lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
+    return youngest + 3, np.array(lagrange[::-1])
+
+
 def twin_numbers(twin: Twin, period: float) -> Real:
     """Return twin_rig of twin.h, shape (15,): motor, amplifier and sensors at a control
     period [s].
@@ -286,10 +305,9 @@ class ArmState:
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
-        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck; first tick
-        self.law = np.frombuffer(bytearray(law_state), dtype=np.uint8)
-        # state of the payload estimator, if the law has one
-        self.estimate = np.zeros(0, dtype=np.uint8)
+        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
+        self.fresh, self.estimate = law_state, np.zeros(0, dtype=np.uint8)
+        self.restart()
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
 
@@ -366,6 +384,17 @@ class ArmState:
         )
         return float(angle), float(torque)
 
+    def restart(self) -> None:
+        """Let the law and its estimator forget; arm, queues and clock go on, as the
+        processor restarts and the world does not.
+        """
+        self.law = np.frombuffer(bytearray(self.fresh), dtype=np.uint8)
+        self.estimate = np.zeros(0, dtype=np.uint8)
+
+    def free(self) -> None:
+        """Take the obstacle out of the way."""
+        self.obstacle[1] = 0.0
+
     def change_payload(self, payload: float) -> None:
         """Go on with another payload: shape, speed and the material's memory stay, the
         modes are new.
@@ -415,28 +444,6 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     for i in range(new.modes.count):
         result[new.mode_slice(i)] = moved[i]
     return result
-
-
-def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
-    for event in changes:
-        if event is None:
-            state.obstacle[1] = 0.0
-        elif isinstance(event, Obstacle):
-            length = state.twin.beam.length
-            state.obstacle[:] = (
-                event.angle,
-                event.stiffness,
-                event.damping,
-                length,
-                event.side,
-            )
-        elif isinstance(event, PayloadChange):
-            state.change_payload(event.payload)
-        elif isinstance(event, Restart):
-            # The law and its estimator lose their memory; arm, queues and clock go on,
-            # as after a restart of the processor.
-            state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
-            state.estimate = np.zeros(0, dtype=np.uint8)
 
 
 def motor_loop_of(twin: Twin, law: Law) -> DiscreteMotorLoop:

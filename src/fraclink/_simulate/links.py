@@ -85,7 +85,8 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
     ((1, 0), (1, 1))
     """
     own = (model.natural_frequency**2, model.order, model.damping)
-    return batch_links(model, *map(np.atleast_1d, own), period, span, ALONE)
+    stiff, order, damping = (np.array([value]) for value in own)
+    return batch_links(model, stiff, order, damping, period, span, ALONE)
 
 
 def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
@@ -231,7 +232,7 @@ def batch_links(
     distance = np.pi - float(log_pole.imag.max()) if damped else 0.5 * np.pi
     width = 2.0 * np.pi * min(distance, 0.5 * np.pi) / digits
     whole = bool(np.all(order == 2.0)) and (not damped or alpha == 1.0)
-    grid = np.zeros(0)
+    grid: Real = np.zeros(0)
     if not whole:
         # The density falls like e^(−λ|v|). Very slow modes hardly move within the span;
         # very fast ones have decayed within a period. At either end the stricter of the
@@ -240,7 +241,7 @@ def batch_links(
         over = math.log(digits / float(reach.min()))
         ends = -min(digits / slowest, still), min(digits / slowest, over)
         first, last = (math.floor(end / width) for end in ends)
-        grid = width * (np.arange(first, last + 2) + 0.5)
+        grid = np.asarray(width * (np.arange(first, last + 2) + 0.5), dtype=np.float64)
     scaled = damping * speed ** (alpha - order)
     restoring = 1.0 + scaled[:, None] * np.exp(alpha * (grid + 1j * np.pi))
     moving = np.exp(order[:, None] * (grid + 1j * np.pi))

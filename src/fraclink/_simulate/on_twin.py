@@ -5,8 +5,9 @@ between changes.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,20 +25,21 @@ from fraclink._simulate.estimates import (
     estimate_signals,
     joined,
 )
-from fraclink._simulate.kernel import RECORD, ArmState, apply, motor_loop_of
-from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import (
+from fraclink._simulate.events import (
     PAYLOAD,
     REFERENCE,
+    Action,
     Event,
+    actions_of,
     given_payload,
     healthy_inputs,
-    segments,
 )
+from fraclink._simulate.kernel import RECORD, ArmState, motor_loop_of
+from fraclink._simulate.run import Run, judged_run
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
-__all__ = ["on_twin", "twin_run", "with_motor_loop"]
+__all__ = ["acted", "on_twin", "twin_run", "with_motor_loop"]
 
 Real = NDArray[np.float64]
 
@@ -97,27 +99,24 @@ def on_twin(
     state = ArmState(
         twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE])
     )
-    records, payloads, estimates = [], [], []
-    for first, last, changes in segments(events, law.period, inputs):
-        apply(state, law, changes)
+    actions = actions_of(events, law.period, inputs)
+    estimates: list[Estimates] = []
+
+    def period(first: int, last: int) -> Real:
         if estimator is None:
-            # Within a segment the payload is constant: an event that changes it starts
-            # the next segment, and True follows the arm.
+            # Between two actions the payload is constant, and True follows the arm.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part, seen = state.estimating(law, inputs[first:last], estimator, first)
-        estimates += seen
-        records.append(part)
-        payloads.append(np.full(len(part), state.twin.beam.payload))
-        # The arm has exceeded all bounds: the run ends here and is marked as
-        # unfinished.
-        if len(part) < last - first:
-            break
+        estimates.extend(seen)
+        return part
+
+    record, payloads = acted(state, count, actions, period)
     return twin_run(
-        np.vstack(records),
-        np.concatenate(payloads),
+        record,
+        payloads,
         twin,
         law.period,
-        finished=sum(map(len, records)) == count,
+        finished=len(record) == count,
         ended=reference.duration,
         about={
             "law_sha256": law.digest,
@@ -132,6 +131,28 @@ def on_twin(
         findings=(*twin.findings, *findings),
         estimates=None if estimator is None else (estimator, joined(estimates)),
     )
+
+
+def acted(
+    arm: ArmState,
+    count: int,
+    actions: Mapping[int, Sequence[Action]],
+    run: Callable[[int, int], Real],
+) -> tuple[Real, Real]:
+    """Run `count` periods, cut before each that actions are due in, by `run` (first,
+    last); return the record and the payload [kg] of each period.
+    """
+    records, payloads = [], []
+    edges = sorted({0, count, *(row for row in actions if row < count)})
+    for first, last in pairwise(edges):
+        for act in actions.get(first, ()):
+            act(arm)
+        records.append(run(first, last))
+        payloads.append(np.full(len(records[-1]), arm.twin.beam.payload))
+        # The arm has left every bound: what would follow is no physics.
+        if len(records[-1]) < last - first:
+            break
+    return np.vstack(records), np.concatenate(payloads)
 
 
 def _said(told: bool | float | str | PayloadEstimator) -> str | float:

@@ -29,6 +29,14 @@ from fraclink._simulate.estimates import (
     estimated_over,
     estimator_for,
 )
+from fraclink._simulate.events import (
+    FAULT_BITS,
+    FAULTS,
+    Event,
+    SensorFault,
+    fault_rows,
+    given_payload,
+)
 from fraclink._simulate.kernel import (
     SUBSTEPS,
     LumpedArms,
@@ -38,14 +46,6 @@ from fraclink._simulate.kernel import (
 from fraclink._simulate.links import link_weights
 from fraclink._simulate.on_twin import on_twin, with_motor_loop
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import (
-    FAULT_BITS,
-    FAULTS,
-    Event,
-    SensorFault,
-    fault_rows,
-    given_payload,
-)
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
 from fracsys.checks import Between, Seed, checked

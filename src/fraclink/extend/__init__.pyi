@@ -49,11 +49,11 @@ from fraclink._simulate.arm import geared as geared
 from fraclink._simulate.damping import FractionalKelvinVoigt as FractionalKelvinVoigt
 from fraclink._simulate.damping import KelvinVoigt as KelvinVoigt
 from fraclink._simulate.damping import PowerLaw as PowerLaw
-from fraclink._simulate.sensors import Obstacle as Obstacle
-from fraclink._simulate.sensors import PayloadChange as PayloadChange
-from fraclink._simulate.sensors import Restart as Restart
-from fraclink._simulate.sensors import SensorFault as SensorFault
-from fraclink._simulate.sensors import TipPulse as TipPulse
+from fraclink._simulate.events import Obstacle as Obstacle
+from fraclink._simulate.events import PayloadChange as PayloadChange
+from fraclink._simulate.events import Restart as Restart
+from fraclink._simulate.events import SensorFault as SensorFault
+from fraclink._simulate.events import TipPulse as TipPulse
 from fraclink._simulate.shape import ShapedMove as ShapedMove
 
 __all__: list[str]

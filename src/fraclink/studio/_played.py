@@ -12,7 +12,7 @@ import numpy as np
 
 from fraclink._arm.reference import smooth_step
 from fraclink._simulate import Obstacle, PayloadChange, Twin, simulate
-from fraclink._simulate.sensors import Event
+from fraclink._simulate.events import Event
 from fraclink.errors import FieldError
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session

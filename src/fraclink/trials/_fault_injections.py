@@ -16,7 +16,8 @@ import numpy as np
 from fraclink._arm.motor import place_pid
 from fraclink._arm.rig import Encoder
 from fraclink._law import MODES, Modes
-from fraclink._simulate import sensors as columns
+from fraclink._simulate import events as columns
+from fraclink._simulate.events import Obstacle
 from fraclink._simulate.kernel import ArmState
 from fraclink.trials._fault_trial import MODES_HELD, MOVE_BEGINS, WORDS, Trial
 
@@ -296,8 +297,7 @@ def restart(trial: Trial, *, after: int = 0, missed: int = 0) -> None:
     """
     row = trial.row + after + missed
     trial.set_bits(slice(trial.row, trial.row + missed), "tick missed")
-    fresh = np.frombuffer(trial.law.initial_state(), dtype=np.uint8)
-    trial.at(row, lambda arm: arm.law.__setitem__(slice(None), fresh))
+    trial.at(row, ArmState.restart)
     trial.marks[row] = True
 
 
@@ -364,13 +364,9 @@ def stand(trial: Trial, away: float) -> None:
 
 def wall(trial: Trial, ahead: float) -> None:
     """Put a stop in the way of the tip, ahead of where the move is [rad]."""
-    angle = float(trial.wanted[trial.row]) + ahead
-
-    def action(state: ArmState) -> None:
-        if ahead:
-            state.obstacle[:] = (angle, 500.0, 2.0, state.twin.beam.length, 1.0)
-
-    trial.at(trial.row, action)
+    if ahead:
+        angle = float(trial.wanted[trial.row]) + ahead
+        trial.at(trial.row, Obstacle(0.0, trial.count * trial.period, angle).act)
 
 
 def quiet(trial: Trial, seconds: float) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import zlib
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -16,11 +15,11 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._law import MODES, REASONS, Law
 from fraclink._simulate import Twin, kernel
-from fraclink._simulate import sensors as columns
+from fraclink._simulate import events as columns
+from fraclink._simulate.events import FAULTS, Action, healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.on_twin import twin_run, with_motor_loop
+from fraclink._simulate.on_twin import acted, twin_run, with_motor_loop
 from fraclink._simulate.run import Run
-from fraclink._simulate.sensors import FAULTS, healthy_inputs
 from fraclink.errors import FieldError
 from fracsys.checks import Between, checked
 
@@ -28,7 +27,6 @@ __all__ = ["PHASES", "Bench", "Case", "Phase", "Trial", "end_of", "execute"]
 
 Real = NDArray[np.float64]
 Rows = slice | NDArray[np.int_]
-Action = Callable[[ArmState], None]
 Phase = Literal["whole", "start", "mid", "rest"]
 
 # The catalogue's move: 1 rad, 1.0 to 2.2 s; [s] of a phase.
@@ -211,32 +209,26 @@ def execute(trial: Trial) -> tuple[Run, bytes]:
     """
     arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
     single = trial.law.precision == "single"
-    edges = sorted({0, trial.count, *trial.actions} & set(range(trial.count + 1)))
+    actions: Mapping[int, Sequence[Action]] = trial.actions
     steps = None
     if trial.shifts is not None:
         # A period is as long as its two instants of sampling are apart: the arm's own
         # steps are exact and of 1 ms, so that an early sample is a shorter period of
         # whole steps, and every period a call of its own.
         steps = arm.count + np.diff(trial.shifts, append=0)
-        edges = list(range(trial.count + 1))
-    records: list[Real] = []
-    payloads: list[Real] = []
-    for first, last in itertools.pairwise(edges):
-        for action in trial.actions.get(first, ()):
-            action(arm)
+        actions = {row: actions.get(row, ()) for row in range(trial.count)}
+
+    def part(first: int, last: int) -> Real:
         if steps is not None:
             arm.rig[0] = steps[first]
-        records.append(arm.run(trial.block, trial.inputs[first:last], single=single))
-        payloads.append(np.full(len(records[-1]), arm.twin.beam.payload))
-        # The arm has left every bound: what would follow is no physics.
-        if len(records[-1]) < last - first:
-            break
-    record = np.vstack(records)
+        return arm.run(trial.block, trial.inputs[first:last], single=single)
+
+    record, payloads = acted(arm, trial.count, actions, part)
     count = len(record)
     record[:, kernel.RECORD.index("reference")] = trial.wanted[:count]
     run = twin_run(
         record,
-        np.concatenate(payloads),
+        payloads,
         trial.twin,
         trial.period,
         finished=count == trial.count,

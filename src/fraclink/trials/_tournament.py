@@ -16,8 +16,8 @@ from fraclink._arm.reference import Reference, smooth_step
 from fraclink._display import Overview, Row, Table, displayed, state_of
 from fraclink._law.design import Design
 from fraclink._simulate.arm import Twin
+from fraclink._simulate.events import SensorFault
 from fraclink._simulate.run import Run
-from fraclink._simulate.sensors import SensorFault
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.trials._rivals import FRACLINK, Rival, builders

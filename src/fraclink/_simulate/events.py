@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -14,25 +13,27 @@ from fraclink import _kernels
 from fraclink._arm.reference import Reference
 from fraclink._arm.rig import Gauge
 from fraclink._law.estimator import PayloadEstimator
+from fraclink._simulate.kernel import ArmState
 from fraclink.errors import FieldError
 from fracsys.checks import Angle, Between, Duration, Time, checked
 
 __all__ = [
     "FAULTS",
+    "Action",
     "Event",
     "Obstacle",
     "PayloadChange",
     "Restart",
     "SensorFault",
     "TipPulse",
-    "delay_line",
+    "actions_of",
     "fault_rows",
     "given_payload",
     "healthy_inputs",
-    "segments",
 ]
 
 Vector = NDArray[np.float64]
+Action = Callable[[ArmState], None]
 
 # Columns of the twin's inputs (csrc/kernels/twin.h); for the model only those of faults
 # apply.
@@ -40,31 +41,6 @@ REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
 ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(
     6, 12
 )
-
-
-def delay_line(delay: float) -> tuple[int, Vector]:
-    """Return the queue of a delayed signal: age of its oldest entry [steps], weights of
-    its four oldest.
-
-    A whole delay is one entry; between two steps it is the cubic through the four
-    around it, as in the kernels.
-
-    delay: steps, >= 0
-
-    >>> delay_line(2.0), delay_line(0.5)[0]
-    ((2, array([1., 0., 0., 0.])), 3)
-    """
-    whole = round(delay)
-    # A millionth of a step is the rounding of a delay in seconds over a period;
-    # interpolating it would take four entries instead of one.
-    if abs(delay - whole) < 1e-6:
-        return whole, np.array([1.0, 0.0, 0.0, 0.0])
-    # The error of the cubic is smallest in the middle of its four points; for a delay
-    # below one step there is no newer entry, and they lie on one side.
-    youngest = max(math.floor(delay) - 1, 0)
-    at, nodes = delay - youngest, range(4)
-    lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
-    return youngest + 3, np.array(lagrange[::-1])
 
 
 # ── events
@@ -86,6 +62,10 @@ class PayloadChange:
 
     time: Time
     payload: Annotated[float, Between(0.0, 1e9, "kg", remedy="give the new mass in kg")]
+
+    def act(self, arm: ArmState) -> None:
+        """Change the payload of a running arm."""
+        arm.change_payload(self.payload)
 
 
 @checked
@@ -139,6 +119,11 @@ class Obstacle:
     def __post_init__(self) -> None:
         _check_span(self.time, self.until)
 
+    def act(self, arm: ArmState) -> None:
+        """Stand in the way of a running arm."""
+        arm.obstacle[:3] = self.angle, self.stiffness, self.damping
+        arm.obstacle[4] = self.side
+
 
 @checked
 @dataclass(frozen=True)
@@ -151,6 +136,10 @@ class Restart:
     """
 
     time: Time
+
+    def act(self, arm: ArmState) -> None:
+        """Restart the law of a running arm."""
+        arm.restart()
 
 
 # Kind -> (bit of the kernel's fault word or 0, input column that it sets or None).
@@ -253,38 +242,33 @@ def fault_rows(faults: tuple[SensorFault, ...], period: float, count: int) -> Ve
     """Return the kernels' inputs of faults alone, shape (count, 12)."""
     inputs = np.zeros((count, _kernels.TWIN_INPUTS))
     inputs[:, ENCODER_GAIN] = inputs[:, GAUGE_GAIN] = 1.0
-    segments(faults, period, inputs)
+    actions_of(faults, period, inputs)
     return inputs
 
 
-def segments(
+def actions_of(
     events: Sequence[Event], period: float, inputs: Vector
-) -> list[tuple[int, int, list[Event | None]]]:
-    """Cut the run where something changes; pulses go straight into the inputs."""
-    count = len(inputs)
-    changes: dict[int, list[Event | None]] = {0: []}
+) -> dict[int, list[Action]]:
+    """Return what happens to the arm before which period; pulses and faults of sensors go
+    straight into the inputs.
+    """
+    actions: dict[int, list[Action]] = {}
     for event in sorted(events, key=lambda e: e.time):
         # Rounded to a whole period: the arm is changed between two periods, never
         # within one.
         at = round(event.time / period)
         if isinstance(event, TipPulse):
-            inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += (
-                event.force
-            )
-            continue
-        if isinstance(event, SensorFault):
-            # At least one period: a requested fault must occur.
+            last = at + max(1, round(event.duration / period))
+            inputs[at:last, TIP_FORCE] += event.force
+        elif isinstance(event, SensorFault):
+            # One period at least: a fault that was asked for must happen.
             _inject(event, inputs[at : max(at + 1, round(event.until / period))])
-            continue
-        changes.setdefault(min(at, count), []).append(event)
+        else:
+            actions.setdefault(at, []).append(event.act)
         if isinstance(event, Obstacle):
-            changes.setdefault(min(round(event.until / period), count), []).append(None)
-    edges = sorted(changes)
-    return [
-        (first, last, changes[first])
-        for first, last in zip(edges, [*edges[1:], count], strict=True)
-        if first < last
-    ]
+            until = round(event.until / period)
+            actions.setdefault(until, []).append(ArmState.free)
+    return actions
 
 
 def _inject(fault: SensorFault, rows: Vector) -> None:
