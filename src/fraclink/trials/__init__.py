@@ -1,7 +1,8 @@
-"""Many runs and what they say together: rivals, arms that differ, faults, the study of
-one log.
+"""Many runs and their joint result: rivals, arms that differ, faults, the study of a
+log.
 
-A campaign is one law on a million arms, resumable, the same for a seed on any machine.
+A campaign is one law on up to a million arms; it can be resumed, and a seed gives the
+same result on any machine.
 """
 
 from __future__ import annotations

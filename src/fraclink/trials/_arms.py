@@ -1,4 +1,4 @@
-"""The arms of a campaign: each drawn, run in blocks through the kernel, measured, and
+"""The arms of a campaign: drawn, run in blocks through the kernel, measured, and
 repeated on demand.
 """
 
@@ -27,7 +27,7 @@ __all__ = ["arm_of", "replay_run", "simulate_part"]
 
 Real = NDArray[np.float64]
 
-# runs simulated before they are measured: 50 × 1000 periods × 6 signals stay in the
+# runs simulated before they are measured: 50 × 1000 periods × 6 signals fit into the
 # cache
 BLOCK = 50
 
@@ -55,8 +55,8 @@ def simulate_part(
         name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
     }
     number = np.arange(part * PART_RUNS, part * PART_RUNS + runs, dtype=np.int64)
-    # Drawn as a whole number of 31 bits, whatever is followed, so that a seed draws the
-    # same arms for one reference as for three; what is written is which of them the run
+    # Drawn as an integer of 31 bits, so that a seed draws the same arms for one
+    # reference as for three; stored is the index of the reference that the run
     # followed.
     values["shape"] = values["shape"] % len(campaign.references)
     return (
@@ -97,17 +97,18 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
     """Return the block of arms of a part's draws that begins with run `at`."""
     rig, period = campaign.rig, campaign.law.period
     own = {name: column[at : at + BLOCK] for name, column in values.items()}
-    # Equation (5) for each arm: the link is massless, so that stiffness and payload say
-    # its frequency. μ is the same for every payload, as `LinkModel.at_payload` has it.
+    # Equation (5) for each arm: the link is massless, so stiffness and payload
+    # determine its frequency. μ is the same for every payload, as in
+    # `LinkModel.at_payload`.
     stiff = own["stiffness"] / (own["payload"] * rig.link.length**2)
     order, damping = own["order"], campaign.model.damping * own["damping"]
-    # The pole Ω e^(iπ/λ) turns by Ω sin(π/λ) a second. With Ω alone λ = 1.9 would make
-    # the windows in which growth and residue are measured 0.3 % short, λ = 1.5 13 %.
+    # The pole Ω e^(iπ/λ) oscillates at Ω sin(π/λ). With Ω alone, the windows in which
+    # growth and residual vibration are measured would be 0.3 % short for λ = 1.9, and
+    # 13 % for λ = 1.5.
     pole = np.exp(link_poles(campaign.model, stiff, order, damping))
     number = part * PART_RUNS + at + np.arange(len(stiff), dtype=np.uint64)
-    with np.errstate(
-        over="ignore"
-    ):  # an odd multiplier folds the run's number into the seed: a bijection
+    # an odd multiplier maps the run number to the seed one to one
+    with np.errstate(over="ignore"):
         seeds = np.asarray(
             number * np.uint64(0x9E3779B97F4A7C15) + np.uint64(campaign.seed),
             dtype=np.uint64,
@@ -124,7 +125,7 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
     )
     arms = LumpedArms.of(
         rig,
-        # for twice as long as a run: one that seems to grow is followed so far
+        # twice as long as a run: a vibration that seems to grow is followed that far
         batch_links(
             campaign.model, stiff, order, damping, period, 2.0 * campaign.duration
         ),
@@ -140,7 +141,7 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
 
 
 def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
-    """The signals of a block's runs, `times` as long as the campaign's."""
+    """The signals of a block's runs, `times` as long as a run of the campaign."""
     path = unit_paths(campaign, times)
     rows = run_lumped(
         campaign.law,
@@ -150,14 +151,14 @@ def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
         block.chosen,
         estimator=campaign.estimator,
     )
-    # The kernel scales the unit reference by the amplitude; whoever looks at a run sees
-    # what the arm followed.
+    # The kernel scales the unit reference by the amplitude; the signals contain the
+    # reference that the arm followed.
     return rows | {"reference": block.arms.amplitude[:, None] * path[block.chosen, 0]}
 
 
 def _judged(campaign: Campaign, block: Block, rows: dict[str, Any]) -> Signals:
-    # The end of the reference alone: the judge adds the vibration periods in which what
-    # is left is measured.
+    # The end of the reference only: the metrics add the vibration periods in which the
+    # residual is measured.
     ended = np.array([each.duration for each in campaign.references])[block.chosen]
     return Signals.of(rows, campaign.law.period, ended, block.vibration)
 
@@ -168,17 +169,17 @@ def _measured(
     """The signals and metrics of a block; a vibration that seems to grow is followed
     for twice as long.
 
-    Noise rings a good arm so that its envelope rises through a whole run once in some
-    thousand runs, which a campaign of a thousand would call an unstable arm once in a
-    few; an unstable arm goes on growing.
+    In one of some thousand runs, noise excites a good arm such that its envelope rises
+    throughout the run; every few campaigns of a thousand runs would report an unstable
+    arm. The vibration of an unstable arm goes on growing.
     """
     rows = _rows(campaign, block)
     metrics = measure_many(_judged(campaign, block, rows))
     grown = np.flatnonzero(metrics["growth"] > 0.0)
     if grown.size:
-        # The same arms with the same noise up to the end of the first look, and as long
-        # again behind it: an envelope that noise lifted falls back, one that grows is
-        # larger by e^(growth · duration).
+        # The same arms with the same noise as in the first run, continued for the same
+        # time again: an envelope raised by noise falls back, one that grows is larger
+        # by e^(growth · duration).
         some = block.rows(grown)
         longer = _judged(campaign, some, _rows(campaign, some, 2))
         metrics["growth"][grown] = measure_many(longer)["growth"]
@@ -190,7 +191,7 @@ def _measured(
 
 
 def _drawn(campaign: Campaign, run: int) -> tuple[dict[str, Real], int]:
-    """All draws of the run's part, and the run's place in it."""
+    """All draws of the part that contains the run, and the index of the run in it."""
     if not 0 <= run < campaign.runs:
         raise FieldError(
             "run",

@@ -1,5 +1,5 @@
-"""A campaign: one law, the arm that it was made for, and what varies from one arm to
-the next.
+"""A campaign: one law, the arm for which it was made, and the parameters that vary
+between arms.
 """
 
 from __future__ import annotations
@@ -49,13 +49,14 @@ __all__ = [
 Real = NDArray[np.float64]
 
 FILE = "campaign.json"
-# runs of a part: a second of work is what a kill can cost, and a file of 100 kB
+# runs of a part: an interruption costs a second of work; a file has 100 kB
 PART_RUNS = 1000
-LARGEST = 10**9  # runs; a year of one core is a slip of the pen
+LARGEST = 10**9  # runs; one year on one core must be a typing error
 REST = 3.0  # [s] after the longest move: twenty vibration periods
 DURATION = 4.0  # [s]
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
-# a normal draw is cut at ±4σ: 6e-5 of the draws, and no motor of negative inertia
+# A normal draw is truncated at ±4σ, 6e-5 of the draws, so that no motor has a negative
+# inertia.
 TAILS = 4.0
 
 
@@ -119,7 +120,7 @@ class Distribution:
 
 
 def _around(centre: float, part: float) -> Distribution:
-    """A normal distribution about `centre` whose ±4σ are `part` of it."""
+    """A normal distribution about `centre` whose 4σ is the share `part` of it."""
     return Distribution("normal", centre * (1.0 - part), centre * (1.0 + part))
 
 
@@ -127,7 +128,7 @@ def _always(value: float) -> Distribution:
     return Distribution("uniform", value, value)
 
 
-# Least and largest value of each parameter's range, and whether the least is allowed.
+# Smallest and largest value of each parameter, and whether the smallest is allowed.
 _RANGES = {
     "payload": (0.0, math.inf, False),
     "stiffness": (0.0, math.inf, False),
@@ -207,8 +208,8 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     >>> draws_for(rig, rig.model).payload.high
     0.04
     """
-    # λ above 2 is a link that makes energy: for a model near 2 the spread is cut on
-    # both sides, so that its mean stays the model's.
+    # With λ above 2 a link would generate energy: for a model near 2 the range is
+    # reduced on both sides, so that its mean remains that of the model.
     reach = min(0.02, 2.0 - model.order)
     return Draws(
         payload=Distribution("uniform", rig.payloads.low, rig.payloads.high),
@@ -218,11 +219,11 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
         delay_samples=Distribution(
             "whole", rig.motor_loop.delay_samples, rig.motor_loop.delay_samples
         ),
-        # An identified delay below zero says that the motor angle is late; no gauge
-        # shows a torque that is yet to come.
+        # A negative identified delay means that the motor angle is delayed; no gauge
+        # shows a future torque.
         gauge_delay=_always(max(model.gauge_delay, 0.0)),
         gauge_gain=_always(model.gauge_gain),
-        # of a link without μ there is nothing to draw, and nothing to correlate with
+        # without μ there is nothing to draw or to correlate with
         damping=_around(1.0, 0.3) if model.damping else _always(1.0),
     )
 
@@ -282,8 +283,8 @@ class Campaign:
     payloads: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        # A second to settle: less, and every run would fail for the length of the
-        # campaign and not for its arm.
+        # At least a second to settle: with less, every run would fail because of the
+        # length of the campaign.
         if self.reference is not None and self.reference.duration + 1.0 > self.duration:
             raise FieldError(
                 "reference",
@@ -332,8 +333,8 @@ class Campaign:
         """SHA-256 of everything a part's result depends on; the number of runs is not
         among it.
         """
-        # Sorted keys and the shortest decimals that read back: the same text on every
-        # machine.
+        # Sorted keys and the shortest decimals that read back give the same text on
+        # every machine.
         text = json.dumps(plain(replace(self, runs=1), Campaign), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -378,12 +379,12 @@ class Campaign:
             return Campaign(
                 rig, model, own, chosen, runs, seed, motor_loop, payloads=estimated
             )
-        # The reference has its own size: an amplitude drawn on top would ask for moves
-        # that nobody planned.
+        # A given reference has its own size: with a drawn amplitude the moves would not
+        # be the planned ones.
         length = max(DURATION, reference.duration + REST)
         chosen = replace(chosen, amplitude=_always(1.0))
         if not isinstance(reference, Path | SampledReference):
-            # what a file can hold of any other reference
+            # for any other reference, the samples that can be stored in a file
             count = math.ceil(reference.duration / own.period) + 1
             rows = sampled(reference, own.period, count)
             reference = SampledReference(own.period, rows)

@@ -1,5 +1,5 @@
-"""What the run of a fault must have shown: one requirement, one measurement, one limit,
-by the names that faults.toml uses.
+"""Checks of the run of a fault: a requirement, a measurement and a limit each, under
+the names used in faults.toml.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from fraclink.trials._fault_trial import (
 
 __all__ = ["Check", "Evidence", "check_named", "shared_checks"]
 
-# [rad] between tip and reference: an arm that is farther away with its drive closed is
-# a danger, whatever the requirement that it misses. Set for a flipped bit (F29), and
-# the limit wherever no law can do better.
+# [rad] between tip and reference: an arm farther away with its drive on is dangerous,
+# whatever requirement it misses. Set for a flipped bit (F29); it is also the limit
+# wherever no law can do better.
 SAFE = 0.3
-ANY = 10**6  # periods: the catalogue states no number
+ANY = 10**6  # periods: used where the catalogue states no number
 OTHER_MODE = "periods in another mode than allowed"
 # bits of law.h
 FLAGS = {"encoder": 1, "gauge": 2, "reference": 4, "missed": 8, "repeated": 16}
@@ -93,8 +93,8 @@ class Evidence:
     @property
     def final(self) -> float:
         """|mean tip error| of the last second [rad]."""
-        # A mean and not the last sample: the gauge's noise alone moves the tip by 5
-        # mrad.
+        # A mean instead of the last sample: the noise of the gauge alone moves the tip
+        # by 5 mrad.
         return abs(float(self.faulty.error[self.last(1.0)].mean()))
 
     def last(self, seconds: float) -> slice:
@@ -111,7 +111,7 @@ class Evidence:
         """Periods from the fault to the first mode above RUN, the fault's own counted
         as 1; -1: none.
         """
-        # Above RUN: IDLE, before the law has started, is no reaction to a fault.
+        # Above RUN: IDLE, before the law has started, is not a reaction to a fault.
         other = np.flatnonzero(self.faulty.mode[self.row :] > RUN)
         return int(other[0]) + 1 if other.size else -1
 
@@ -143,7 +143,7 @@ def _value(word: str) -> float | str:
 
 def only(e: Evidence, *modes: str) -> Check:
     """No other mode than `modes` after the law started: no other trip."""
-    # A law is idle until it has read both sensors once, whatever the fault.
+    # A law is idle until it has read both sensors once, with or without a fault.
     begun = int(np.argmax((e.faulty.flags & FLAGS["started"]) != 0))
     allowed = [MODES.index(mode) for mode in modes]
     others = np.count_nonzero(~np.isin(e.faulty.mode[begun:], allowed))
@@ -172,8 +172,8 @@ def reacts(e: Evidence, mode: str, within: float, *reasons: str) -> Check:
         missed = f" (went {MODES[e.faulty.mode[first]]})"
     elif REASONS[e.faulty.reason[first]] not in reasons:
         missed = f" (for {REASONS[e.faulty.reason[first]]})"
-    # A higher mode may follow (degraded, then off); to come back is not for a law to
-    # decide, since a fault that pauses is not gone.
+    # A higher mode may follow (degraded, then off). A law must not return on its own,
+    # since a fault that pauses has not gone.
     elif np.any(e.faulty.mode[first:] < wanted):
         missed = " (did not latch)"
     measured = np.inf if missed else e.reacted
@@ -203,8 +203,7 @@ def peak(e: Evidence, limit: float, *phases: str) -> Check:
     """
     if e.case.phase in (phases or PHASES):
         return Check.at_most("peak tip error [rad]", e.peak, limit)
-    # From where the tip was when it happened: what had been moved before is no doing of
-    # the fault.
+    # From the position of the tip at the fault: earlier motion is not due to the fault.
     after = e.faulty.tip_angle[e.row :]
     travel = np.abs(after - after[0]).max()
     return Check.at_most("tip travel after the fault [rad]", travel, limit)
@@ -225,7 +224,7 @@ def settled(e: Evidence, after: float) -> Check:
     """The tip is within 0.02 rad of reference or clean run from `after` [s] behind the
     fault on.
     """
-    # The clean run, too, as the move itself has an error of its own.
+    # The clean run is included, since the move itself also has an error.
     tip = e.faulty.tip_angle
     apart = np.minimum(
         np.abs(e.faulty.error), np.abs(tip - e.clean.tip_angle[: len(tip)])
@@ -247,13 +246,13 @@ def limit_cycle(e: Evidence, limit: float) -> Check:
 
 def held(e: Evidence) -> Check:
     first = e.row + e.reacted - 1
-    # To the bit: a command that is held is not computed again.
+    # Exactly equal: a held command is not recomputed.
     moved = np.ptp(e.faulty.motor_reference[first:]) if e.reacted > 0 else np.inf
     return Check.at_most("change of the held motor reference [rad]", moved, 0.0)
 
 
 def settling(e: Evidence, ratio: float) -> Check:
-    # The ratio, since the clean run's own settling depends on payload and noise.
+    # The ratio, since the settling of the clean run depends on payload and noise.
     faulty, clean = (
         _last_outside(run, 0.02, e) - MOVE_BEGINS for run in (e.faulty, e.clean)
     )
@@ -269,7 +268,7 @@ def recovery(e: Evidence, ratio: float) -> Check:
     remembers.
     """
     assert e.best is not None  # faults.toml states it  # noqa: S101
-    # 2 % of the move back
+    # 2 % of the return move
     faulty, best = (
         _last_outside(run, 0.015, e) + e.law.period - BACK_AT
         for run in (e.faulty, e.best)
@@ -279,7 +278,7 @@ def recovery(e: Evidence, ratio: float) -> Check:
 
 
 def _last_outside(run: Run, band: float, e: Evidence) -> float:
-    """When the tip error was outside `band` for the last time [s]."""
+    """The last time [s] at which the tip error was outside `band`."""
     return float(np.flatnonzero(np.abs(run.error) > band)[-1]) * e.law.period
 
 
@@ -287,8 +286,8 @@ def noise_bound(e: Evidence, *deviations: float) -> Check:
     """rms of the command against Ms σ/c ‖Ĉ‖₂: the sensitivity amplifies what the
     correction passes.
     """
-    # Middles of 4096 equal parts of the band up to Nyquist: the rule that is exact for
-    # a periodic function, and Ĉ(z) is one.
+    # Midpoints of 4096 equal parts of the band up to the Nyquist frequency: this rule
+    # converges exponentially for a periodic function such as Ĉ(z).
     grid = (np.arange(4096) + 0.5) * math.pi / 4096 / e.law.period
     energy = math.sqrt(float(np.mean(np.abs(e.law.frequency_response(grid)) ** 2)))
     bound = e.pick(*deviations) / e.law.stiffness * energy / e.bench.modulus_margin
@@ -342,8 +341,8 @@ def overshoot(e: Evidence, limit: float, *jumps: float) -> Check:
 
 
 def refused(e: Evidence, *reasons: str) -> Check:
-    # In every period and for that reason: a law that starts after some calls, or
-    # refuses for another cause, has not understood its block.
+    # In every period and for this reason: a law that starts after some calls, or
+    # refuses for another reason, has not checked its block.
     reason = REASONS.index(reasons[e.case.severity - 1])
     wrong = (e.faulty.mode != MODES.index("idle")) | (e.faulty.reason != reason)
     words = f"periods not refused for reason {reason}"
@@ -396,11 +395,11 @@ def swap_reaction(e: Evidence) -> Check:
 def payload_peak(e: Evidence, *factors: float) -> Check:
     payload = e.case.payload * e.pick(*factors)
     low, _, high = e.bench.payloads
-    # The lightest payload times its factor of 1 is the design's own bound but for
+    # The lightest payload times a factor of 1 equals the bound of the design up to
     # rounding.
     if low <= payload * (1 + 1e-9) and payload <= high:
         return peak_ratio(e, 1.2)
-    # outside the design: bounded, with the limit of a lost payload
+    # outside the design: bounded, with the limit for a lost payload
     return bounded(e, 0.1)
 
 
@@ -422,29 +421,29 @@ def hunting(e: Evidence, limit: float, *factors: float) -> Check:
     through that band.
     """
     loop = e.law.motor_loop
-    assert loop is not None  # a bench gives every law one  # noqa: S101
+    assert loop is not None  # the bench gives every law a motor loop  # noqa: S101
     band = (e.pick(*factors) - 1.0) * loop.coulomb_voltage / loop.pid.stiffness
     return limit_cycle(e, max(limit, band))
 
 
-@functools.lru_cache(maxsize=1)  # two measurements of the same hour
+@functools.lru_cache(maxsize=1)  # two checks use the same hour
 def _quiet(e: Evidence, seconds: float) -> tuple[NDArray[np.uint32], bytes]:
     """Let the law go on with constant inputs; return its modes and its memory.
 
-    They must be those of an arm that is really at rest. One sample of the gauge's
-    noise, held for an hour, is a torque that the law answers with a voltage, and the
-    correction goes on with what noise left in its modes: an encoder that then does not
-    move is a fault, for which the law trips rightly. So the noise is left out of the
-    end of the run; each input is the mean of the last second, the reference what the
-    tip then is.
+    The inputs must be those of an arm that is really at rest. A sample of gauge noise
+    held for an hour is a torque to which the law responds with a voltage, and the
+    correction continues with the noise stored in its modes; an encoder that does not
+    move is then a fault for which the law trips correctly. The end of the run is
+    therefore free of noise: each input is the mean of the last second, and the
+    reference is the tip angle at that time.
     """
     count = round(seconds / e.law.period)
     angle, torque = (
         float(np.mean(signal[e.last(1.0)]))
         for signal in (e.faulty.motor_angle_measured, e.faulty.torque_measured)
     )
-    # The reference is the tip estimate θm − Γ/c of that rest, so that the error is zero
-    # and stays so.
+    # The reference is the tip estimate θm − Γ/c at rest, so that the error is zero and
+    # remains zero.
     inputs = (angle - torque / e.law.stiffness, 0.0, angle, torque)
     state, outputs = e.law.run(
         e.memory,
@@ -460,7 +459,7 @@ def denormals(e: Evidence, *seconds: float) -> Check:
     real = np.float32 if e.law.precision == "single" else np.float64
     reals = memory[4 * WORDS :].view(real)
     # Many processors take a hundred times as long for a denormal number: a state that
-    # decays into them would miss its period after an hour of silence.
+    # decays to one would miss its period after an hour at rest.
     count = np.count_nonzero((reals != 0) & (np.abs(reals) < np.finfo(real).tiny))
     return Check.at_most("denormal numbers left in the state", int(count), 0)
 
@@ -485,18 +484,18 @@ CHECKS: dict[str, Measurement] = {
 def shared_checks(e: Evidence) -> tuple[Check, ...]:
     """Return the global criteria G1–G3 of the faulty run: finite, in limits, slew."""
     signals, limits, loop = e.faulty, e.law.limits, e.law.motor_loop
-    # The limits themselves round to the block's precision, by 6e-8 of their value in 24
-    # bits.
+    # The limits themselves round to the precision of the block, by 6e-8 of their value
+    # with 24 bits.
     slack = 1e-6 if e.law.precision == "single" else 1e-12
-    # What leaves the law, and what the motor gets of it: each by itself may hide what
-    # the other shows.
+    # Both the output of the law and the voltage request of the motor loop: either one
+    # may hide a step that the other shows.
     command, asked = signals.motor_reference, signals.extras["voltage_asked"]
     infinite = np.count_nonzero(~np.isfinite([command, asked, signals.voltage]))
     step = np.abs(np.diff(command))
-    # A law that starts anew does not know what the one before asked for: it begins at
-    # the motor.
+    # A restarted law does not know the last command before the restart: it begins at
+    # the motor angle.
     known = (signals.flags[1:] & FLAGS["started"]) == 0
-    # A step from or to what is no number has no size: it counts as the largest.
+    # A step from or to NaN has no size: it counts as infinite.
     worst = float(step[known].max(initial=0.0)) if np.isfinite(step).all() else np.inf
     volts = np.inf if loop is None else loop.voltage_limit
     most = 1 + slack

@@ -1,6 +1,7 @@
-"""What a fault does to a trial, by the names that faults.toml uses.
+"""The effect of a fault on a trial, under the names used in faults.toml.
 
-A list of three numbers there is one for each severity; `inject` hands on the case's.
+A list of three numbers there has one for each severity; `inject` passes on the one of
+the case.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from fraclink.trials._fault_trial import MODES_HELD, MOVE_BEGINS, WORDS, Trial
 __all__ = ["INJECTIONS", "JITTER", "inject"]
 
 HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
-JITTER = 1e-3  # [s] by which an instant of sampling is early or late
+JITTER = 1e-3  # [s] by which a sampling instant is early or late
 WATCHDOG = 5  # periods after which a board's watchdog switches the drive off
 COLUMNS = {
     "reference": columns.REFERENCE,
@@ -65,8 +66,8 @@ def reading(
     single samples with good ones in between.
     """
     if every:
-        # The law counts bad samples in a row: no number of them that lie apart may add
-        # up to a trip.
+        # The law counts consecutive bad samples: any number of isolated ones must not
+        # add up to a trip.
         rows = np.arange(trial.row, trial.row + 250, every)
     else:
         span = trial.rows(seconds)
@@ -102,7 +103,7 @@ def add(
     time = trial.period * np.arange(len(trial.inputs[rows]))
     trial.inputs[rows, COLUMNS[to]] += value * (time if per_second else 1.0)
     if to == "reference":
-        # a jump that is meant: it is what is then wanted
+        # an intended jump: it is now the desired motion
         trial.wanted = trial.inputs[:, columns.REFERENCE].copy()
         trial.marks[trial.row] = True
 
@@ -130,8 +131,8 @@ def noise(trial: Trial, deviation: float) -> None:
 def spikes(trial: Trial, share: float, size: float) -> None:
     rows = trial.sprinkled(share)
     rows = rows[rows >= trial.row]
-    # At 0.25 % the 950 periods of rest are without a spike in one draw of eleven, and
-    # such a run would pass with nothing shown.
+    # At 0.25 % one draw in eleven has no spike in the 950 periods of rest, and such a
+    # run would pass without testing anything.
     rows = rows if rows.size else np.array([trial.row])
     signs = trial.chance.choice((-1.0, 1.0), rows.size)
     trial.inputs[rows, columns.GAUGE_ERROR] += size * signs
@@ -145,7 +146,7 @@ def swap(trial: Trial, seconds: float) -> None:
     lasting = whole or math.isinf(seconds)
     trial.detail = "for ever" if lasting else "for a while"
     if whole:
-        # before it both readings are zero
+        # until then both readings are zero
         trial.row = round(MOVE_BEGINS / trial.period)
 
 
@@ -171,10 +172,11 @@ def jitter(trial: Trial, kind: str) -> None:
         shifts = np.resize([1, -1], trial.count)
     elif kind == "one in 10":
         shifts[trial.chance.random(trial.count) > 0.1] = 0
-    # The run has its length, and the mean of the periods stays the law's.
+    # The run keeps its length, and the mean period remains that of the law.
     shifts[0] = shifts[-1] = 0
     trial.shifts = shifts
-    # The reference is a table over the task's periods; it is the instant that is late.
+    # The reference is a table over the periods of the task; only the sampling instant
+    # is late.
     time = trial.period * np.arange(trial.count)
     trial.wanted = trial.reference.angle(time + JITTER * shifts)
 
@@ -199,8 +201,8 @@ def repeat(trial: Trial, times: int) -> None:
         arm.counters[1] -= 3
 
     trial.at(trial.row, back)
-    # A clock that was set back is followed at once: it is a period behind once, and
-    # then as good as any.
+    # A clock that was set back is followed at once: the law is a period late once, and
+    # unaffected afterwards.
     trial.marks[trial.row] = True
 
 
@@ -221,7 +223,8 @@ def slow_motor_loop(trial: Trial, share: float) -> None:
     """
     pole = share * trial.law.motor_loop_pole
     pid = place_pid(trial.bench.rig.motor, pole).discretize(trial.period)
-    assert trial.law.motor_loop is not None  # a bench gives every law one  # noqa: S101
+    # the bench gives every law a motor loop
+    assert trial.law.motor_loop is not None  # noqa: S101
     trial.use(replace(trial.law, motor_loop=replace(trial.law.motor_loop, pid=pid)))
 
 
@@ -230,9 +233,9 @@ def self_test(trial: Trial) -> None:
     the gauge.
     """
     loop = trial.law.motor_loop
-    assert loop is not None  # a bench gives every law one  # noqa: S101
-    # A gauge that is wired backwards would turn compensation and correction into
-    # positive feedback: the test of its sign must not depend on it.
+    assert loop is not None  # the bench gives every law a motor loop  # noqa: S101
+    # With a gauge wired backwards, compensation and correction would be positive
+    # feedback; the test of its sign must not depend on them.
     alone = replace(loop, torque_voltage=0.0)
     none = Modes(0.0)
     trial.use(replace(trial.law, correction=none, feedforward=none, motor_loop=alone))
@@ -240,7 +243,7 @@ def self_test(trial: Trial) -> None:
 
 def without_gauge(trial: Trial) -> None:
     """Let the law give up its gauge in the very period of the fault."""
-    # the mode's four copies
+    # the four copies of the mode
     degraded = MODES.index("degraded")
     trial.at(trial.row, lambda arm: arm.law.__setitem__(slice(4, 8), degraded))
 
@@ -258,8 +261,8 @@ def asked_for_less(trial: Trial) -> None:
 def flip(trial: Trial, bit_from_top: int, *, of: str = "a mode") -> None:
     """Flip the sign or the highest bit of the exponent of a real of the law's memory."""
     width = 4 if trial.law.precision == "single" else 8
-    # A law with nothing but pairs keeps them behind the sixteen real modes. A mode that
-    # the law does not have is not in its memory's path: flipping it would test nothing.
+    # A law with pairs only stores them after the sixteen real modes. A mode that the
+    # law does not have is unused memory; flipping it would test nothing.
     own = len(trial.law.correction.poles)
     place = int(trial.chance.integers(own)) if own else 16
     if of == "any":
@@ -284,7 +287,8 @@ def wipe(trial: Trial, byte: int) -> None:
         if byte >= 0:
             arm.law[:] = byte
         else:
-            # Reals alone: with the words gone, too, it is the case of severity 2.
+            # Only the reals: with the words cleared as well, it would be the case of
+            # severity 2.
             reals = np.float32 if trial.law.precision == "single" else np.float64
             arm.law[4 * WORDS :].view(reals)[:] = math.nan
 
@@ -314,8 +318,8 @@ def corrupt_body(trial: Trial, place: str) -> None:
     width = 4 if trial.law.precision == "single" else 8
     block = bytearray(trial.block)
     byte = {
-        # The third real: Ĉ's direct gain, which a law that did not look would multiply
-        # into every command.
+        # The third real is the direct gain of Ĉ; a law without a check would multiply
+        # every command by it.
         "a coefficient": HEADER + COUNTS + 2 * width,
         "the last byte": len(block) - 1,
         "any byte": HEADER + int(trial.chance.integers(len(block) - HEADER)),
@@ -340,7 +344,8 @@ def arm(
     counts of the encoder per turn of the output.
     """
     twin = trial.twin.with_payload(payload * trial.twin.beam.payload)
-    # Sliding friction, and with it stiction: the law compensates what its rig states.
+    # Sliding friction and, in proportion, stiction: the law compensates the values of
+    # its rig.
     motor = replace(twin.motor, coulomb_torque=friction * twin.motor.coulomb_torque)
     trial.twin = replace(
         twin,
@@ -357,8 +362,8 @@ def change_payload(trial: Trial, factor: float) -> None:
 
 def stand(trial: Trial, away: float) -> None:
     """Let the arm stand away from its reference at first [rad]."""
-    # The arm, and not the reference, so that the move to come is that of all other
-    # faults.
+    # The arm is moved instead of the reference, so that the following move is that of
+    # all other faults.
     trial.start_angle += away
 
 

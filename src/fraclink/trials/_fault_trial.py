@@ -1,4 +1,4 @@
-"""One run of a fault: the bench, the trial that is tampered with, and its execution."""
+"""One run of a fault: the bench, the trial with the fault, and its execution."""
 
 from __future__ import annotations
 
@@ -29,23 +29,24 @@ Real = NDArray[np.float64]
 Rows = slice | NDArray[np.int_]
 Phase = Literal["whole", "start", "mid", "rest"]
 
-# The catalogue's move: 1 rad, 1.0 to 2.2 s; [s] of a phase.
+# The move of the catalogue: 1 rad, from 1.0 to 2.2 s; times of its phases [s].
 MOVE = smooth_step(1.0, duration=1.2, start=1.0)
 TIMES: dict[Phase, float] = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2}
 PHASES: tuple[Phase, ...] = ("whole", "start", "mid", "rest")
 MOVE_BEGINS = 1.0  # [s]
-# A second move after ten seconds of the first: what a wound-up loop would spoil.
-BACK_AT = 12.2  # [s]
+# [s] start of a second move, ten seconds after the first, which a wound-up loop would
+# spoil
+BACK_AT = 12.2
 MOVES: dict[str, Reference] = {
     "move": MOVE,
     "there and back": MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2)),
-    # The paper's gauge, with a noise of 0.01 N·m, asks for 0.24 rad in this time
+    # The paper's gauge, with a noise of 0.01 N·m, needs 0.24 rad in this time
     # (`Law.wiring_angle`).
     "self-test": smooth_step(0.35, duration=0.12, start=0.1),
 }
 RUN = MODES.index("run")
-# Words of the law's memory (law.h), then its reals: the modes first, and among them the
-# real ones.
+# Words of the law's memory (law.h), followed by its reals: the modes first, of these
+# the real ones first.
 WORDS, MODES_HELD = 14, 20
 
 
@@ -103,11 +104,12 @@ class Bench:
         law, _ = with_motor_loop(replace(design, rig=arm).law(), twin=twin)
         low, high = design.payloads
         nominal = arm.payloads.nominal
-        # A design for other payloads than its rig's is tested in the middle of its own.
+        # A design for payloads other than those of its rig is tested in the middle of
+        # its own range.
         if not low <= nominal <= high:
             nominal = 0.5 * (low + high)
-        # Of both ends, since the sensitivity's peak moves from the lightest to the
-        # heaviest payload with the design.
+        # At both ends, since the peak of the sensitivity may lie at the lightest or the
+        # heaviest payload, depending on the design.
         margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
         return Bench(arm, law, twin, (low, nominal, high), margin)
 
@@ -137,26 +139,25 @@ class Trial:
         self.twin = bench.twin.with_payload(case.payload)
         self.period = law.period
         self.count = round(duration / self.period) + 1
-        # The fault's own dice, so that the noise is that of the clean run; the name
-        # holds the seed.
+        # The fault has its own random numbers, so that the noise is that of the clean
+        # run; they depend on seed and name.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
-        # A stream apart from the fault's dice: with one for both, a fault that draws
-        # would change the noise behind it, and clean and faulty run would differ by
-        # more than the fault.
+        # A separate stream: if a fault drew from this one, the noise after it would
+        # change, and clean and faulty run would differ by more than the fault.
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(
             self.twin.gauge, reference, self.period, self.count, noise
         )
         self.wanted = self.inputs[:, columns.REFERENCE].copy()
-        # Of every phase the nearest period, so that a rig of another clock is broken at
-        # the same moment of its move.
+        # The nearest period to the time of each phase, so that a rig with another
+        # period has its fault at the same moment of the move.
         self.row = round(TIMES[case.phase] / self.period)
         # periods in which a sample is bad
         self.marks = np.zeros(self.count, dtype=bool)
         self.actions: dict[int, list[Action]] = {}
         self.start_angle = float(self.wanted[0])
-        self.detail = ""  # what chance chose
-        # of each sampling instant [steps of 1 ms]
+        self.detail = ""  # the random choices
+        # shift of each sampling instant [steps of 1 ms]
         self.shifts: NDArray[np.int_] | None = None
 
     def use(self, law: Law) -> None:
@@ -181,14 +182,13 @@ class Trial:
     def set_bits(self, rows: Rows, fault: str) -> None:
         """Set the bit of a fault in the kernel's fault word."""
         column = self.inputs[:, columns.FAULT_BITS]
-        # Several faults may meet in one period; the column holds a word of bits as a
-        # real.
+        # Several faults may occur in one period; the column holds a bit mask as a real.
         column[rows] = column[rows].astype(int) | FAULTS[fault][0]
 
     def replace_reading(self, sensor: str, value: float | Real, rows: Rows) -> None:
         """Replace readings of "encoder" or "gauge" by `value` and mark them as bad."""
         column = FAULTS[f"{sensor} value"][1]
-        assert column is not None  # values have one  # noqa: S101
+        assert column is not None  # faults with values have a column  # noqa: S101
         self.set_bits(rows, f"{sensor} value")
         self.marks[rows] = True
         self.inputs[rows, column] = value
@@ -212,9 +212,9 @@ def execute(trial: Trial) -> tuple[Run, bytes]:
     actions: Mapping[int, Sequence[Action]] = trial.actions
     steps = None
     if trial.shifts is not None:
-        # A period is as long as its two instants of sampling are apart: the arm's own
-        # steps are exact and of 1 ms, so that an early sample is a shorter period of
-        # whole steps, and every period a call of its own.
+        # The length of a period is the distance of its two sampling instants. The arm
+        # has exact steps of 1 ms, so an early sample is a period with fewer steps, and
+        # every period is a separate call.
         steps = arm.count + np.diff(trial.shifts, append=0)
         actions = {row: actions.get(row, ()) for row in range(trial.count)}
 

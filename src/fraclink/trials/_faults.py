@@ -1,4 +1,4 @@
-"""Forty-four ways to break an arm, injected into the shipped law on the twin, each with
+"""Forty-four faults of an arm, injected into the law that ships on the twin, each with
 a verdict.
 """
 
@@ -56,7 +56,7 @@ __all__ = [
 
 CleanRuns = dict[tuple[object, ...], Run]
 Steps = tuple[Mapping[str, Any], ...]
-# in the order of severity
+# in ascending order of severity
 GROUPS = ("met", "slower than promised", "trips without need", "unsafe")
 
 
@@ -107,8 +107,8 @@ class Fault:
 
 
 def _catalogue() -> tuple[Fault, ...]:
-    # Read at import, as every command names the faults; the table is data that a user
-    # may read, without code.
+    # Read at import, because every command names the faults; the table is data that a
+    # user can read without knowing the code.
     rows = tomllib.loads(
         files("fraclink").joinpath("trials/faults.toml").read_text("utf-8")
     )
@@ -128,7 +128,7 @@ def fault_named(number: str) -> Fault:
     >>> fault_named("F07").title
     'encoder stuck in a move'
     """
-    # A number typed by hand may be in small letters.
+    # A number typed by hand may be in lower case.
     known = {fault.number: fault for fault in CATALOGUE}
     if number.upper() not in known:
         raise FieldError(
@@ -186,8 +186,8 @@ class Outcome:
         such as a larger peak or a later reaction.
         """
         names = [check.name for check in self.failed]
-        # A move that settles late may be far from its reference for a reason: an
-        # actuator at its limit.
+        # A move that settles late may be far from its reference for a legitimate
+        # reason: an actuator at its limit.
         astray = self.peak > SAFE and any(
             not name.startswith("settling") for name in names
         )
@@ -322,7 +322,8 @@ class FaultTable:
                 Row("failures", "", failures),
                 Row("faults", "", counts),
             ),
-            # sorted is stable: within met and missed the order of the catalogue stays.
+            # sorted is stable: within met and missed the order of the catalogue
+            # remains.
             (
                 Table.of(
                     "", (f.rows for f in sorted(summaries, key=lambda f: f.passed))
@@ -343,8 +344,8 @@ class FaultTable:
 
 def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
     failed = [outcome for outcome in runs if not outcome.passed]
-    # By the factor over the limit: a peak in radians and a reaction in periods have no
-    # other common measure.
+    # Compared by the factor over the limit, the only common measure of a peak in
+    # radians and a reaction in periods.
     check, example = max(
         ((check, outcome) for outcome in failed for check in outcome.failed),
         key=lambda pair: _excess(pair[0]),
@@ -365,9 +366,7 @@ def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
 
 
 def _excess(check: Check) -> float:
-    """By how much a limit is exceeded, as a factor; a reaction that never came is the
-    worst.
-    """
+    """The factor by which a limit is exceeded; a reaction that never came is the worst."""
     if not math.isfinite(check.measured):
         return math.inf
     return check.measured / check.limit if check.limit > 0 else check.measured
@@ -392,8 +391,8 @@ def cases(
     Raises FieldError for unknown faults, phases, severities, payloads, and where
     nothing is left to run.
     """
-    # Faults outside, seeds inside: what can be shared, the clean run of a payload and a
-    # seed, is met again soon.
+    # Faults in the outer loop, seeds in the inner one: the clean run of a payload and a
+    # seed, which can be shared, is needed again soon.
     faults = [fault_named(name) for name in only] or list(CATALOGUE)
     result = tuple(
         Case(fault.number, severity, payload, phase, seed)
@@ -429,11 +428,12 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
     trial = fault.trial(bench, case, law)
     inject(trial, fault.inject)
     payload = bench.payloads[1] if fault.nominal else case.payload
-    # All that a clean run depends on; one whose arm was prepared is its fault's own.
+    # Everything on which a clean run depends; the clean run of a prepared arm belongs
+    # to its fault alone.
     special = fault.number if fault.prepare else fault.move
     key = (payload, case.seed, fault.duration, special, law.digest)
-    # A dictionary of the caller's and no cache of the module: a campaign of 8610 runs
-    # keeps some 100 clean ones, and frees them.
+    # A dictionary of the caller instead of a module cache: a campaign of 8610 runs
+    # keeps about 100 clean runs, and frees them at its end.
     known = {} if clean is None else clean
     if key not in known:
         whole = Case(fault.number, 1, payload, "whole", case.seed)
@@ -442,8 +442,8 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
         known[key] = healthy
     best = None
     if fault.best:
-        # The same fault, drawn by the same dice, and on top of it what a law would do
-        # that knew.
+        # The same fault with the same random numbers, with the action of a law that
+        # knows it.
         knowing = fault.trial(bench, case, law)
         inject(knowing, (*fault.inject, *fault.best))
         best, _ = execute(knowing)

@@ -1,11 +1,11 @@
-"""The rivals: every one with the rule it was tuned by, none by hand.
+"""The rivals, each with its tuning rule; none is tuned by hand.
 
-Each is a law, and runs as the design does, in law.c: the corrected equation (22),
+Each is a law that runs in law.c like the design: the corrected equation (22),
 
     θm* = θt* + F(z) θ̈t* + Ĉ(z) e,   e = θt* − (θm − Γ/c),
 
-with one feed-forward F for all that use the tip estimate, and a correction Ĉ of their
-own.
+with the same feed-forward F for all that use the tip estimate, and their own correction
+Ĉ.
 """
 
 from __future__ import annotations
@@ -34,17 +34,16 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FRACLINK = "fraclink"
-# Far above every angle, torque and speed of an arm, and a number that a block in single
-# precision holds.
+# Far above every angle, torque and speed of an arm, and within the range of a block in
+# single precision.
 UNBOUNDED = 1e6
-# [s] of the rivals' filtered derivative: 100 rad/s, above a usual motor loop, since
-# below it the filter would be the loop's slowest lag, and below Nyquist, since above it
-# the filter would not filter
+# [s] of the rivals' filtered derivative: 100 rad/s, above a usual motor loop (otherwise
+# the filter would be the slowest lag of the loop), and below the Nyquist frequency
+# (otherwise it would not filter).
 FILTER_TIME = 0.01
-WIDE = (
-    0.7  # damping ratio of a notch's poles: as wide as it is without a peak of its own
-)
-KNOBS = 100  # geometric steps of a range of gains that are tried
+# damping ratio of a notch's poles: the widest notch without a peak of its own
+WIDE = 0.7
+KNOBS = 100  # geometric steps in the range of gains that are tried
 
 
 def correction_of(a: Real, b: Real, c: Real, d: float) -> Modes:
@@ -53,8 +52,8 @@ def correction_of(a: Real, b: Real, c: Real, d: float) -> Modes:
     """
     poles, vectors = np.linalg.eig(a)
     gains = (c @ vectors) * np.linalg.solve(vectors, b)
-    # Over 1 − 1/z = (z − 1)/z, what is constant becomes a pole at 1, and each fraction
-    # g/(z − p) is one at 1 with g/(1 − p) and one at p with −p g/(1 − p).
+    # Divided by 1 − 1/z = (z − 1)/z, a constant becomes a pole at 1, and each fraction
+    # g/(z − p) becomes a pole at 1 with g/(1 − p) and a pole at p with −p g/(1 − p).
     constant = d + float(np.sum(gains / (1.0 - poles)).real)
     gains = -poles * gains / (1.0 - poles)
     real, upper = poles.imag == 0.0, poles.imag > 0.0
@@ -63,7 +62,7 @@ def correction_of(a: Real, b: Real, c: Real, d: float) -> Modes:
         (1.0, *poles[real].real.tolist()),
         (constant, *gains[real].real.tolist()),
         tuple(poles[upper].tolist()),
-        # one of each conjugate pair stands for both
+        # one of each conjugate pair represents both
         tuple((2.0 * gains[upper]).tolist()),
     )
 
@@ -114,7 +113,7 @@ def open_guards(law: Law) -> Law:
     """Return the law with guards that never act: what is compared is control, for all
     rivals alike.
     """
-    # Every threshold but the fade, which is no threshold: the numbers are angles,
+    # All thresholds except the fade, which is not a threshold: the values are angles,
     # torques and speeds.
     wide: dict[str, Any] = {
         name: UNBOUNDED
@@ -162,7 +161,7 @@ def builders(design: Design) -> dict[str, Builder]:
             "PD on the tip",
             "zero at the nominal mode, notch at the second where it is known",
             lambda gain: pd_correction(link, gain, design.rig.period),
-            # from a loop that does nothing to one that is unstable on every arm
+            # from a loop without effect to one that is unstable on every arm
             (1e-3, 10.0),
             design,
         ),
@@ -180,8 +179,8 @@ def builders(design: Design) -> dict[str, Builder]:
 def _by_law(name: str, rule: str, controller: Controller, tuned_for: Design) -> Rival:
     law = discretize(controller, tuned_for.rig.period)
     peak = sensitivity_peak(tuned_for, law.frequency_response)
-    # One motor loop for all: a law equipped for its own controller would have guards,
-    # and so limits, of its own.
+    # The same motor loop for all: a law equipped for its own controller would have its
+    # own guards, and thus its own limits.
     law = open_guards(replace(law, motor_loop=tuned_for.law().motor_loop))
     c = controller
     knob = (
@@ -225,11 +224,11 @@ def _tuned(
     knobs: tuple[float, float],
     tuned_for: Design,
 ) -> Rival:
-    """Return the rival with the largest knob of the first range of knobs whose Ms is at
-    or below that of the design; where none is, with the knob of the least Ms.
+    """Return the rival with the largest knob in the first range of knobs whose Ms is at
+    or below that of the design; if there is none, with the knob of the smallest Ms.
 
-    Larger knobs that come back under the target lie behind a worse range and are not
-    taken.
+    Larger knobs that meet the target again lie beyond a range that misses it, and are
+    not used.
     """
     open_law = open_guards(tuned_for.law())
 
@@ -281,7 +280,7 @@ def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
     w, _ = integer_mode(link)
     above, below = np.array([gain / w, gain]), np.array([FILTER_TIME, 1.0])
     mode = link.second_mode
-    # Above the Nyquist frequency the notch would stand at an alias.
+    # Above the Nyquist frequency the notch would lie at an alias.
     if mode is not None and mode.frequency * period < math.pi:
         near, wide = (
             [1.0, 2.0 * ratio * mode.frequency, mode.frequency**2]
@@ -303,11 +302,12 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     """
     rig = tuned_for.rig
     period, pole, delay = rig.period, rig.motor_loop.pole, rig.motor_loop.delay_samples
-    # A gauge without noise would have a filter of infinite gain: a tenth of a
-    # millinewton-metre is below every converter's step.
+    # Without noise of the gauge the filter would have infinite gain; a tenth of a
+    # millinewton-metre is below the step of every converter.
     noise = max(rig.gauge.noise, 1e-4) / link.stiffness
     w, ratio = integer_mode(link)
-    # Motor reference to tip angle: M(s) and the link's mode, states θm, θ̇m, θt, θ̇t.
+    # Motor reference to tip angle: M(s) and the mode of the link, states θm, θ̇m, θt,
+    # θ̇t.
     a = np.zeros((4, 4))
     a[0, 1] = a[2, 3] = 1.0
     a[1] = [-(pole**2), -2.0 * pole, 0.0, 0.0]
@@ -315,9 +315,10 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     b = np.array([[0.0], [pole**2], [0.0], [0.0]])
     held, drive, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), period)
     if delay > 1:
-        # its controller has as many poles at 0, and law.c runs simple ones
+        # the controller has one pole at 0 per period of delay, and law.c only runs
+        # simple poles
         raise InfeasibleError("delay_samples", f"{delay} periods, of which LQG has one")
-    # The delay is a queue of held inputs: the oldest drives the arm.
+    # The delay is a queue of held inputs; the oldest one drives the arm.
     n = 4 + delay
     queue = np.zeros((n, n + 1))
     queue[:4, :4], queue[:4, 4:5] = held, drive
@@ -325,7 +326,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     whole, enter = queue[:, :n], queue[:, n]
     row = np.zeros(n)
     row[2] = 1.0
-    # One knob: `weight` prices the motor's reference against the tip.
+    # One knob: `weight` is the cost of the tip relative to that of the motor reference.
     cost = solve_discrete_are(
         whole, enter[:, None], np.outer(row, row), np.array([[1.0 / weight]])
     )
@@ -335,16 +336,16 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     wide[:n, :n] = whole
     seen = np.append(row, 1.0)
     # 1e-12 keeps the Riccati equation well posed for states that the input does not
-    # reach at once.
+    # reach within one step.
     process = np.zeros((n + 1, n + 1))
     process[:n, :n] = np.outer(enter, enter) * 0.01**2 + 1e-12 * np.eye(n)
-    # slower than any move: a filter that let the offset go faster would take the bend
-    # of a move for it
+    # slower than any move: with a faster offset state the filter would take the
+    # deflection of a move for an offset
     process[n, n] = 3e-3**2 * period / 10.0
     spread = solve_discrete_are(wide.T, seen[:, None], process, np.array([[noise**2]]))
     kalman = spread @ seen / (noise**2 + seen @ spread @ seen)
 
-    # y = tip estimate = −e. Predictor form, so that no product of direct terms arises.
+    # y = tip estimate = −e. Predictor form, so that no products of direct terms arise.
     correct = np.eye(n + 1) - np.outer(kalman, seen)
     state = wide @ correct
     state[:n] -= np.outer(enter, gain) @ correct[:n]

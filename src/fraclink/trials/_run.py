@@ -1,9 +1,9 @@
-"""Compute a campaign's missing parts on processes of this machine, or on a Dask
+"""Compute the missing parts of a campaign in processes on this machine or on a Dask
 cluster.
 
-A part is done when its file is there and reads back as this campaign's; everything else
-is computed again. So a kill costs the parts in flight and nothing more, and the same
-command continues where it stopped.
+A part is done if its file exists and reads back as one of this campaign; everything
+else is computed again. An interruption therefore only costs the parts in progress, and
+the same command continues from there.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ __all__ = [
 Real = NDArray[np.float64]
 
 PARTS = "part-*.npz"
-CONNECT = 10  # [s] to reach a scheduler
+CONNECT = 10  # [s] for connecting to a scheduler
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ def run_campaign(
     """
     place = checked_path("folder", folder)
     _claim(campaign, place)
-    # Read in full and compared with its digests, not only looked for: a file that a
-    # kill or an editor left would otherwise be summarised.
+    # Read in full and compared with its digests instead of only checked for existence:
+    # a file damaged by an interruption or an editor would otherwise be used.
     missing = [
         part
         for part in range(campaign.parts)
@@ -108,8 +108,7 @@ def run_campaign(
     before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
     progress = Progress(before, before, campaign.runs)
     try:
-        # Closed at the end, whatever ends it: an exception of `watch` must not leave
-        # processes behind.
+        # Closed in any case: an exception in `watch` must not leave processes behind.
         with closing(_computed(place, missing, workers, scheduler)) as finished:
             for part, failures in finished:
                 progress = replace(
@@ -131,7 +130,9 @@ def run_campaign(
 
 
 def _claim(campaign: Campaign, place: Path) -> None:
-    """Make the folder this campaign's, or refuse it."""
+    """Claim the folder for this campaign, or raise an error if it belongs to another
+    one.
+    """
     if is_campaign(place):
         known = load_campaign(place)
         if known.fingerprint != campaign.fingerprint:
@@ -142,8 +143,8 @@ def _claim(campaign: Campaign, place: Path) -> None:
                 allowed="a new folder, or one of the same rig, law, draws and seed",
                 remedy="choose another folder",
             )
-        # A shorter request of the same campaign is done already where the longer one
-        # is; the file keeps the longer.
+        # A shorter request for the same campaign is done already if the longer one is;
+        # the file keeps the longer one.
         if known.runs >= campaign.runs:
             return
     try:
@@ -168,13 +169,11 @@ def compute(folder: str, part: int) -> tuple[int, int]:
 def _computed(
     place: Path, missing: list[int], workers: int, scheduler: str | None
 ) -> Generator[tuple[int, int], None, None]:
-    """Give what `compute` returns of every missing part, in the order in which they are
-    finished.
-    """
+    """Yield the result of `compute` for every missing part, in the order of completion."""
     folder = str(place.resolve())
     if workers == 1 and not scheduler:
-        # One worker needs no process of its own: a second to start it, and no script
-        # that is run again.
+        # A single worker needs no separate process, which would take a second to start
+        # and execute the script again.
         yield from (compute(folder, part) for part in missing)
         return
     with cluster(scheduler) if scheduler else process_pool(workers) as executor:
@@ -200,8 +199,8 @@ def cluster(scheduler: str) -> Iterator[Executor]:
             remedy="start one: dask scheduler; dask worker ADDRESS",
         ) from error
     with client:
-        # retries: Dask gives the parts of a worker that died to another one. Keys that
-        # are not derived from the arguments: Dask would otherwise hand out the answer
+        # retries: Dask gives the parts of a worker that died to another one.
+        # pure=False: keys derived from the arguments would make Dask return the result
         # of an earlier campaign for the same folder and part, although its files are
         # gone.
         yield client.get_executor(pure=False, retries=3)
@@ -219,8 +218,8 @@ def process_pool(workers: int) -> Iterator[Executor]:
     Raises FieldError where a worker dies: because each runs the user's script again, or
     because the system ends it.
     """
-    # spawn: a forked child would inherit threads of numerical libraries in the middle
-    # of a lock
+    # spawn: a forked child could inherit threads of numerical libraries that hold a
+    # lock
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
         yield pool
@@ -246,11 +245,11 @@ def process_pool(workers: int) -> Iterator[Executor]:
 
 
 def _unguarded_script() -> Path | None:
-    """The script that runs, if it never asks whether it is the main one; a spawned
-    process runs it again.
+    """The running script, if it has no `__main__` guard; a spawned process executes it
+    again.
     """
     file = getattr(sys.modules["__main__"], "__file__", None)
-    # a package's __main__.py (`python -m fraclink`) is not run again
+    # a package's __main__.py (`python -m fraclink`) is not executed again
     if file is None or Path(file).name == "__main__.py" or not Path(file).is_file():
         return None
     text = Path(file).read_text(encoding="utf-8", errors="replace")
@@ -285,8 +284,8 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     failed.
     """
     place = part_path(folder, part)
-    # A kill leaves the half of the file that it cut off: its part is missing, and is
-    # computed here again.
+    # An interrupted write leaves a temporary file; its part is missing and is computed
+    # here again.
     for left in folder.glob(f".{place.name}.*.tmp"):
         left.unlink(missing_ok=True)
     columns = {
@@ -306,7 +305,7 @@ def read_part(campaign: Campaign, folder: Path, part: int) -> Mapping[str, Real]
     except FileFormatError:
         return None
     # The last part of a shorter campaign has fewer runs under the same number and
-    # fingerprint: it is done again.
+    # fingerprint: it is computed again.
     own = (found.fingerprint, found.number, len(found.columns["run"]))
     wanted = (campaign.fingerprint, part, campaign.part_runs(part))
     return found.columns if own == wanted else None

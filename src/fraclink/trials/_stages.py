@@ -1,5 +1,5 @@
-"""From a log to a verdict: examine, identify, design, discretize, simulate, and try a
-thousand arms.
+"""From a log to a verdict: diagnosis, identification, design, discretisation,
+simulation, and a thousand different arms.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ __all__ = [
 __all__ += ["subject", "tried"]
 
 # Each of a thousand arms draws payload, stiffness, order, motor, friction, delay,
-# offset and noise anew: half a second of work, and a share of failures of 0.3 % is seen
-# with 95 % certainty.
+# offset and noise: half a second of work, which detects a failure rate of 0.3 % with 95
+# % certainty.
 _ARMS = 1000
 _MOVE, _WATCHED = smooth_step(1.0, duration=0.5), 4.0
 
@@ -107,7 +107,7 @@ def run(
         )
     begin("examining the log")
     study = examined(rig, log)
-    # Kept where they are computed: a campaign of a million arms that is cut goes on
+    # Kept where they are computed: an interrupted campaign of a million arms continues
     # from its parts.
     folder = None if out is None else Path(out) / "arms"
     steps: dict[str, Callable[[Study], Study]] = {
@@ -124,7 +124,8 @@ def run(
         try:
             study = step(study)
         except FraclinkError as error:
-            # A value that the caller gave is bad input; everything else is an answer.
+            # An error in a value given by the caller is bad input; any other error is a
+            # result.
             if (
                 isinstance(error, FieldError)
                 and error.field.partition(".")[0].partition("[")[0] in wanted
@@ -135,12 +136,12 @@ def run(
                 if isinstance(error, InfeasibleError)
                 else f"{name} failed: {error}"
             )
-            # What could not be run is "not run", and breaks no promise.
+            # A part that could not be run is "not run", and misses no requirement.
             part = {trying: "arms", "proving": "certificate"}.get(name, "design")
             study = replace(study, missing={**study.missing, part: why})
             if isinstance(error, InfeasibleError) and error.nearest:
                 study = replace(study, refused=Refusal.of(wanted, error.nearest))
-        # Without a fit there is no design, and without a law nothing that moves.
+        # Without a fit there is no design, and without a law nothing to run.
         if (study.fit if name == "identifying" else study.law) is None:
             break
     if out is not None:
@@ -168,7 +169,7 @@ def identified(
     """
     assert study.rig is not None and study.experiment is not None  # noqa: S101
     rig, log = study.rig, study.experiment
-    # A deflection log cannot show the stiffness; a torque log measures it.
+    # A deflection log does not determine the stiffness; a torque log does.
     known = rig.link.stiffness if log.output_kind == "deflection" else None
     comparison = compare_structures(log, stiffness=known, heldout=heldout)
     fit = comparison.fits[structure or comparison.preferred]
@@ -185,8 +186,8 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
     """
     rig = study.rig
     if study.fit is not None:
-        # Not `fit.model`: of a log that cannot show the stiffness its c is nobody's,
-        # and a law divides by it.
+        # Not `fit.model`: from a log that does not determine the stiffness its c is
+        # arbitrary, and a law divides by it.
         link: LinkModel | None = study.fit.loop_model(rig) if rig else study.fit.model
     else:
         link = study.design.model if study.design else rig.model if rig else None
@@ -226,8 +227,7 @@ def moved(study: Study) -> Study:
     assert study.design is not None  # noqa: S101
     low, high = study.design.payloads
     nominal = study.design.rig.payloads.nominal
-    # The margin is least at one of the ends, and the nominal payload is the one that
-    # people look at.
+    # The margin is smallest at one of the ends, and people look at the nominal payload.
     payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
     design, law = study.design, study.law or study.design.law()
     twin = Twin.from_rig(design.rig, model=design.model)
@@ -269,7 +269,7 @@ def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) ->
     `folder` if given.
     """
     assert study.rig is not None and study.design is not None and study.law is not None  # noqa: S101
-    # The model of the design and not of the fit: they differ where the log stated no
+    # The model of the design, which differs from that of the fit if the log stated no
     # payload.
     campaign = Campaign.of(
         study.rig, study.design.model, study.law, runs=arms, seed=seed
@@ -281,14 +281,14 @@ def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) ->
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
-    """The model with the payload of its log: ω₀ can be carried to other payloads from
-    there only.
+    """The model with the payload of its log, from which alone ω₀ can be converted to
+    other payloads.
     """
     if model.payload is not None:
         return model, ()
-    # Without a payload ω₀ could be used at that of the log only, and no design over a
-    # range were possible; the assumption is written down, as a wrong one shifts every
-    # frequency by its root.
+    # Without a payload, ω₀ would hold for the payload of the log only, and a design
+    # over a range would be impossible. The assumption is recorded, because a wrong
+    # payload shifts every frequency by its square root.
     nominal = rig.payloads.nominal
     return replace(model, payload=nominal), (
         f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated",

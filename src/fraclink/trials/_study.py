@@ -1,5 +1,5 @@
-"""A study: whatever was computed from one log, its verdict, and its folder with one
-file for each part:
+"""A study: everything computed from one log, its verdict, and its folder with one file
+for each part:
 
 rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json
 certificate.json  run-20g.npz …  arms/  faults.json  study.json
@@ -30,7 +30,7 @@ from fraclink.trials._summary import Summary, summarise
 
 __all__ = ["Refusal", "Study", "load_study", "save_study"]
 
-# What has a file or a folder of its own beside study.json.
+# The parts with their own file or folder next to study.json.
 _FILES = ("rig", "experiment", "fit", "design", "law", "certificate", "arms", "faults")
 
 
@@ -102,8 +102,8 @@ class Study:
     @property
     def verdict(self) -> Verdict:
         """The verdict in four scopes."""
-        # A design may be good and the log behind it wrong: a reversed gauge fits as
-        # well as a right one.
+        # A design may be good while the log behind it is wrong: a reversed gauge fits
+        # as well as a correct one.
         wrong = [("the log", finding) for finding in self.findings]
         wrong += [
             ("the model", finding)
@@ -115,8 +115,8 @@ class Study:
             for f in (self.design.findings if self.design else ())
             if f not in said
         ]
-        # Errors only: a warning asks for a look, an error says that the numbers do not
-        # describe the arm.
+        # Errors only: a warning calls for a look, an error means that the numbers do
+        # not describe the arm.
         doubts = [
             f"{what}: {f.message}. {f.remedy}"
             for what, f in wrong
@@ -233,7 +233,8 @@ class Study:
 
     def _twin(self, doubts: list[str]) -> Scope:
         ran = self.arms is not None or self.faults is not None
-        # The twin alone shows no arm that differs: it can refute, and no more.
+        # The twin alone contains no arms that differ: it can refute a design, but not
+        # confirm it.
         off = [
             f"twin: {_failed_move(run)}" for run in self.twins if not run.verdict.passed
         ]
@@ -248,8 +249,8 @@ class Study:
             settling = next(
                 metric for metric in self.arms.metrics if metric.name == "settling_time"
             )
-            # The first two: in a thousand runs chance alone correlates by 3 %, and the
-            # third is soon there.
+            # The first two: with a thousand runs, chance alone gives correlations of 3
+            # %, which the third soon reaches.
             causes = " and ".join(
                 name.replace("_", " ") for name, _ in settling.drivers[:2]
             )
@@ -265,8 +266,8 @@ class Study:
 
 
 def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
-    # Failed before doubtful: what ran and missed is a fact, whatever is wrong with the
-    # model.
+    # Failed before doubtful: a run that missed a requirement is a fact, whatever is
+    # wrong with the model.
     if failures:
         return Scope("failed", tuple(failures + doubts))
     if doubts:
@@ -299,15 +300,14 @@ def save_study(study: Study, folder: Path | str) -> None:
         "certificate.json": study.certificate,
     }
     for name, fit in study.fits.items():
-        # The fit that the design used is model.json, so that the commands that take a
-        # model need no name of a structure.
+        # The fit that the design used is model.json, so that commands that take a model
+        # need no structure name.
         chosen = study.fit is not None and fit.structure == study.fit.structure
         parts["model.json" if chosen else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
     parts |= {f"twin-{1e3 * move.payload:.6g}g.npz": move for move in study.twins}
     for name, part in parts.items():
-        # What a study has not got leaves no empty file: a folder tells by its files
-        # what was done.
+        # Missing parts leave no empty file: the files of a folder show what was done.
         if part is not None:
             part.save(place / name)
     if study.experiment is not None:
@@ -317,7 +317,8 @@ def save_study(study: Study, folder: Path | str) -> None:
     elsewhere: dict[str, Any] = dict.fromkeys(_FILES)
     comparison = study.comparison
     if comparison is not None:
-        # study.json says of a comparison what its fits, files of their own, do not
+        # study.json holds the part of a comparison that its fits, which are separate
+        # files, do not contain
         comparison = replace(comparison, fits={}, without_delay={})
     about = replace(study, comparison=comparison, runs=(), twins=(), **elsewhere)
     save(about, place / "study.json", force=True)
@@ -342,7 +343,7 @@ def load_study(folder: Path | str) -> Study:
     by_kind: dict[str, list[Path]] = {}
     for path in sorted(place.iterdir()):
         by_kind.setdefault(_kind(path), []).append(path)
-    # A certificate or a table of faults alone has no arm to be shown with.
+    # A certificate or a table of faults alone does not describe an arm.
     if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
         raise FileFormatError(
             "folder",
@@ -355,7 +356,7 @@ def load_study(folder: Path | str) -> Study:
 
 
 def _kind(path: Path) -> str:
-    """What a file holds; an empty text for anything foreign."""
+    """The kind of a file; an empty string for a foreign one."""
     if path.suffix == ".toml":
         return "rig"
     return kind_of(path) if path.suffix in (".json", ".npz") else ""
@@ -373,16 +374,16 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         first("certificate", Certificate.load),
     )
     missing = dict(about.missing)
-    # A certificate that says no is kept as the file that it is, and is a reason in the
-    # verdict, not a proof.
+    # A certificate that was not passed is kept as a file; in the verdict it is a reason
+    # and not a proof.
     if certificate is not None and not certificate.passed:
         missing["certificate"], certificate = certificate.verdict, None
     # model.json has the shortest name: the fit that the design used.
     chosen = min(by_kind.get("fit", []), key=lambda path: len(path.name), default=None)
     comparison = about.comparison
     if comparison is not None:
-        # A comparison of some structures would name one as preferred that was never
-        # held against the others.
+        # A comparison of only some structures would prefer one that was never compared
+        # with the others.
         whole = set(fits) == set(STRUCTURES)
         ordered = {name: fits[name] for name in STRUCTURES if name in fits}
         comparison = replace(comparison, fits=ordered) if whole else None

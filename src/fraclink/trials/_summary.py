@@ -1,4 +1,6 @@
-"""What a campaign's runs say: quantiles, failures, worst cases and what drives them."""
+"""Summary of a campaign: quantiles, failures, worst cases and the parameters that drive
+them.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +34,15 @@ Real = NDArray[np.float64]
 
 METRICS = tuple(field.name for field in fields(Metrics))
 PARAMETERS = tuple(field.name for field in fields(Draws))
-# Units in which people read the metrics.
+# Display units of the metrics.
 UNITS = {row.key: row.unit for row in Metrics(*[0.0] * len(METRICS)).rows}
-# A parameter with a smaller rank correlation explains some 2 % of the variance of the
-# ranks, which nobody would act on. No test of significance: of ten parameters without
-# any effect one exceeds it by chance in three of four campaigns of 100 runs, but in one
-# of 50 000 campaigns of 1000 runs.
+# A parameter with a smaller rank correlation explains about 2 % of the variance of the
+# ranks, which has no practical use. This is not a significance test: of ten parameters
+# without any effect, one exceeds it by chance in three of four campaigns of 100 runs,
+# but in only one of 50 000 campaigns of 1000 runs.
 WEAK = 0.15
-# The 99.9 % quantile of 1000 runs has no upper bound, and is told with an infinite one:
-# a reader sees how many runs would be needed.
+# The 99.9 % quantile of 1000 runs has no upper bound, which is reported as infinite: it
+# shows that more runs are needed.
 PROBABILITIES = (0.05, 0.5, 0.95, 0.99, 0.999)
 CONFIDENCE = 0.95
 WORST = 5
@@ -63,7 +65,8 @@ class Quantile:
 @dataclass(frozen=True)
 class MetricSummary:
     """One metric: quantiles, the run numbers of its worst cases, and Spearman's rank
-    correlation with every parameter, largest first."""
+    correlation with every parameter, largest first.
+    """
 
     name: str
     quantiles: tuple[Quantile, ...]
@@ -78,8 +81,7 @@ class MetricSummary:
     @property
     def rows(self) -> tuple[Row, ...]:
         """Its quantiles over the arms, and what drives it most."""
-        # One driver: the strongest. The drawing of all of them is in the campaign's
-        # report.
+        # Only the strongest driver; the report of the campaign shows all of them.
         strong = [(name, r) for name, r in self.drivers[:1] if abs(r) >= WEAK]
         driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in strong)
         return (
@@ -164,7 +166,8 @@ class Summary:
         """How many fail, how they are spread, and what drives it."""
         failure = self.failure
         headline = failure.sentence
-        if self.missing:  # else "failed" would stand before "0 of 2000 runs failed"
+        # otherwise "failed" would stand before "0 of 2000 runs failed"
+        if self.missing:
             headline = f"{self.missing} runs missing; of the others, {headline}"
         rows = (
             Row("left_out", "", self.left_out),
@@ -204,8 +207,7 @@ def summarise(folder: Path | str) -> Summary:
         failure=_failure(len(failed), len(run)),
         trips=_trips(columns["mode"], columns["reason"]),
         metrics=tuple(_metric(name, columns[name], run, drawn) for name in METRICS),
-        # A hundred: enough to replay, and a page that still loads where everything
-        # fails.
+        # A hundred are enough to replay, and the page still loads if everything fails.
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
         missing=campaign.runs - len(run),
@@ -213,8 +215,8 @@ def summarise(folder: Path | str) -> Summary:
 
 
 def _given(campaign: Campaign) -> str:
-    """What the law was given of each arm's payload; the bounds of the draw are ratios
-    to it.
+    """The payload given to the law for each arm; the bounds of the draw are ratios to
+    it.
     """
     if campaign.payloads is not None:
         return "the law was given the payload that it estimated of each arm"
@@ -236,8 +238,8 @@ def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
     FieldError where no part is finished.
     """
     place = Path(folder)
-    # Files are counted and not parts: one of 10⁹ runs that has just begun has a million
-    # names to ask for.
+    # Files are counted instead of parts: a campaign of 10⁹ runs that has just begun has
+    # a million possible names.
     names = {path.stem.removeprefix("part-") for path in place.glob(PARTS)}
     numbers = sorted({int(name) for name in names if name.isdecimal()})
     read = (read_part(campaign, place, n) for n in numbers if n < campaign.parts)
@@ -256,7 +258,7 @@ def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
 def _metric(
     name: str, values: Real, run: Real, drawn: dict[str, Real]
 ) -> MetricSummary:
-    # The only metric with a sign; its worst case is the farthest, on either side.
+    # The only signed metric; its worst case is the largest deviation on either side.
     size = np.abs(values) if name == "steady_state_error" else values
     order = np.sort(size)
     worst = np.argsort(size)[::-1][:WORST]
@@ -271,15 +273,15 @@ def _metric(
 
 
 def _quantile(order: Real, probability: float) -> Quantile:
-    """A quantile of a sorted sample, and order statistics on either side of it that
-    hold it (David and Nagaraja 2003).
+    """A quantile of a sorted sample with its confidence interval from order statistics
+    (David and Nagaraja 2003).
     """
-    # The smallest value with at least that part of the sample at or below it; no
-    # interpolation, which a bound on order statistics would not cover.
+    # The smallest value with at least that share of the sample at or below it; an
+    # interpolated value would not be covered by order statistics.
     value = float(order[max(math.ceil(probability * len(order)), 1) - 1])
     test = stats.quantile_test(order, q=value, p=probability)
     low, high = test.confidence_interval(CONFIDENCE)
-    # NaN where the sample is too small to bound it
+    # NaN if the sample is too small for a bound
     return Quantile(
         probability,
         value,
@@ -289,7 +291,7 @@ def _quantile(order: Real, probability: float) -> Quantile:
 
 
 def _failure(count: int, runs: int) -> Failure:
-    """The share of runs that fail, with the interval of Clopper and Pearson (1934)."""
+    """The failure rate with the interval of Clopper and Pearson (1934)."""
     interval = stats.binomtest(count, runs).proportion_ci(CONFIDENCE)
     return Failure(count, runs, count / runs, float(interval.low), float(interval.high))
 
@@ -306,10 +308,10 @@ def _trips(mode: Real, reason: Real) -> tuple[tuple[int, int, int], ...]:
 
 
 def _ranks(values: Real) -> Real:
-    """Mean ranks, centred and of length one: a dot product of two of them is Spearman's
+    """Mean ranks, centred and normalised: the dot product of two of them is Spearman's
     correlation.
     """
     ranks = stats.rankdata(values) - 0.5 * (len(values) + 1)
-    # A parameter that is not varied has rank zero everywhere, and a correlation of 0
+    # A parameter that does not vary has rank zero everywhere, and a correlation of 0
     # instead of 0/0.
     return np.asarray(ranks / (float(np.linalg.norm(ranks)) or 1.0))

@@ -1,5 +1,5 @@
 """All rivals on the same arm, with the same sensors, noise, motor loop and reference,
-and what came out.
+and their results.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ __all__ = ["Standing", "Tournament", "compare"]
 
 PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
 AFTER = 5.0  # [s] of every run after the reference has come to rest
-# Five times the noise of the paper's gauge: 32 mrad of apparent bend, more than the
-# band of 2 % in which a move of 1 rad settles.
-OFFSET, OFFSET_TIME = 0.05, 0.2  # [N·m], [s]
+# [N·m], [s]. Five times the noise of the paper's gauge: an apparent deflection of 32
+# mrad, more than the 2 % band in which a move of 1 rad settles.
+OFFSET, OFFSET_TIME = 0.05, 0.2
 LASTING = 1e6  # [s]: longer than any run
 
 
@@ -45,12 +45,12 @@ class Figure:
 
     def row(self, key: str, value: float) -> Row:
         """A value of the figure."""
-        # What is below a thousandth of the floor is rounding.
+        # Values below a thousandth of the floor are rounding.
         told = value if abs(value) > 1e-3 * self.floor else 0.0
         return Row(key, self.words, told, self.unit, digits=3, infinite="never")
 
 
-# Smaller is better for every figure.
+# For every figure smaller is better.
 FIGURES = {
     "settling_time": Figure("settling", "s", 0.01),
     "overshoot": Figure("overshoot", "%", 1e-3),
@@ -128,7 +128,7 @@ class Tournament:
         for name, figure in FIGURES.items() if able else ():
             values = {each.name: float(getattr(each, name)) for each in able}
             best = min(values.values())
-            # An infinite best is shared by all, and nobody has won.
+            # An infinite best value is shared by all, without a winner.
             result[name] = tuple(
                 rival
                 for rival, value in values.items()
@@ -146,7 +146,7 @@ class Tournament:
         if len(self.standings) == 1:
             return (f"{first.name} ran alone: nothing to compare with",)
         sentences = []
-        # Where another is better comes first.
+        # Figures in which another rival wins come first.
         for name in sorted(winners, key=lambda name: first.name in winners[name]):
             figure, best = FIGURES[name], winners[name]
             own = first.row(name).text
@@ -229,8 +229,8 @@ def compare(
     move = smooth_step(1.0, duration=1.0) if reference is None else reference
     rig = design.rig
     mass = (rig.link.mass or DEFAULT_MASS) if link_mass is None else link_mass
-    # The arm is judged by the twin, the rivals are tuned by the model: nobody sees the
-    # twin before its run.
+    # The twin judges the arm, while the rivals are tuned with the model: none of them
+    # uses the twin before its run.
     twin = Twin.from_rig(rig, model=design.model, link_mass=mass)
     notes = [f"link of {1e3 * mass:g} g, {twin.damping.label}"]
     notes += [str(finding) for finding in twin.findings]
@@ -242,8 +242,8 @@ def compare(
         try:
             rival = makers[name]()
         except InfeasibleError as error:
-            # a requirement that a variant of the design cannot meet is no fault of the
-            # table
+            # a requirement that a variant of the design cannot meet does not stop the
+            # tournament
             notes.append(f"{name} left out: {error}")
             continue
         standing, runs[name] = _standing(
@@ -255,7 +255,7 @@ def compare(
 
 def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
     """Return fraclink and the rivals whose names contain one of `names`; FieldError for
-    one in no name.
+    an entry that matches no name.
     """
     words = [name.lower() for name in names or ("",)]
     for word in words:
@@ -283,8 +283,8 @@ def _standing(
     seed: int,
 ) -> tuple[Standing, Run]:
     followed = rival.shaped(move)
-    # After the start: an offset that is there from the first sample is taken by the law
-    # for the gauge's zero.
+    # After the start: the law would take an offset present from the first sample as the
+    # zero of the gauge.
     shift = SensorFault(OFFSET_TIME, LASTING, "gauge offset", OFFSET)
 
     def run(payload: float, *events: SensorFault) -> Run:
@@ -300,11 +300,11 @@ def _standing(
 
     usual = design.rig.payloads.nominal
     nominal = run(usual)
-    # A run of its own: in one with the offset the figures of the move would be those of
-    # a disturbed one.
+    # A separate run: with the offset in it, the figures of the move would be those of a
+    # disturbed one.
     shifted = run(usual, shift)
     settling = {payload: _settled(run(payload)) for payload in payloads}
-    # Of several that never settle the farthest from the nominal payload is named.
+    # If several never settle, the one farthest from the nominal payload is reported.
     worst = max(settling, key=lambda p: (settling[p], abs(p - usual)))
     figures = nominal.metrics
     last = shifted.error[-round(1.0 / design.rig.period) :]
@@ -312,8 +312,8 @@ def _standing(
         name=rival.name,
         rule=rival.rule,
         knob=rival.knob,
-        # A tip that noise carries over the edge of its band in the last second is no
-        # loss of stability.
+        # A tip that noise moves out of its band in the last second has not lost
+        # stability.
         passed=not nominal.verdict.reason.startswith(("unstable", "tripped")),
         reason=nominal.verdict.reason,
         settling_time=_settled(nominal),
@@ -330,7 +330,7 @@ def _standing(
 
 
 def _settled(run: Run) -> float:
-    """Settling time, infinite where the tip has not been in its band for at least a
+    """Settling time, infinite unless the tip was in its band for at least the last
     second.
     """
     time = run.metrics.settling_time
