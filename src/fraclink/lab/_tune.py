@@ -23,7 +23,7 @@ from fraclink.lab._machine import measure_wake_ups, signals_held
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Guard, LimitReached
-from fraclink.lab._tune_link import FAR_OFF, LinkResult, shortfall, tune_link
+from fraclink.lab._tune_link import LinkResult, shortfall, tune_link
 from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_moves import first_moves
@@ -476,6 +476,4 @@ def _worth_repeating(built: Built, link: LinkResult) -> bool:
     """Whether a longer experiment can help: a gate of the fit failed, or its errors are
     far too large.
     """
-    return (built.design is None and not link.fit.passed) or shortfall(
-        link.fit
-    ) > FAR_OFF
+    return (built.design is None and not link.fit.passed) or shortfall(link.fit) > 1.0

@@ -5,6 +5,7 @@ until they suffice.
 from __future__ import annotations
 
 import cmath
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,44 +16,33 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.rig import Motor
 from fraclink._files import document
-from fraclink._identify import (
-    Fit,
-    design_experiment,
-    identify,
-    simulated_torque,
-)
+from fraclink._identify import Fit, identify, simulated_torque
 from fraclink._law import Law
-from fraclink.errors import FraclinkError, InfeasibleError
+from fraclink.errors import FraclinkError
 from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
-from fraclink.lab._tune_motor import MotorResult, closed_motor, fitted_motor
+from fraclink.lab._tune_motor import FIRST, MotorResult, closed_motor, fitted_motor
 from fraclink.lab._tune_wiring import Wiring
 
 Real = NDArray[np.float64]
 
 __all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 
-# Standard errors that suffice: their 95 % intervals are no wider than what an arm may
-# drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀ and 3 % of the gauge's gain; a
-# delay turns the vibration's phase by as much as that error of λ does.
-ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.006}
+# Standard errors that suffice. What they leave open is in the box: 95 % of λ's, and of a
+# delay that turns the vibration's phase as much, cost 2 · 0.018 · π/2, 3° of margin; those
+# of ω₀ and of the gauge's gain are as the drift that `watch` does not name.
+ENOUGH = {"order": 0.018, "natural_frequency": 0.012, "gain": 0.045, "delay": 0.018}
 # Errors fall with the root of the length but with the amplitude itself: size is tried
 # first.
 _SHORTEST, _LONGEST = 4.0, 16.0  # [s] of one excitation
-# times the errors that suffice: less of an excess is in the box, where it costs 3° of
-# phase, 2 · 3 · 0.006 π/2
-FAR_OFF = 3.0
 _LARGER = 3.0  # the most by which an excitation grows at once
-_LEAST = 0.1  # [rad], 5.7°: less than what the motor has been moved by before
 _ROUNDS = 2
 # A random voltage that changes every T has half of its power up to 2.8/T: 250 rad/s for
 # 12 ms, and as far as the second mode of a link that weighs an eighth of its payload.
 # The smooth moves end at a tenth of that. A quarter of the speed limit is small.
 _BIT, _BURST, _PUSH = 0.012, 2.0, 0.25  # [s] at most, [s], of the speed limit
 _HALF, _SECOND = 2.8, 25.0
-_RINGING = 1.5  # [s] at most in which the link is calmed; what is left is fitted
 _CLEANED = 6  # fits, at most, of a record without what the structure does not have
 _DECAYS = (1.97, 1.87)  # orders λ of links that ring for long, and for some periods
 
@@ -83,28 +73,36 @@ def tune_link(
 ) -> LinkResult:
     """Excite the link until every standard error suffices, or the limits are reached.
 
-    The first excitation is planned from all that was recorded before: of the last moves
-    alone a slow link's second mode may look like its first. `longer` stretches every
-    excitation, for an experiment that is repeated; `tell` is told where one reached a
-    limit, and is made again smaller.
+    `longer` stretches every excitation, for an experiment that is repeated; `tell` is
+    told where one reached a limit, and is made again smaller.
     """
     limits = guard.limits
-    fit = _first_fit(guard.record())
+    model = _first_model(guard, wiring)
     law = motor_law(motor.gain, motor.loop, guard, friction=motor.compensation)
     duration = longer * _SHORTEST
-    reach, bit = _planned(fit, wiring, motor, guard, duration)
+    # Half of the sequence's power lies below the vibration.
+    bit = _HALF / abs(model.pole)
+    reach = min(FIRST, PLANNED * limits.angle)
+    # The very sequence on the model: near the resonance the gauge's limit is met before
+    # the angle's.
+    path = _sequence(guard, motor, reach, bit, duration)
+    bent = simulated_torque(model, path[0], guard.period, hold="first")
+    reach *= min(PLANNED * limits.torque / float(np.max(np.abs(bent))), 1.0)
     rounds: list[tuple[float, float, float]] = []
     for _ in range(_ROUNDS):
-        motion = partial(_excited, guard, wiring, motor, law, fit, reach, bit, duration)
+        motion = partial(
+            _excited, guard, wiring, motor, law, model, reach, bit, duration
+        )
         (record, whole), size = guard.sized(motion, wiring.gauge_noise, tell)
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
+        model = fit.model
         short, reach = shortfall(fit), size * reach
         rounds.append(
             (reach, record.duration, fit.standard_errors.get("order", math.nan))
         )
-        if fit.passed and short <= FAR_OFF:
+        if fit.passed and short <= 1.0:
             break
         most = min(
             PLANNED * limits.angle / reach,
@@ -121,7 +119,6 @@ def tune_link(
         # What the amplitude may not give, the length must: errors fall with its root.
         duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
         reach *= grown
-    assert fit is not None  # there was a round  # noqa: S101
     return LinkResult(fit, motor_again(motor, guard, wiring, fit), tuple(rounds))
 
 
@@ -130,7 +127,7 @@ def _excited(
     wiring: Wiring,
     motor: MotorResult,
     law: Law,
-    fit: Fit | None,
+    model: LinkModel,
     reach: float,
     bit: float,
     duration: float,
@@ -139,14 +136,13 @@ def _excited(
     """The record of a random sequence of `size` times its reach, and the same with a
     burst at its end that shows the second mode.
     """
-    resonance = abs(fit.model.pole) if fit else wiring.natural_frequency
+    resonance = abs(model.pole)
     calm(
         guard,
         law,
-        stiffness=abs(fit.gain) if fit else wiring.stiffness,
+        stiffness=model.stiffness,
         resonance=resonance,
         noise=wiring.gauge_noise,
-        longest=_RINGING,
     )
     path = _sequence(
         guard, motor, size * reach, bit, duration, start=guard.connect_angle()
@@ -316,52 +312,18 @@ def motor_again(
         return motor
 
 
-def _first_fit(record: Record) -> Fit | None:
-    try:
-        return identify(experiment_of(record, None), "UD-FOM", details=False)
-    except FraclinkError:
-        return None
+def _first_model(guard: Guard, wiring: Wiring) -> LinkModel:
+    """The link as all that was recorded shows it, or as the last moves alone do, or the
+    wiring check's guess.
 
-
-def _planned(
-    fit: Fit | None,
-    wiring: Wiring,
-    motor: MotorResult,
-    guard: Guard,
-    duration: float,
-) -> tuple[float, float]:
-    """Amplitude [rad] and bit [s] of the first excitation: the smallest that is
-    expected to suffice in `duration` [s].
+    The doublets of the wiring show the second mode of a slow link, and smooth moves its
+    first.
     """
-    limits = guard.limits
-    if fit is None:
-        return 0.05, math.pi / (0.7 * wiring.natural_frequency)
-    inertia = motor.fit.inertia or 1.0
-    known = Motor(
-        inertia=inertia,
-        viscous_friction=motor.fit.decay * inertia,
-        torque_constant=motor.fit.gain * inertia,
-        voltage_limit=PLANNED * limits.voltage,
-    )
-    try:
-        plan = design_experiment(
-            fit.model,
-            standard_error=ENOUGH["order"] / 1.5,
-            # A gauge that does not flicker has a count, not no noise: zero would ask
-            # for no motion at all.
-            noise=max(wiring.gauge_noise, 1e-9),
-            period=guard.period,
-            duration=duration,
-            motor=known,
-            deflection_limit=PLANNED * limits.torque / abs(fit.gain),
-            motor_loop_pole=motor.loop.pole,
-        )
-    except InfeasibleError:
-        return 0.05, math.pi / (0.7 * abs(fit.model.pole))
-    reach = min(max(1.5 * plan.amplitude, _LEAST), PLANNED * limits.angle)
-    # The very sequence on the model: near the resonance the gauge's limit is met before
-    # the angle's.
-    path = _sequence(guard, motor, reach, plan.bit, duration)
-    bent = simulated_torque(fit.model, path[0], guard.period, hold="first")
-    most = PLANNED * limits.torque / float(np.max(np.abs(bent)))
-    return reach * min(most, 1.0), plan.bit
+    fits = []
+    for start in {0, guard.starts[-1]}:
+        log = experiment_of(guard.record(start), None)
+        with contextlib.suppress(FraclinkError):
+            fits.append(identify(log, "UD-FOM", details=False))
+    if not fits:
+        return LinkModel(wiring.stiffness, wiring.natural_frequency)
+    return min(fits, key=lambda fit: fit.nmse).model

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -295,8 +296,7 @@ def random_steps(
     """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of
     `rise` [s]; from `start` [rad] to 0.
     """
-    # 511 bits before it repeats: the longest excitation has fewer.
-    levels = prbs(reach, bit, bits=bits, register=9).coefficients[:-1, 0]
+    levels = _random_levels(reach, bit, bits)
     # Rest in front, as an identification takes the first samples for rest.
     parts = [np.tile([[start], [0.0]], (1, round(0.2 / period)))]
     if start:
@@ -315,6 +315,15 @@ def random_steps(
     return np.concatenate(parts, axis=1)
 
 
+def _random_levels(size: float, bit: float, bits: int) -> Real:
+    """A binary sequence of ± size that does not repeat."""
+    # The shortest register that has as many: each begins with as many equal bits as it
+    # has stages.
+    stages: tuple[Literal[4, 5, 6, 7, 9], ...] = (4, 5, 6, 7, 9)
+    register = next(count for count in stages if bits < 2**count)
+    return prbs(size, bit, bits=bits, register=register).coefficients[:-1, 0]
+
+
 def calm(
     guard: Guard,
     law: Law,
@@ -322,10 +331,9 @@ def calm(
     stiffness: float,
     resonance: float,
     noise: float,
-    longest: float,
 ) -> None:
     """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows
-    its `noise` alone.
+    its `noise` alone, or for three vibrations.
 
         θm = -k ω z/c,    z'' + 2ζω z' + ω² z = 2ζω Γ
 
@@ -340,11 +348,11 @@ def calm(
     reach = 0.5 * PLANNED * guard.limits.angle
     damping = min(_DAMPING, reach * stiffness / max(0.5 * swing, 1e-12))
     part, speed = 0.0, 0.0
-    window, end = (
-        math.ceil(_CALM / guard.period),
-        guard.count + math.ceil(longest / guard.period),
+    window, vibration = (
+        math.ceil(span / guard.period) for span in (_CALM, 2.0 * math.pi / resonance)
     )
-    first = guard.count + window
+    # A damping ratio of 0.3 leaves 0.4 % after three; what is left longer is friction's.
+    first, end = guard.count + window, guard.count + max(3 * vibration, window)
     while guard.count < end:
         if (
             guard.count >= first
@@ -369,12 +377,7 @@ def burst(voltage: float, bit: float, seconds: float, period: float) -> Real:
     the motor's loop.
     """
     held = max(round(bit / period), 1)
-    bits = prbs(
-        voltage,
-        held * period,
-        bits=max(round(seconds / (held * period)), 2),
-        register=9,
+    levels = _random_levels(
+        voltage, held * period, max(round(seconds / (held * period)), 2)
     )
-    return np.concatenate(
-        [np.repeat(bits.coefficients[:-1, 0], held), np.zeros(round(0.2 / period))]
-    )
+    return np.concatenate([np.repeat(levels, held), np.zeros(round(0.2 / period))])

@@ -49,7 +49,7 @@ _COMPENSATED = 0.8
 # of the voltage limit, at most, for one count of the encoder, which is a noise of
 # 1/√12 of it: no more of the voltage than the gauge's noise may take
 _COUNT = NOISE_SHARE * math.sqrt(12.0)
-_FIRST = 0.12  # [rad], 7°
+FIRST = 0.12  # [rad], 7°
 _ROUNDS = 4
 # [s] at most: the motor's fit knows the torque, the first fit of the link prefers an
 # arm at rest
@@ -107,7 +107,7 @@ def tune_motor(
     law = motor_law(guess, loop, guard)
     # A quarter of what may be planned: until K/J is known the guard alone keeps the
     # speed.
-    reach, speed = min(_FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
+    reach, speed = min(FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
     fit: MotorFit | None = None
     for number in range(1, _ROUNDS + 1):
         motion = partial(_moved, guard, wiring, law, loop.pole, reach, speed, number)
@@ -117,6 +117,9 @@ def tune_motor(
         # On every round: each tells a little more.
         with contextlib.suppress(LogError):
             fit = fitted_motor(guard.record(), wiring.gauge_delay, guard.starts)
+            # Smooth moves hardly show a delay, which the edges of the doublets do: the
+            # longer one leads to the slower loop.
+            fit = replace(fit, delay=max(fit.delay, wiring.delay))
         if fit is not None:
             if fit.passed and fit.standard_errors["gain"] < _ENOUGH * fit.gain:
                 break

@@ -42,7 +42,6 @@ _SEEDS = range(
 # The full move is made twice, and a third time where the two do not say the same: one
 # record's noise moves its settling time by a sample's band, and two of three decide.
 _TWICE = 2
-_RINGING = 4.0  # [s] at most in which the link is damped before a move
 _SPEED_TIME = 0.016  # [s] over which a speed is taken
 _LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
 _REST = 2.0  # [s] at the end in which the motor should rest
@@ -214,7 +213,6 @@ def _moved(
         stiffness=model.stiffness,
         resonance=abs(model.pole),
         noise=math.hypot(design.rig.gauge.noise, ringing),
-        longest=_RINGING,
     )
     before = at = guard.angle
     runs, count = Follower(law, payload), round(0.2 / period)

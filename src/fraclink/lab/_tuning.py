@@ -131,7 +131,7 @@ class TuningPlan:
                 f"{math.degrees(_MOST):.2g}° at most; nothing is closed; 8 s",
                 f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
                 f"growing to {part} % of the limits where that is needed; 5 to 15 s",
-                f"3 link: a random sequence within ±5.7°, growing to {part} % of the limits where that is "
+                f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "
                 "needed, and a random voltage for 2 s; 8 to 25 s",
                 f"4 the drive is off: model, design for {low:.3g} to {high:.3g} g, proof, law; some seconds",
                 f"5 first moves: {math.degrees(PLANNED * limits.angle):.3g}° at a tenth of the speed, then "
