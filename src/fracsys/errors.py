@@ -45,8 +45,8 @@ def printable(text: str) -> str:
     C0, C1 and bidirectional marks: a name that turns the line round can show another
     ending.
 
-    >>> printable("a\x1b[31mb\u202ec")
-    'a\\x1b[31mb\\u202ec'
+    >>> printable("a\\x1b[31mb\\u202ec")
+    'a\\\\x1b[31mb\\\\u202ec'
     """
     return "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text

@@ -26,7 +26,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -339,7 +339,7 @@ def from_plain(
     """
     form = Reading(hex_floats=hex_floats, arrays=arrays)
     try:
-        value: T = form(rule(kind), data)
+        value: T = form(rule(cast(Any, kind)), data)
     except Refused as refused:
         raise faults_of(refused, path)[0] from None
     return value

@@ -79,10 +79,6 @@ class Rule:
         for the instances of the class `of`; and the element type of an array.
     unit
         of numbers.
-    choices
-        of words.
-    optional
-        whether None is admitted.
     named
         whether a file has to name the class: one of several.
     """
@@ -93,8 +89,6 @@ class Rule:
     of: Any = None
     _: KW_ONLY
     unit: str = ""
-    choices: tuple[Any, ...] = ()
-    optional: bool = False
     named: bool = False
 
     def check(

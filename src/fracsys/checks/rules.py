@@ -19,7 +19,6 @@ from typing import (
     Annotated,
     Any,
     Literal,
-    TypeVar,
     Union,
     cast,
     get_args,
@@ -93,6 +92,7 @@ def parameters(target: Callable[..., Any]) -> dict[str, Parameter]:
     }
 
 
+@functools.lru_cache(maxsize=4096)
 def rule(annotation: Any) -> Rule:
     """Return the rule of `annotation`.
 
@@ -101,14 +101,6 @@ def rule(annotation: Any) -> Rule:
     >>> rule(Literal["zero", "first"] | None).expected
     'zero or first'
     """
-    try:
-        return _rule(annotation)
-    except TypeError:  # metadata that cannot be hashed
-        return _rule.__wrapped__(annotation)
-
-
-@functools.lru_cache(maxsize=4096)
-def _rule(annotation: Any) -> Rule:
     annotation = _unaliased(annotation)
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
@@ -117,8 +109,6 @@ def _rule(annotation: Any) -> Rule:
         return _union(arguments)
     if origin is Literal:
         return choice(arguments)
-    if isinstance(annotation, TypeVar):
-        return rule(annotation.__bound__ or Any)
     if annotation in _SCALARS:
         return _SCALARS[annotation]
     kind = origin or annotation
@@ -286,7 +276,7 @@ def choice(choices: tuple[Any, ...]) -> Rule:
         known, remedy = isinstance(plain, kinds), "choose one of these"
         raise Refused(value, "unknown", expected, remedy, is_type=not known)
 
-    return Rule(expected, convert, choices=choices)
+    return Rule(expected, convert)
 
 
 def _union(members: tuple[Any, ...]) -> Rule:
@@ -305,7 +295,7 @@ def _union(members: tuple[Any, ...]) -> Rule:
     def convert(value: Any, form: Form) -> Any:
         return None if value is None else form(inner, value)
 
-    return replace(inner, convert=convert, kind=None, optional=True)
+    return replace(inner, convert=convert, kind=None)
 
 
 def _any_of(members: Sequence[Rule]) -> Rule:
