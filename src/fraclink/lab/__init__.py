@@ -1,9 +1,10 @@
-"""The law in real time, around an arm or two functions of Python; an arm tuned over it.
+"""The law in real time, with an arm or with two Python functions; and the tuning of an
+arm.
 
-The loop is C on absolute deadlines; what it runs is law.c, the file that is simulated
-and exported. It does not judge what happens on the way to the arm: a sample that did
-not come is NaN and a missed period is a jump of the tick, so that the law's own guards
-decide, and a record replays to the last bit.
+The loop is C code with absolute deadlines; it runs law.c, the file that is simulated
+and exported. It does not judge transmission faults: a lost sample is NaN and a missed
+period is a jump of the tick, so that the guards of the law decide, and a record replays
+to the last bit.
 """
 
 from __future__ import annotations

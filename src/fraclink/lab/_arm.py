@@ -1,6 +1,4 @@
-"""The twin at the other end, where there is no real arm: in real time, or in this
-process without a clock.
-"""
+"""The twin in place of a real arm: in real time, or in this process without a clock."""
 
 from __future__ import annotations
 
@@ -33,14 +31,15 @@ __all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
 
 Real = NDArray[np.float64]
 
-# Two hours at 4 ms, 80 MB: whoever asks for more has mistaken the unit, and would find
-# out by swapping.
+# Two hours at 4 ms take 80 MB: a longer time is a wrong unit, and would end in
+# swapping.
 MOST_PERIODS = 2_000_000
-# The law rides through 5 missed periods and trips at the 6th; whoever is silent for 10
-# will not come back.
+# The law bridges 5 missed periods and trips at the 6th; a controller that is silent for
+# 10 will not return.
 WATCHDOG = 10
 _IDLE, _OFF = 0, 4  # modes in which the drive is off, see realtime.h
-_CHUNK = 4096  # noise is drawn in rows, as one draw a period costs more than the period
+# noise is drawn in blocks, since a draw per period takes longer than the period's step
+_CHUNK = 4096
 _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
 
@@ -159,8 +158,7 @@ def serve_arm(
         Too long a duration.
     """
     check_machine()
-    # Whole nanoseconds, as the message states them: both ends compare their periods for
-    # equality.
+    # Whole nanoseconds, as in the message: both ends test their periods for equality.
     nanoseconds = period_ns(period)
     Between(period, 1e300, "s").check("duration", duration)
     count = math.ceil(duration / period)
@@ -172,8 +170,8 @@ def serve_arm(
             allowed=f"<= {MOST_PERIODS} periods",
             remedy="serve a shorter time",
         )
-    # A sample goes out, its command comes back: without that period the arm would have
-    # to answer before it is asked.
+    # A sample goes out and its command comes back; without this period of delay the arm
+    # would have to respond before it receives the command.
     if twin.voltage_delay < 1:
         raise FieldError(
             "voltage_delay",
@@ -182,10 +180,9 @@ def serve_arm(
             allowed=">= 1 period",
             remedy="a command acts one period after its sample here",
         )
-    # A twin whose way through the messages is the first period of its delay.
+    # The transmission of the messages is the first period of the twin's delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
-    # Written and not only claimed: pages that are missing at first touch would come
-    # late in the loop.
+    # Filled and not only allocated: page faults at first access would delay the loop.
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
     with arm_end(connection, begin) as way:
         outcome = _kernels.realtime_serve(
@@ -197,7 +194,7 @@ def serve_arm(
             arm.voltage,
             arm.sensed,
             arm.counters,
-            # Drawn beforehand: the loop in C calls no Python, and the noise is that of
+            # Drawn in advance: the loop in C calls no Python, and the noise is that of
             # `simulate` with the same seed.
             _gauge_error(twin, count, seed),
             record,
@@ -219,7 +216,7 @@ def serve_arm(
 
 
 def _gauge_error(twin: Twin, count: int, seed: int) -> Real:
-    """Offset and noise of the gauge, drawn as `simulate` draws them."""
+    """Offset and noise of the gauge, drawn as in `simulate`."""
     noise = np.random.default_rng(seed).standard_normal(count)
     return np.asarray(twin.gauge.offset + twin.gauge.noise * noise)
 
@@ -256,8 +253,9 @@ class SimulatedArm:
         self._random = np.random.default_rng(seed)
         self._noise = iter(np.zeros(0))
         self._input = np.zeros(_kernels.TWIN_INPUTS)
-        # gains of encoder and gauge, which no fault changes here
-        self._input[[6, 9]] = 1.0  # TWIN_ENCODER_GAIN and TWIN_GAUGE_GAIN of twin.h
+        # TWIN_ENCODER_GAIN and TWIN_GAUGE_GAIN of twin.h: gains that no fault changes
+        # here
+        self._input[[6, 9]] = 1.0
         self._rows: list[tuple[float, ...]] = []
 
     def read(self) -> tuple[float, float]:
@@ -272,7 +270,7 @@ class SimulatedArm:
 
     def write(self, command: Command) -> None:
         """Move on for one period under the command's voltage [V]."""
-        # A board whose drive is off does not look at the voltage.
+        # A board whose drive is off ignores the voltage.
         asked = 0.0 if command.mode in (_IDLE, _OFF) else command.voltage
         s = self._state
         buffers = (s.rig, s.state, s.gauge, s.voltage, s.sensed, s.counters)

@@ -1,4 +1,4 @@
-"""Connections to an arm: a serial line, UDP, two functions of Python."""
+"""Connections to an arm: a serial line, UDP, two Python functions."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ __all__ = [
 ]
 
 _FORMS = "serial:PORT@BAUD or udp:HOST:PORT"
-_KEY_BYTES = 16  # what nobody guesses
+_KEY_BYTES = 16  # a length that cannot be guessed
 _TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
-_PTY = "pty"  # a pseudo-terminal, where an arm is served
+_PTY = "pty"  # a pseudo-terminal on which an arm is served
 
 
 class Command(NamedTuple):
@@ -81,15 +81,16 @@ class Udp:
     key: bytes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        # An empty host is every address of this machine to the socket library: nobody
-        # means that by leaving it out.
+        # The socket library takes an empty host as all addresses of this machine, which
+        # is never intended.
         if not isinstance(self.host, str) or not self.host:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
         whole_number(Between(1, 65535)).check("port", self.port)
         if self.key is not None and not (
             isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES
         ):
-            shown = f"{len(self.key)} {type(self.key).__name__}"  # never the key itself
+            # never show the key itself
+            shown = f"{len(self.key)} {type(self.key).__name__}"
             raise FieldError(
                 "key",
                 shown,
@@ -164,7 +165,8 @@ def parse_connection(
     or udp:HOST:PORT. Start with serial: or udp:.
     """
     kind, _, rest = io.partition(":")
-    # Refused, not ignored: who gives a key believes that strangers are kept out.
+    # Rejected instead of ignored: a user who gives a key relies on it to keep strangers
+    # out.
     if key is not None and kind != "udp":
         raise FieldError(
             "key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out"
@@ -183,7 +185,7 @@ def parse_connection(
             _FORMS,
             "start with serial: or udp:",
         )
-    # From the right, as an IPv6 address has colons of its own, in brackets or not.
+    # From the right, because an IPv6 address contains colons, in brackets or not.
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"[0-9]{1,5}", port):
         raise _error(io, "without a port", "1 to 65535", "udp:127.0.0.1:5005")
@@ -198,8 +200,8 @@ def controller_end(connection: Connection) -> Iterator[Any]:
     """Open the controller's end; yields the kernel's way."""
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
-            # Connected, so that the kernel drops datagrams of anybody else before they
-            # are read.
+            # Connected, so that the kernel drops datagrams from other senders before
+            # they are read.
             plug.connect(address)
             yield _kernels.RealtimeIo.socket(plug.fileno(), False, _seal(connection))
     elif isinstance(connection, Serial):
@@ -238,12 +240,12 @@ def arm_end(
 
 
 def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
-    """Return what gives a message its tag; None without a key."""
+    """Return the function that computes the tag of a message; None without a key."""
     key = connection.key
     if key is None:
         return None
-    # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, keep a
-    # forger at 2^-128 a message.
+    # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, leave a
+    # forger a chance of 2^-128 per message.
     return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
 
 
@@ -260,10 +262,9 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
         )
     except OSError as error:
         raise _refused(connection, error, "a host that can be found") from error
-    # The first answer alone: one that is tried after another would send commands to two
-    # arms.
+    # The first address only: trying another one could send commands to two arms.
     family, kind, protocol, _, address = found[0]
-    # The address and not the name: a name may lead anywhere.
+    # The address instead of the name, which may resolve to anything.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
     if not loopback and not connection.unsafe_remote:
         without = "not this machine: commands carry no password: any host that can send there moves the arm"
@@ -281,7 +282,7 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
 
 @contextmanager
 def _port(connection: Serial) -> Iterator[int]:
-    """Open a serial port: raw bytes, for this process alone."""
+    """Open a serial port for raw bytes, locked for this process."""
     speeds = {
         int(name[1:]): getattr(termios, name)
         for name in dir(termios)
@@ -294,7 +295,8 @@ def _port(connection: Serial) -> Iterator[int]:
             ", ".join(str(speed) for speed in sorted(speeds) if speed >= 115_200),
             "choose one",
         )
-    # Without waiting for a modem's carrier, and without its becoming this process's terminal.
+    # Without waiting for a modem carrier, and without becoming the controlling terminal
+    # of this process.
     flags = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         file = os.open(connection.port, flags)
@@ -315,10 +317,10 @@ def _port(connection: Serial) -> Iterator[int]:
 def _claimed(connection: Serial, file: int, speed: int) -> None:
     """Lock a serial port, set it to raw bytes and empty it."""
     try:
-        # Two controllers would each take half of the samples.
+        # Two controllers would each receive half of the samples.
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         _raw(file, speed)
-        # What waits there is of a visit before.
+        # Bytes waiting there are left from an earlier connection.
         termios.tcflush(file, termios.TCIOFLUSH)
     except BlockingIOError as error:
         raise _error(
@@ -339,7 +341,7 @@ def _claimed(connection: Serial, file: int, speed: int) -> None:
 def _raw(file: int, speed: int) -> None:
     tty.setraw(file)
     modes = termios.tcgetattr(file)
-    # No modem's lines, no second stop bit, no handshake; a read returns at once.
+    # No modem lines, one stop bit, no handshake; a read returns at once.
     modes[2] &= ~(termios.CSTOPB | termios.CRTSCTS)
     modes[2] |= termios.CLOCAL | termios.CREAD
     modes[4] = modes[5] = speed
@@ -349,8 +351,9 @@ def _raw(file: int, speed: int) -> None:
 
 @contextmanager
 def _terminal(begin: Callable[[str], None]) -> Iterator[int]:
-    """Open a pseudo-terminal and tell its name."""
-    # Its other end stays open here: a controller that leaves is silent, not an error.
+    """Open a pseudo-terminal and report its name."""
+    # Its other end stays open here, so that a controller that leaves is silent instead
+    # of an error.
     here, there = pty.openpty()
     try:
         _raw(there, termios.B1000000)

@@ -1,5 +1,5 @@
-"""An arm one period at a time, for loops in Python that decide what comes next by what
-they just read.
+"""Step-by-step access to an arm, for Python loops that decide on the next command from
+the latest sample.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from fraclink.lab._machine import check_machine, period_ns, real_time
 
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
 
-# mode "off" of law.h: the board switches its drive off whatever the voltage says
+# mode "off" of law.h: the board switches its drive off regardless of the voltage
 _OFF = 4
-_LOOKS = 16  # in a period: the arrival is known to 6 % of it
-_LOST = 5  # samples in a row that may be missing, as law.c rides through
-_NUMBERS = 2**32  # of samples, and then from the beginning
-_STOPS = 3  # one is lost on the way now and then
+_LOOKS = 16  # polls per period: the time of arrival is known to 6 % of a period
+_LOST = 5  # consecutive missing samples that are allowed, as in law.c
+_NUMBERS = 2**32  # sample numbers, before they wrap around
+_STOPS = 3  # stop messages sent, since one may get lost
 
 
 class Stopped(FraclinkError):
@@ -69,7 +69,7 @@ class ArmLine:
         self.period = period
         self._way, self._clock, self._signals = way, clock, signals
         self._tick = 0
-        # A board without a clock is as old as its first read, so the next one is due a
+        # A board without a clock starts at its first read, so the next one is due a
         # period later.
         self._due = clock.now + period
         self._seen = way.taken if way.clocked else 0
@@ -85,8 +85,7 @@ class ArmLine:
         if self._signals.is_set():
             raise Stopped
         self._tick += 1
-        # Mode 1, "run"; the motor reference means nothing to an arm that obeys
-        # voltages.
+        # Mode 1, "run"; an arm controlled by voltages ignores the motor reference.
         self._way.write(0.0, voltage, self._tick, 1, 0, 0)
         periods, found = 0, None
         while found is None:
@@ -95,19 +94,19 @@ class ArmLine:
                 raise ArmLost(_LOST)
             found = self._awaited() if self._way.clocked else self._on_time()
         if self._way.clocked:
-            # The sample's own number counts, not how often was looked: a process that
-            # slept finds the newest one at once, and the motion since would be taken
-            # for one of a single period.
+            # The sample's own number counts, not the number of polls: a process that
+            # was suspended receives the newest sample at once, and the motion since
+            # then would be taken for that of one period.
             before, self._seen = self._seen, self._way.taken
             periods = max((self._seen - before) % _NUMBERS, 1)
         return Reading(found[1], found[2], periods)
 
     def _awaited(self) -> tuple[int, float, float] | None:
-        """The next sample of an arm that sends it; None where a period and a half
-        brought none.
+        """The next sample from an arm that sends them; None if none came within 1.5
+        periods.
         """
-        # A sample that is half a period late has jitter, one that is later is lost: the
-        # next is due.
+        # A sample up to half a period late is jitter; later it counts as lost, since
+        # the next one is due.
         last = self._clock.now + 1.5 * self.period
         while (found := self._way.read()) is None or not math.isfinite(found[1]):
             if self._clock.now > last:
@@ -116,20 +115,20 @@ class ArmLine:
         return found  # type: ignore[no-any-return]
 
     def _on_time(self) -> tuple[int, float, float] | None:
-        # Absolute deadlines: sleeping a period each time would add the work of every
-        # period to its length.
+        # Absolute deadlines: sleeping for one period each time would lengthen every
+        # period by the computing time.
         wait = self._due - self._clock.now
         if wait > 0:
             self._clock.sleep(wait)
-        # Deadlines that went by are dropped. Made up for, they would be reads in a
-        # burst, each taken for a period of motion.
+        # Missed deadlines are dropped. Making up for them would cause a burst of reads,
+        # each taken for a period of motion.
         self._due = max(self._due + self.period, self._clock.now)
         found = self._way.read()
         return None if found is None or not math.isfinite(found[1]) else found
 
     def stop(self) -> None:
         """Switch the drive off."""
-        # Datagrams get lost, calls do not.
+        # Datagrams can be lost, function calls cannot.
         for _ in range(_STOPS if self._way.clocked else 1):
             self._tick += 1
             self._way.write(0.0, 0.0, self._tick, _OFF, 0, 0)
@@ -138,8 +137,8 @@ class ArmLine:
 
 
 class _Called:
-    """A `Callback` behind the calls of the kernel's way, without the way through C and
-    back.
+    """A `Callback` with the interface of the kernel's connection, without the detour
+    through C.
     """
 
     clocked = False
@@ -157,8 +156,8 @@ class _Called:
 
 
 class _NoClock:
-    """The clock of an arm in this process that has none: a period is over when it was
-    asked for.
+    """The clock of an arm in this process that has none: a period is over when the next
+    one is requested.
     """
 
     now = 0.0
@@ -214,9 +213,8 @@ def _first_sample(
     while (found := way.read()) is None or not math.isfinite(found[1]):
         if signals.is_set():
             raise Stopped
-        way.write(
-            0.0, 0.0, 0, 0, 0, 0
-        )  # idle: how an arm learns whom to send its samples to
+        # idle: from this message an arm learns where to send its samples
+        way.write(0.0, 0.0, 0, 0, 0, 0)
         if clock.now > last:
             raise FieldError(
                 "io",
@@ -234,8 +232,7 @@ def _first_sample(
             allowed="the board's sampling period [s]",
             remedy="give --period-ms",
         )
-    # Compared as the message has it, in whole nanoseconds: 1/300 s has no exact value
-    # in both.
+    # Compared in whole nanoseconds as in the message, since 1/300 s has no exact value.
     if period is not None and found[0] and period_ns(period) != found[0]:
         raise FieldError(
             "period",
@@ -248,7 +245,7 @@ def _first_sample(
 
 
 class _Noted:
-    """Whether a signal has come since they are watched."""
+    """Whether a signal has arrived since they are watched."""
 
     def is_set(self) -> bool:
         return bool(_kernels.realtime_signalled())
@@ -256,12 +253,13 @@ class _Noted:
 
 @contextlib.contextmanager
 def _noted_signals() -> Iterator[_Noted]:
-    """Note every signal that would end or stop the process instead of obeying it, in
-    any thread.
+    """Record every signal that would end or stop the process instead of acting on it,
+    in any thread.
 
-    By the loop's own watch: Python's `signal.signal` works in the main thread alone,
-    and a notebook's kernel or a server runs this in a worker. Stopping counts: a
-    process that sleeps behind Ctrl-Z answers no arm.
+    This uses the signal handling of the loop, since Python's `signal.signal` only works
+    in the main thread, while a notebook or a server runs this in a worker thread. Stop
+    signals are included, because a process suspended by Ctrl-Z no longer controls the
+    arm.
     """
     _kernels.realtime_watch_signals()
     try:

@@ -39,8 +39,9 @@ from fracsys.checks import Between, checked
 
 __all__ = ["run_realtime"]
 
-# As on the twin, so that a run and its simulation cover the same time.
-SETTLE = 3.0  # [s] after the reference has come to rest, as on the twin
+# [s] after the reference has come to rest, as on the twin, so that a run and its
+# simulation cover the same time
+SETTLE = 3.0
 
 
 @checked
@@ -142,8 +143,8 @@ def run_realtime(
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, 1e300, "s").check("duration", length)
-    # The last deadline belongs to the run although length/period comes out a rounding
-    # below it: 0.3 s at 20 ms are 16 periods.
+    # The last deadline belongs to the run even if length/period is slightly too small
+    # by rounding: 0.3 s at 20 ms is 16 periods.
     path = sampled(
         reference, law.period, math.floor(length / law.period * (1 + 1e-12)) + 1
     )
@@ -155,8 +156,8 @@ def run_realtime(
             allowed="finite",
             remedy="check the reference",
         )
-    # Written and not only claimed, so that no page of the record is missing when its
-    # period comes.
+    # Filled and not only allocated, so that no page of the record is missing in the
+    # loop.
     record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)
     marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, dtype=np.uint32)
     with contextlib.ExitStack() as kept:
@@ -167,7 +168,7 @@ def run_realtime(
                 law.block,
                 law.initial_state(),
                 law.precision == "single",
-                # Angle and acceleration: the law needs no velocity.
+                # Angle and acceleration: the law does not use the velocity.
                 np.ascontiguousarray(path[[0, 2]]),
                 payload,
                 b"" if estimator is None else estimator.block,
@@ -183,7 +184,8 @@ def run_realtime(
             )
         if STOPS[int(outcome["stop"])] == "signal":
             obeyed.set()
-        # What never began is an error; what began has a record, however it ended.
+        # A run that never began is an error; a run that began has a record, however it
+        # ended.
         _check_answer(outcome, connection, law.period, patience)
         run = _gathered(
             law,
@@ -202,7 +204,7 @@ def run_realtime(
 def _checked(
     estimator: PayloadEstimator | None, law: Law, payload: float
 ) -> PayloadEstimator | None:
-    # Either would be obeyed silently, and which of both cannot be seen from the motion.
+    # The law would silently use one of them, and the motion would not show which.
     if estimator is not None and payload:
         raise FieldError(
             "payload",
@@ -264,8 +266,8 @@ def _gathered(
         scheduling=scheduling,
         memory=memory,
         origin=float(outcome["origin"]),
-        # Replayed at once, while the very law is at hand: a bit that flipped in memory
-        # must not pass for a result.
+        # Replayed immediately, while the same law is in memory: a bit flip must not
+        # pass unnoticed.
         first_difference=first_difference(law, columns),
         allowed_overruns=allowed_overruns,
         planned=len(record),

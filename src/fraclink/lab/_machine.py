@@ -1,4 +1,4 @@
-"""What the machine keeps and grants: wake-ups in time, a priority, memory that stays."""
+"""Real-time properties of the machine: punctual wake-ups, priority, locked memory."""
 
 from __future__ import annotations
 
@@ -35,23 +35,25 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-# Time for tests, in which `threads` loops and their peers take turns; see
+# Simulated time for tests, in which `threads` loops and their peers take turns; see
 # csrc/kernels/realtime.h. Linux only.
 VirtualClock = getattr(_kernels, "RealtimeClock", None)
 
-# above the kernel's interrupt threads (50), below what keeps the machine alive (99)
+# above the kernel's interrupt threads (50), below the threads that keep the machine
+# alive (99)
 PRIORITY = 80
 Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priority")]
-# A desktop's loop is not faster than that, and needs none of this when it is slower.
+# A desktop computer cannot run a loop faster than this; a slower loop does not need
+# real time.
 _PERIOD = Between(
     5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
 )
-_MEASURED = 0.5  # [s], which nobody minds before a move
-# [s] at most between two wake-ups: how late they come hardly depends on how long one
-# slept
+_MEASURED = 0.5  # [s], a delay that nobody notices before a move
+# Longest time between two wake-ups [s]: their lateness hardly depends on the time
+# slept.
 _STEP = 0.002
-# Wake-ups later than a period: a machine that misses one in a hundred misses some in
-# every move of a second.
+# Share of wake-ups more than one period late: a machine with one in a hundred would
+# have some in every move of a second.
 _LATE_SHARE = 0.01
 
 
@@ -68,7 +70,7 @@ class Spread(NamedTuple):
         """Return the spread of (N,) values; NaN where there are none."""
         if not values.size:
             return Spread(*[float("nan")] * 4)
-        # "higher": a quantile that was measured, not one between two
+        # "higher": a measured quantile instead of an interpolated one
         high = np.quantile(values, 0.999, method="higher")
         return Spread(
             float(values.min()), float(values.mean()), float(high), float(values.max())
@@ -166,8 +168,8 @@ def measure_wake_ups(
     """
     check_machine()
     period_ns(period)
-    # 250 wake-ups in half a second at least: at 20 ms alone there would be 25, and a
-    # share of 1 % could not be seen.
+    # At least 250 wake-ups in half a second: at 20 ms there would be only 25, and a
+    # share of 1 % could not be detected.
     sleep = min(period, _STEP) if step is None else step
     latency = np.zeros(max(1, round(duration / sleep)))
     outcome = _kernels.realtime_bare(
@@ -177,7 +179,7 @@ def measure_wake_ups(
         lock_memory,
         clock or _kernels.RealtimeClock(0),
     )
-    # The kernel left the loop before its time, which only a signal makes it do.
+    # The kernel left the loop early, which only happens on a signal.
     if int(outcome["count"]) < len(latency):
         raise KeyboardInterrupt
     return WakeUps(latency, period, *granted(outcome, priority, lock_memory))
@@ -232,10 +234,10 @@ def signals_held() -> Iterator[threading.Event]:
         yield obeyed
     finally:
         _kernels.realtime_release_signals()
-        # Asked for after the release, which leaves the number: one that came between
-        # both would be forgotten.
+        # Read after the release, which keeps the number: a signal between the two would
+        # otherwise be lost.
         number = _kernels.realtime_signalled()
-    # Not after an exception, which ends what the signal would have ended.
+    # Not after an exception, which already ends what the signal would have ended.
     if number and not obeyed.is_set():
         signal.raise_signal(number)
 
@@ -244,8 +246,8 @@ def granted(
     outcome: dict[str, float], priority: int, lock_memory: bool
 ) -> tuple[str, str]:
     """Return in words what came of asking for SCHED_FIFO and for memory that stays."""
-    # Asked for separately: a container often grants the one and refuses the other, and
-    # the reader must know which.
+    # Requested separately: a container often grants one and not the other, and the user
+    # must know which.
     memory = (
         _granted("locked", int(outcome["memory_error"]))
         if lock_memory

@@ -1,4 +1,4 @@
-"""A move on the model before it is one of the arm."""
+"""Simulation of a move on the model before the arm makes it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def rehearse(
     """
     count = int(reference.duration / law.period) + 1
     reach = float(np.max(np.abs(sampled(reference, law.period, count)[0])))
-    # From where the arm stands, which may be anywhere of the encoder's range.
+    # Relative to the position of the arm, which may be anywhere in the encoder's range.
     most = law.limits.motor_limit - abs(design.rig.moves.centre)
     if reach > most:
         raise FieldError(

@@ -1,5 +1,5 @@
-"""What a run in real time leaves: every period's signals and times, statistics, and a
-place to write it.
+"""The record of a run in real time: signals and times of every period, statistics, and
+its file.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ __all__ = ["STOPS", "RealtimeRun", "first_difference", "saved"]
 Real = NDArray[np.float64]
 Count = NDArray[np.uint32]
 
-# How a run ends, in the order of the kernel's codes; "no sample" and "other period" are
-# raised as errors.
+# Ways in which a run ends, in the order of the kernel's codes; "no sample" and "other
+# period" are raised as errors.
 STOPS = (
     "finished",
     "signal",
@@ -48,7 +48,7 @@ INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "paylo
 OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
-_LOST_SHARE = 0.01  # what a reader may fill in too
+_LOST_SHARE = 0.01  # share of lost samples that a reader may interpolate
 
 
 @displayed
@@ -163,8 +163,8 @@ class RealtimeRun:
         """What the payload estimator said in each period, from the recorded sensors;
         None without one.
         """
-        # Estimated again from the sensors rather than recorded: the estimator is C and
-        # gives the same to the bit.
+        # Recomputed from the sensors instead of recorded: the estimator is C code and
+        # gives the same result to the bit.
         if self.estimator is None or not len(self.tick):
             return None
         state = self.estimator.initial_state()
@@ -189,8 +189,8 @@ class RealtimeRun:
     @property
     def overruns(self) -> int:
         """Periods whose command came after the next deadline."""
-        # Not the missed periods: a command that came late was still obeyed, a period
-        # later than the margins assume.
+        # Not the missed periods: a late command still took effect, one period later
+        # than the margins assume.
         return int(np.count_nonzero(self.latency + self.work > self.period))
 
     @property
@@ -264,13 +264,14 @@ class RealtimeRun:
         """Why the run failed; empty where it passed."""
         mode = MODES[int(self.mode[-1])] if len(self.mode) else "idle"
         reason = REASONS[int(self.reason[-1])] if len(self.mode) else "none"
-        # In the order of what a reader must mend first: why it stopped, then mode, then
-        # time, then the replay.
+        # In the order in which the user must solve them: the reason for the stop, then
+        # the mode, the timing, and the replay.
         if self.stopped == "law off":
             return f"safe stop: the law switched off ({reason})"
         if self.stopped != "finished":
             return f"safe stop: {self.stopped}"
-        # what the law itself trips on where it is called again: here it never was
+        # the law itself trips on this when it is called again, which did not happen
+        # here
         if self.unfinished > Limits.missed_limit:
             return f"the last {self.unfinished} of {self.planned} periods did not run"
         if mode != "run":
@@ -310,8 +311,8 @@ class RealtimeRun:
         identification from the motor angle to the torque. Samples that were lost are
         interpolated, up to 1 % of them; LogError beyond.
         """
-        # A sample is lost whole: where one channel is missing the other belongs to an
-        # unknown time.
+        # A sample is lost as a whole: if one channel is missing, the time of the other
+        # is unknown.
         came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
         count = int(self.tick[-1]) if len(self.tick) else 0
         lost = count - int(np.count_nonzero(came))
@@ -323,8 +324,8 @@ class RealtimeRun:
                 allowed=f"{100 * _LOST_SHARE:g} %",
                 remedy="run it again on a machine that keeps the period",
             )
-        # On the ticks and not on the rows: a missed period has no row, and without its
-        # place every later sample would be early.
+        # By ticks instead of rows: a missed period has no row, and without its place
+        # all later samples would be too early.
         grid = np.arange(1, count + 1)
         motor, torque, voltage = (
             np.interp(grid, self.tick[came], x[came])
@@ -336,8 +337,8 @@ class RealtimeRun:
             output=torque,
             payload=payload,
             source=f"run in real time by {self.connection}",
-            # A robot with its own servo takes references, and the voltages of its law
-            # are all 0: that is no measurement.
+            # A robot with its own servo takes references; the voltages of its law are
+            # all 0 and not a measurement.
             voltage=voltage if voltage.any() else None,
             notes=(
                 ("law_sha256", self.law_sha256),
@@ -350,7 +351,7 @@ def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | Non
     """Return the first row whose outputs `law` does not give for its inputs, compared
     by their bits.
     """
-    # The ticks, too: a missed period is part of what the law was given.
+    # The ticks as well: missed periods are part of the law's input.
     tick = columns["tick"]
     if not len(tick):
         return None
@@ -359,7 +360,7 @@ def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | Non
     )
     differs = np.zeros(len(tick), dtype=bool)
     for name in OUTPUTS:
-        # by bits, so that -0 is not 0
+        # compared by bits, so that -0 differs from 0
         differs |= getattr(again, name).view(np.uint64) != columns[name].view(np.uint64)
     for name in ("mode", "reason", "flags"):
         differs |= getattr(again, name) != columns[name]
@@ -381,8 +382,7 @@ def saved(value: object, place: Path) -> Path:
         OSError,
         FieldError,
     ):  # FieldError: a folder that has become a file, or lost its permission
-        # never over another record, and never too long for a name that was just short
-        # enough
+        # never overwrites another record, and never makes a name too long
         name = f"{place.stem[:50]}-{secrets.token_hex(4)}{place.suffix}"
         for folder in (Path(tempfile.gettempdir()), Path.home()):
             with contextlib.suppress(OSError, FieldError):

@@ -1,5 +1,5 @@
-"""`tune`: from an unknown arm to a law, stage by stage; each is written before the next
-begins.
+"""`tune`: from an unknown arm to a law in stages; each result is saved before the next
+stage begins.
 """
 
 from __future__ import annotations
@@ -33,17 +33,18 @@ from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
 
-# A repeated experiment is twice as long, and its errors 0.7 of the first one's: what
-# three do not show is not a matter of length.
-EXPERIMENTS = 3  # at most, where a gate or the proof fails
-LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
-# A minute and a half is what a person stays at the emergency stop for without looking
-# away.
-_PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
-_FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
-# First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %,
-# another gear K/J by more. of the first guesses, which scatter by a tenth, between a
-# tuning and its resumption
+# Largest number of experiments, where a gate or the proof fails. A repetition is twice
+# as long, and its errors are 0.7 of the previous ones: if three do not suffice, length
+# is not the problem.
+EXPERIMENTS = 3
+LAWS = 3  # largest number of laws tried on the arm: each takes a quarter of a minute
+# [s] of motion at most, including the next experiment: a person can watch at the
+# emergency stop for a minute and a half.
+_PATIENCE = 90.0
+_FEW_LOST = 0.01  # share of the samples, as in a record of `run-realtime`
+# Largest relative difference between the first guesses of a tuning and of its
+# resumption: those of the same arm scatter by a tenth, half the payload changes ω₀ by
+# 41 %, and another gear changes K/J by more.
 _OTHER_ARM = 0.35
 
 
@@ -105,22 +106,22 @@ def tune(
     """
     before = _resumed(out, plan) if resume else None
     if not resume:
-        # Looked at before the arm moves: a minute of motion must not end at a file that
-        # may not be written.
+        # Checked before the arm moves: a minute of motion must not end at a file that
+        # cannot be written.
         for name in FILES:
             output_path(out / name, force=force)
     out.mkdir(parents=True, exist_ok=True)
     guard: Guard | None = None
     session = _Session(connection, plan, out, moves, begin, clock, before)
-    # Until the record is kept, and not only while the arm moves: a closed terminal
-    # sends a second signal, and one that comes while something is computed ends the
-    # tuning at the next motion, or after the last.
+    # Until the record is saved, not only while the arm moves: closing a terminal sends
+    # a second signal, and a signal during a computation ends the tuning at the next
+    # motion, or after the last one.
     with signals_held() as obeyed:
         try:
             guard = session.open()
             session.go(guard)
-        # Whatever a stage can meet ends with a state that is saved. Before the guard
-        # there is none: the error is the caller's.
+        # Every failure within a stage ends with a saved state. Before the guard exists
+        # there is none to save: the error goes to the caller.
         except (FraclinkError, OSError, KeyboardInterrupt) as error:
             if guard is None:
                 raise
@@ -149,14 +150,15 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
             allowed="the folder of a tuning that ended with a law",
             remedy="leave --resume out",
         )
-    # Another payload is another ω₀, for which a law was proved within its range alone.
+    # Another payload means another ω₀, and a law is proved for its own range of
+    # payloads only.
     Between(*before.payloads, "kg").check("payload", plan.payload)
     return before
 
 
 @dataclass
 class _Session:
-    """One tuning while it runs. Internal, mutable."""
+    """The state of a running tuning. Internal, mutable."""
 
     connection: Connection
     plan: TuningPlan
@@ -174,8 +176,9 @@ class _Session:
         guard = Guard(opened, self.plan.limits)
         plan = self.plan
         if self.clock is None:
-            # Behind the first sample, which states the arm's period, and before
-            # anything moves: a machine that misses periods loses the arm in mid-motion.
+            # After the first sample, which states the period of the arm, and before
+            # anything moves: a machine that misses periods would lose the arm in
+            # mid-motion.
             guard.release()
             awake = measure_wake_ups(guard.period)
             self._tell((str(awake),))
@@ -188,8 +191,8 @@ class _Session:
             folder=str(self.out),
             rig=plan.rig,
         )
-        # Limits may be drawn tighter or wider on resuming: they belong to whoever
-        # stands at the arm now.
+        # The limits may be changed on resuming: they belong to the present user of the
+        # arm.
         self.state = replace(
             self.state, stopped="", folder=str(self.out), limits=plan.limits
         )
@@ -201,8 +204,8 @@ class _Session:
         wiring = check_wiring(guard, self.plan.rig)
         if self.before is not None:
             self._same_arm(self.before, wiring)
-        # From the first guess on, so that the motor's own moves cannot run past the
-        # speed limit.
+        # From the first guess on, so that moves of the motor cannot exceed the speed
+        # limit.
         guard.learn(wiring.gain, wiring.delay)
         self._tell(wiring.evidence)
         if self.before is not None:
@@ -219,10 +222,10 @@ class _Session:
             self._move(guard, link, itertools.chain((built,), laws))
 
     def _carry(self, guard: Guard) -> None:
-        """Move the law that is there with the payload that the arm carries now."""
+        """Try the existing law with the present payload of the arm."""
         design = load(self.out / LAW_FILES[0], Design)
         law = load(self.out / LAW_FILES[1], Law)
-        assert self.state.motor is not None  # there is a law  # noqa: S101
+        assert self.state.motor is not None  # a law exists  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
         move = planned_move(design, law, self.plan.limits)
         why = (
@@ -237,8 +240,8 @@ class _Session:
             self._tell(self.state.reasons)
 
     def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
-        """First moves under the law; one that the arm refuses is withheld, and the next
-        one is tried.
+        """First moves under the law; a law that fails on the arm is withdrawn, and the
+        next one is tried.
         """
         for number, built in enumerate(itertools.islice(laws, LAWS)):
             if number:
@@ -248,13 +251,14 @@ class _Session:
             if not why:
                 return
             self._withhold(guard, why)
-            # What hunts is the motor in its loop, which is that of every law.
+            # The hunting comes from the motor in its loop, which is the same for every
+            # law.
             if self._hunts:
                 return
 
     def _refusal(self, guard: Guard, built: Built) -> str:
-        """Make the first moves, and return why the arm refuses the law, "" where it
-        does not.
+        """Make the first moves, and return the reason why the law fails on the arm, ""
+        if it does not.
         """
         assert built.design is not None and built.law is not None  # passed  # noqa: S101
         assert built.move is not None  # passed  # noqa: S101
@@ -277,8 +281,8 @@ class _Session:
         finally:
             guard.release()
         self._tell(tuple(map(str, found)))
-        # Moves with other payloads stay, so that a verdict is over the whole range that
-        # was tried.
+        # Moves with other payloads are kept, so that the verdict covers the whole range
+        # that was tried.
         others = tuple(
             move for move in self.state.moves if move.payload != self.plan.payload
         )
@@ -286,10 +290,10 @@ class _Session:
         return "; ".join(self.state.verdict.arm.reasons)
 
     def _withhold(self, guard: Guard, why: str) -> None:
-        """Take back the law that the arm refused: its files, and that it passed."""
+        """Withdraw the law that failed on the arm: delete its files and its verdict."""
         for name in LAW_FILES:
-            # Not only in the state: `run-realtime` takes a design.json as it lies
-            # there.
+            # Also delete the files, because `run-realtime` would take the design.json
+            # as it is.
             (self.out / name).unlink(missing_ok=True)
         self.state = replace(
             self.state,
@@ -302,7 +306,7 @@ class _Session:
     def _link(
         self, guard: Guard, wiring: Wiring
     ) -> tuple[LinkResult, Built, Iterator[Built]]:
-        """The link's experiments, at most three where a gate or the proof fails, and
+        """The experiments on the link, up to three if a gate or the proof fails, and
         the law.
         """
         plan = self.plan
@@ -341,7 +345,7 @@ class _Session:
             spent = guard.count * guard.period + 2.0 * sum(
                 duration for _, duration, _ in link.rounds
             )
-            # What the next one would take: it is twice as long as the last.
+            # The next experiment would take twice as long as the last.
             tired = attempt >= EXPERIMENTS or spent > _PATIENCE
             if built.passed or tired or not _worth_repeating(built, link):
                 break
@@ -349,14 +353,14 @@ class _Session:
         return link, built, laws
 
     def _causes(self, guard: Guard) -> tuple[str, ...]:
-        """What the record shows against a law."""
+        """Causes found in the record that prevent a law."""
         state = self.state
-        assert state.wiring is not None  # looked at first  # noqa: S101
+        assert state.wiring is not None  # checked first  # noqa: S101
         return causes(
             guard.record(),
             state.wiring,
             state.motor,
-            # A model that failed a gate may lie anywhere.
+            # The model of a fit that failed a gate is not reliable.
             state.link.fit.model
             if state.link is not None and state.link.fit.passed
             else None,
@@ -369,7 +373,7 @@ class _Session:
         return any(move.hunts for move in self.state.moves)
 
     def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
-        """Write what came of the model, each part to its own file."""
+        """Save the results based on the model, each part to its own file."""
         shown = self._causes(guard)
         if built.passed:
             built = replace(built, assumptions=built.assumptions + shown)
@@ -382,7 +386,7 @@ class _Session:
         for name, part in zip(LAW_FILES, parts, strict=True):
             if built.passed and part is not None:
                 part.save(place / name)
-            else:  # nothing that failed is left to be run
+            else:  # no failed result must remain to be run
                 (place / name).unlink(missing_ok=True)
         proof = built.certificate
         self.state = replace(
@@ -398,9 +402,9 @@ class _Session:
         save(self.state, place / FILES[0], force=True)
 
     def _same_arm(self, before: Tuning, wiring: Wiring) -> None:
-        """Refuse to go on with another arm than the one that was measured."""
+        """Raise an error if this is not the arm that was measured before."""
         names = ("gain", "stiffness", "natural_frequency")
-        # Another payload of the range moves ω₀, and nothing else.
+        # Another payload within the range changes ω₀ only.
         for name in names if self.plan.payload == before.payload else names[:2]:
             was, now = getattr(before.wiring, name), getattr(wiring, name)
             if abs(now / was - 1.0) > _OTHER_ARM:
@@ -428,7 +432,7 @@ class _Session:
         """Write the state and the whole record."""
         self._write(guard)
         record = guard.record()
-        # One sample is no log, as it has no period.
+        # A single sample has no period and makes no log.
         if record.angle.size > 1:
             log = Experiment(
                 period=guard.period,
@@ -441,9 +445,7 @@ class _Session:
             save(log, self._free_log())
 
     def _free_log(self) -> Path:
-        """The next log that is not there yet: a tuning that goes on keeps what was
-        recorded before.
-        """
+        """The next unused name of a log: a resumed tuning keeps the earlier records."""
         if self.before is None:
             (self.out / "log.npz").unlink(missing_ok=True)
         names = (
@@ -461,8 +463,8 @@ class _Session:
 
 
 def _lateness(guard: Guard) -> str:
-    """What lost samples add to why a tuning ended: a busy machine looks like another
-    arm.
+    """The note on lost samples for the reason of an end: a busy machine looks like
+    another arm.
     """
     if guard.lost <= _FEW_LOST * guard.count:
         return ""

@@ -1,5 +1,5 @@
-"""From what was measured to a law: the rig as it was found, the design over the box,
-the certificate.
+"""From measurements to a law: the rig as measured, the design over the box, the
+certificate.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ __all__ = [
     "twins_of",
 ]
 
-# Loop gain at the higher modes: below it no phase of theirs brings the loop nearer to −1
-# than the quarter that a proof asks for.
+# Loop gain at the higher modes: below it the loop stays farther than 0.25 from −1, as a
+# proof requires, whatever the phase.
 _QUIET = 0.75
-# What a second mode may differ by from where a burst showed it a minute ago, relative:
-# with the payload it moves by 3 %. The 5 and 20 % of an arm that nobody has measured so
-# cost a heavy link its law.
+# Relative uncertainty of a second mode measured with a burst a minute ago; the payload
+# shifts it by 3 %. The 5 and 20 % assumed for an unmeasured arm would leave a heavy
+# link without a law.
 _MODE_FREQUENCY, _MODE_SIZE = 0.03, 0.10
-# What an arm that was measured a minute ago may differ by until `watch` says so; the
-# fit's own intervals are added. A quarter of what a rig file allows an arm that nobody
-# has looked at for a year costs less margin.
+# Drift allowed for an arm measured a minute ago, until `watch` reports a change; the
+# intervals of the fit are added. It is a quarter of what a rig file assumes for an arm
+# measured a year ago, and costs less margin.
 _DRIFT = StatedTolerances(
     natural_frequency=0.015,
     order=0.01,
@@ -69,19 +69,19 @@ _DRIFT = StatedTolerances(
     motor_pole=0.05,
 )
 _MOVE, _PERIODS = 0.3, 1.2  # [rad], periods of the heaviest payload's vibration
-# of every limit, in the model's move with the gauge's noise: the guard ends the rest at
-# 0.8
+# Share of every limit that a move of the model with gauge noise may use; the guard
+# stops the arm at 0.8.
 _WITHIN = 0.6
-# of the settling time, or [s]: a sample's noise moves it by as much
+# share of the settling time, or [s]: the effect of the noise of a sample
 _AGREEMENT, _LEAST = 0.10, 0.05
-_LONGEST = 0.9  # of the limit of the angle: the rest is for the overshoot that passes
-# [of the payload]: a lighter link counts for nothing, a heavier one has hardly a tip;
-# one that shows no second mode is no heavier than its payload
+_LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoot
+# Mass of the link relative to the payload: a lighter link has no effect, a much heavier
+# one has hardly any tip motion; without a visible second mode it is at most as heavy as
+# its payload.
 _LIGHTEST, _HEAVIEST, _UNSEEN = 1e-3, 10.0, 1.0
 _FULL_TURN = 2 * math.pi
-_COUNTED = (
-    2e-2  # [rad]: a smaller step of the encoder is a count, a larger one a motion
-)
+# [rad]: a smaller step is the resolution of the encoder, a larger one a motion
+_COUNTED = 2e-2
 
 
 @dataclass(frozen=True)
@@ -124,12 +124,13 @@ def measured_rig(
     link's share; what no motion shows, and what a design shall reach, is as stated.
     """
     fit, motor = link.fit, link.motor.fit
-    assert motor.inertia is not None  # the link's stage gives it  # noqa: S101
+    assert motor.inertia is not None  # set by the link's stage  # noqa: S101
     inertia, model = motor.inertia, fit.model
     mass = _shown_mass(model, payload)
     if not mass and stated is not None:
         mass = stated.link.mass
-    # The smallest step seen in a record, where it is small enough to be a count.
+    # The smallest step in a record, if it is small enough to be the encoder's
+    # resolution.
     counts = (
         round(_FULL_TURN / wiring.encoder_step)
         if 0 < wiring.encoder_step < _COUNTED
@@ -141,7 +142,7 @@ def measured_rig(
             inertia=inertia,
             viscous_friction=motor.decay * inertia,
             torque_constant=motor.gain * inertia,
-            # What the law shall compensate: no more than there is everywhere.
+            # The friction compensated by the law: no more than there is everywhere.
             coulomb_torque=link.motor.compensation * motor.gain * inertia,
             voltage_limit=limits.voltage,
         ),
@@ -151,8 +152,8 @@ def measured_rig(
         encoder=Encoder(counts_per_revolution=counts),
         gauge=Gauge(noise=wiring.gauge_noise),
         motor_loop=link.motor.loop,
-        # The limits of the tuning are those of the law: its moves are as fast for their
-        # speed as the default ones.
+        # The law gets the limits of the tuning: its moves have the same ratio of
+        # acceleration to speed as the default ones.
         moves=Moves(
             angle=limits.angle,
             velocity=limits.speed,
@@ -188,7 +189,7 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
         )
         yield Built(rig, None, None, None, (f"the model failed a gate: {gates}",))
         return
-    # A gauge that leads by less than its standard error is prompt.
+    # A gauge that leads by less than its standard error has no delay.
     model = replace(fit.model, gauge_delay=max(fit.model.gauge_delay, 0.0))
     refused: Built | None = None
     any_passed, reasons = False, list[str]()
@@ -206,9 +207,9 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
 def _designs(
     rig: Rig, model: LinkModel, reasons: list[str]
 ) -> Iterator[tuple[Design, tuple[str, ...]]]:
-    """The designs that keep their requirements over the box, the preferred one first:
-    what the rig asks for, the fastest, and the one with the largest margin at its
-    speed. Why there is none goes to `reasons`.
+    """The designs that meet their requirements over the box, the preferred one first:
+    the one requested by the rig, the fastest, and the one with the largest margin at
+    the same speed. The reasons for infeasible ones go to `reasons`.
     """
     mode = model.second_mode
     box = ParameterBox.of(model, rig)
@@ -226,7 +227,7 @@ def _designs(
             asked = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             asked = (f"what the rig asks for is not feasible ({error}); instead:",)
-    # A quiet second mode, or else one whose phase keeps it from −1.
+    # A gain-stabilised second mode, or else a phase-stabilised one.
     for bound in (None,) if mode is None else (_QUIET, None):
         try:
             fastest = design(model, rig, mode_gain=bound, **options)
@@ -282,7 +283,8 @@ def _proved(
         certificate = certify(design, law=law)
     except (
         FieldError
-    ) as error:  # the derived limits leave the correction no room: nothing to prove
+        # the derived limits leave no range for the correction: nothing to prove
+    ) as error:
         return Built(rig, design, law, None, (str(error),))
     if not certificate.passed:
         reasons = (certificate.verdict,)
@@ -290,9 +292,9 @@ def _proved(
 
 
 def _moves_fail(made: Design, law: Law, limits: MotionLimits) -> tuple[str, ...]:
-    """What is wrong with moves of both ends of the payloads, with noise, on links with
-    mass: a gentle one, and one over the planned part of the speed that nearly reaches
-    the limit of the angle.
+    """The reason why simulated moves fail, if they do: with both extreme payloads,
+    noise, and links with mass; a gentle move, and one beyond the planned share of the
+    speed that nearly reaches the angle limit.
     """
     heavy = made.model.at_payload(made.payloads[1])
     swing = _PERIODS * 2.0 * math.pi / abs(heavy.pole)
@@ -323,8 +325,8 @@ def planned_move(
     another time with a heavier link is none to promise.
     """
     amplitude = PLANNED * limits.angle
-    # Begins where the reference alone takes four fifths of the planned speed: what the
-    # link adds is looked at below.
+    # Starts at the duration at which the reference alone takes four fifths of the
+    # planned speed; the contribution of the link is checked below.
     duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
     twins = twins_of(design)
     for _ in range(20):
@@ -351,8 +353,8 @@ def planned_move(
             and all(map(agree, times[-1].tolist(), times[0].tolist()))
         ):
             return amplitude, duration
-        # An angle that is too large does not get smaller by moving slowly; speed and
-        # torque do.
+        # A slower move does not reduce an angle that is too large; it does reduce speed
+        # and torque.
         if parts[2] == max(parts) and parts[2] > _WITHIN:
             amplitude *= 0.9
         else:
@@ -380,10 +382,11 @@ def twins_of(made: Design) -> tuple[Twin, ...]:
 
 
 def _shown_mass(model: LinkModel, payload: float) -> float:
-    """Mass [kg] of a uniform link with that model's second mode; 0 where it has none.
+    """Mass [kg] of a uniform link with the second mode of the model; 0 if it has none.
 
-    The modes' shares of the hub's motion, gain over frequency squared, tell it: a
-    payload that is no point moves ω₂ by more than the link's mass does.
+    It follows from the shares of the modes in the hub's motion (gain over frequency
+    squared), since an extended payload shifts ω₂ by more than the mass of the link
+    does.
     """
     mode = model.second_mode
     if mode is None:
@@ -395,8 +398,8 @@ def _shown_mass(model: LinkModel, payload: float) -> float:
 
 
 def _mass_ratio(excess: Callable[[Real, Real], float]) -> float:
-    """Mass of a uniform link over its payload at which something of its modes'
-    frequencies and sizes is zero that grows with it.
+    """Ratio of the mass of a uniform link to its payload at which a function of the
+    frequencies and sizes of its modes, increasing with the ratio, is zero.
     """
 
     def at(log_ratio: float) -> float:
@@ -410,7 +413,7 @@ def _mass_ratio(excess: Callable[[Real, Real], float]) -> float:
 
 
 def _bar(model: LinkModel, payload: float, mass: float) -> Link:
-    """The uniform link of that mass [kg] with the model's stiffness and ω₀."""
+    """The uniform link of this mass [kg] with the stiffness and ω₀ of the model."""
     unit = Link(length=1.0, stiffness=model.stiffness, mass=mass)
     tip = payload + unit.tip_mass
     length = math.sqrt(model.stiffness / tip) / model.natural_frequency

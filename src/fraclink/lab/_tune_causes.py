@@ -1,6 +1,6 @@
-"""Why an arm gets no law, as its record shows it: a gauge that clips, a coarse encoder, a
-late voltage, a motor that sticks, a late gauge, a long period; and the domain that
-follows from these.
+"""The causes, found in its record, why an arm gets no law: a clipping gauge, a coarse
+encoder, a delayed voltage, a sticking motor, a delayed gauge, a long period; and the
+domain that follows from these.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ __all__ = ["causes", "domain"]
 
 Real = NDArray[np.float64]
 
-# Half of what a phase margin of 30° has.
-_LATE = math.radians(15.0)  # of phase that the gauge's delay may cost at the vibration
-# A voltage acts one period after its sample, held for one: 1.5 periods, which cost as
-# much phase as a late gauge may at 1/36 of the vibration's period.
-_PERIODS = round(1.5 * 2.0 * math.pi / _LATE)  # in a vibration, at least
+# Phase that the delay of the gauge may cost at the vibration: half of a phase margin of
+# 30°.
+_LATE = math.radians(15.0)
+# Periods per vibration, at least: a voltage takes effect one period after its sample
+# and is held for one. These 1.5 periods cost the phase allowed for a gauge if a period
+# is 1/36 of the vibration period.
+_PERIODS = round(1.5 * 2.0 * math.pi / _LATE)
 _FULL_TURN = 2.0 * math.pi
-_CLIPPED = 5  # samples at the extreme: fewer are a peak
+_CLIPPED = 5  # samples at the extreme; fewer are a peak
 
 
 def causes(
@@ -51,7 +53,7 @@ def causes(
 
 
 def _clipping(torque: Real, noise: float) -> tuple[str, ...]:
-    """A gauge at its rail shows the same value again and again, and few just below it."""
+    """A saturated gauge repeats its extreme value, with few samples just below it."""
     for extreme, inwards in (
         (torque.max(), torque.max() - torque),
         (torque.min(), torque - torque.min()),
@@ -69,7 +71,9 @@ def _clipping(torque: Real, noise: float) -> tuple[str, ...]:
 def _slow_loop(
     motor: MotorResult, wiring: Wiring, period: float, voltage: float
 ) -> tuple[str, ...]:
-    """What the motor loop would gain without the encoder's count, or without the delay."""
+    """The speed that the motor loop would gain with a finer encoder, or without the
+    delay.
+    """
     found = []
     pole = motor.loop.pole
     finer = unlimited_pole(motor, period, motor.fit.delay)
@@ -90,11 +94,11 @@ def _slow_loop(
 
 
 def _sticking(motor: MotorResult, period: float) -> tuple[str, ...]:
-    """What holds a motor that stops and slips: its friction, or its amplifier's dead
-    zone, whichever is more.
+    """The cause of stick-slip of the motor: its friction, or the dead zone of its
+    amplifier, whichever is larger.
     """
     fit = motor.fit
-    # Before the integral has turned the voltage round, an error of that angle gives no
+    # Until the integral has reversed the voltage, an error of this angle causes no
     # motion.
     slip = motor.friction / motor.loop.pid(motor.gain, period).stiffness
     dead = fit.dead_zone > fit.coulomb_voltage

@@ -1,12 +1,11 @@
-"""The motor as doublets of voltage show it: the first guess of K/J, before any loop is
-closed.
+"""The motor from its response to doublets of voltage: the first guess of K/J, before
+any loop is closed.
 
     θ'' = A (V(t − τ) − f sign θ') − B θ'
 
-within each doublet, from rest. Coulomb friction f [V] brakes the motor against its
-motion and holds it where it has stopped: taken for a force that keeps its sign, it
-stops a motor on the model's way that the real one has not gone, and A of small motions
-came out a third too small.
+within each doublet, from rest. Coulomb friction f [V] acts against the motion and holds
+the motor where it has stopped. With a model in which it keeps its sign, A came out a
+third too small for small motions.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ __all__ = ["edges_of", "motor_of_doublets"]
 Real = NDArray[np.float64]
 
 _LATEST = 0.0401  # [s]
-# B [1/s]: a doublet of 80 ms does not tell it from friction. A geared motor of a
-# laboratory has 5 to 20, which moves A by a tenth; with 0 the delay comes out half a
-# period short.
+# B [1/s]: a doublet of 80 ms cannot separate it from friction. Geared laboratory motors
+# have 5 to 20, which changes A by a tenth; with 0 the delay comes out half a period
+# short.
 _DECAY = 10.0
-# of a period, in which a motion under friction is added up; delays are whole numbers of
-# two
+# parts of a period for the integration of a motion with friction; delays are multiples
+# of two parts
 _PARTS = 4
-# A hundredth of the voltage apart: half a step is half a per cent of K/J. At 1 nothing
-# would move.
-_FRICTIONS = np.linspace(0.0, 0.95, 96)  # of the doublets' voltage
+# Friction as a fraction of the doublets' voltage, in steps of one hundredth: half a
+# step changes K/J by half a per cent. At 1 nothing would move.
+_FRICTIONS = np.linspace(0.0, 0.95, 96)
 
 
 def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, float]:
@@ -40,7 +39,7 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
     period, most = record.period, float(np.max(np.abs(record.voltage)))
     shape, edges = _shape(half, period) * most, edges_of(record)
     best = (np.inf, 0.0, np.inf, 0.0, 0.0)
-    # Half periods, as hold and amplifier add up to no whole number of them.
+    # Half periods, since hold and amplifier do not add up to a whole number of periods.
     for halves in range(round(2 * _LATEST / period) + 1):
         length = 2 * half + halves // 2
         begins = edges[edges + length <= record.angle.size]
@@ -53,15 +52,16 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
         ways = shape[:, late]
         size = np.einsum("ij,ij->i", ways, ways)
         gains = ways @ np.sum(motions, axis=0) / (begins.size * size)
-        # Σ(motion − gain · way)² over all doublets, in squares of sums.
+        # Σ(motion − gain · way)² over all doublets, from sums of squares.
         cost = float(np.sum(motions**2)) - begins.size * gains**2 * size
         k = int(np.argmin(cost))
-        # Errors of neighbours are alike: a doublet counts as one observation.
+        # Errors of neighbouring samples are correlated: a doublet counts as one
+        # observation.
         error = float(
             np.sqrt(max(cost[k], 0.0) / begins.size / (begins.size * size[k]))
         )
-        # Per sample, as a longer delay looks at a longer stretch and would otherwise
-        # always cost more.
+        # Per sample, since a longer delay leads to a longer window and would otherwise
+        # always have a larger cost.
         each = float(cost[k]) / (begins.size * length)
         if each < best[0]:
             best = (
@@ -81,7 +81,7 @@ def edges_of(record: Record) -> NDArray[np.intp]:
 
 
 def _shape(half: int, period: float) -> Real:
-    """Angle of A = 1 under a doublet of 1 V, one row for each friction, in parts of a
+    """Angle for A = 1 and a doublet of 1 V, one row per friction value, in parts of a
     period.
     """
     step, angle, speed = (
@@ -92,10 +92,10 @@ def _shape(half: int, period: float) -> Real:
     rows = [angle]
     for part in range(2 * half * _PARTS):
         voltage = 1.0 if part < half * _PARTS else -1.0
-        # At rest friction is against the voltage, and holds up to its size.
+        # At rest friction acts against the voltage, up to its limit.
         against = np.where(speed != 0.0, np.sign(speed), np.sign(voltage))
         new = speed + step * (voltage - _FRICTIONS * against - _DECAY * speed)
-        new = np.where(new * speed < 0.0, 0.0, new)  # it stops before it turns round
+        new = np.where(new * speed < 0.0, 0.0, new)  # it stops before it reverses
         angle = angle + 0.5 * step * (speed + new)
         speed = new
         rows.append(angle)

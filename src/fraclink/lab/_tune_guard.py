@@ -1,5 +1,5 @@
-"""The limits of a tuning, and the guard that keeps them: no voltage is sent that it has
-not looked at.
+"""The limits of a tuning and the guard that enforces them: it checks every voltage
+before it is sent.
 """
 
 from __future__ import annotations
@@ -26,21 +26,20 @@ __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 
 Real = NDArray[np.float64]
 
-# Parts of the limits that a stage plans for. What is left is for noise, overshoot, a
-# gauge that shows too little, and for coming to rest once the guard has switched the
+# Share of the limits that a stage plans to use. The rest is for noise, overshoot, a
+# gauge that reads too low, and for coming to rest after the guard has switched the
 # drive off.
 PLANNED = 0.6
-_TRIP, _SPEED_TRIP = (
-    0.8,
-    0.95,
-)  # what is sent acts a period or two later, and speeds are those of some periods ago
-_RECOVERY = 5.0  # [s] at most in which a swing behind a limit dies down
+# a voltage takes effect one or two periods later, and measured speeds are some periods
+# old
+_TRIP, _SPEED_TRIP = (0.8, 0.95)
+_RECOVERY = 5.0  # [s] at most until a swing beyond a limit has decayed
 _QUIET = 0.6  # [s]: a vibration period of a slow arm
-_SPEED_SAMPLES = (
-    2  # over which speed is taken: a longer mean would miss a fast vibration
-)
-_PUSHED = 0.8  # of the speed limit, that no voltage may drive the motor beyond
-# of the planned motion, where that reaches a limit: a torque falls with size and speed
+# samples over which speed is measured: a longer mean would miss a fast vibration
+_SPEED_SAMPLES = 2
+_PUSHED = 0.8  # share of the speed limit beyond which no voltage may drive the motor
+# shares of the planned motion, tried if it reaches a limit: torque falls with size and
+# speed
 _SIZES = (1.0, 0.5, 0.25)
 
 
@@ -107,18 +106,18 @@ class Guard:
 
     def __init__(self, opened: Opened, limits: MotionLimits) -> None:
         # A geared motor coasts for a few hundredths of a second: ν/J of 5 to 20 1/s and
-        # friction stop it in less.
+        # friction stop it sooner.
         self.limits, self.coast, self.shake = limits, 0.05, 0.0
         self._driven, self._gain = False, 0.0
-        self._sent: deque[float] = deque(
-            [0.0], maxlen=1
-        )  # the voltage that acted last, and those to come
+        # the voltage that acted last, and those still in transit
+        self._sent: deque[float] = deque([0.0], maxlen=1)
         self._opened, self._stack, self._line = opened, contextlib.ExitStack(), None
         self._rows: list[tuple[float, float, float]] = []
-        self.starts: list[int] = []  # rows at which the way to the arm was opened
+        # rows at which the connection to the arm was opened
+        self.starts: list[int] = []
         self._angles: deque[float] = deque(maxlen=_SPEED_SAMPLES)
-        self._apart = 1  # periods between the two
-        self.lost = 0  # samples that did not come in time
+        self._apart = 1  # periods between the last two samples
+        self.lost = 0  # samples that did not arrive in time
         self.reading = self.connect()
         self.origin, self.offset = self.reading.angle, self.reading.torque
 
@@ -167,11 +166,11 @@ class Guard:
         """Send one voltage [V], clipped to the limit, and return the next reading."""
         if self._line is None:
             self.connect()
-        # an arm that nobody has moved yet breaks no limit, whatever its sensors show
+        # an arm that has not been moved yet breaks no limit, whatever its sensors read
         if self._driven:
             self._check()
         most = self.limits.voltage
-        # A NaN passes every comparison as false: it would go out unclipped.
+        # Comparisons with NaN are false: it would be sent unclipped.
         sent = min(max(voltage, -most), most) if math.isfinite(voltage) else 0.0
         sent = self._slowed(sent)
         self._sent.append(sent)
@@ -179,10 +178,9 @@ class Guard:
         last = self.reading
         found = self._line.exchange(sent)  # type: ignore[union-attr]  # connected above
         self.lost += found.periods - 1
-        self._sent.extend([sent] * (found.periods - 1))  # the arm held it
-        for k in range(
-            found.periods
-        ):  # where samples were lost, a line to the next one stands for them
+        self._sent.extend([sent] * (found.periods - 1))  # the arm held the voltage
+        # lost samples are replaced by linear interpolation to the next one
+        for k in range(found.periods):
             part = k / found.periods
             angle = last.angle + part * (found.angle - last.angle)
             self._rows.append(
@@ -197,7 +195,8 @@ class Guard:
         """Use K/J [rad/(s²·V)] and the delay [s] to look ahead: no voltage is sent that
         drives the motor past the speed limit once it acts.
         """
-        # A delay of 4.1 ms is one period of 4 ms and the fit's error, not two periods.
+        # A delay of 4.1 ms is one period of 4 ms plus the error of the fit, not two
+        # periods.
         count = max(1, math.ceil(delay / self.period - 0.1))
         self._gain, self._sent = gain, deque([0.0] * (count + 1), maxlen=count + 1)
 
@@ -210,16 +209,15 @@ class Guard:
         return mean + 0.5 * self._gain * self.period * self._sent[0]
 
     def _slowed(self, voltage: float) -> float:
-        # Nothing is known of the motor before its first doublets, which are small by
-        # themselves.
+        # The motor is unknown before its first doublets, which are small anyway.
         if self._gain <= 0.0:
             return voltage
         step = self._gain * self.period
-        # What was sent and has not acted yet is on its way and cannot be called back.
+        # Voltages in transit cannot be called back.
         speed = self.speed + step * (sum(self._sent) - self._sent[0])
         most = _PUSHED * self.limits.speed
-        # Zero is always allowed: the guard holds back what is asked for, it drives
-        # nothing by itself.
+        # Zero is always allowed: the guard limits requested voltages, but never drives
+        # the arm itself.
         low, high = min((-most - speed) / step, 0.0), max((most - speed) / step, 0.0)
         return min(max(voltage, low), high)
 
@@ -241,8 +239,8 @@ class Guard:
         window = math.ceil(_QUIET / self.period)
         last = self.count + math.ceil(longest / self.period)
         self.rest(_QUIET)
-        # A tenth above the noise, as the deviation of 150 samples scatters by a
-        # twentieth.
+        # A tenth above the noise, since the standard deviation of 150 samples scatters
+        # by a twentieth.
         while (
             self.count < last
             and float(np.std([row[2] for row in self._rows[-window:]])) > 1.1 * noise
@@ -267,8 +265,8 @@ class Guard:
         return motion(_SIZES[-1]), _SIZES[-1]
 
     def _recover(self, noise: float) -> None:
-        """Switch the drive off and wait behind a limit, unguarded as nothing is driven,
-        until the arm rests.
+        """Switch the drive off and wait beyond a limit until the arm rests, unguarded,
+        since nothing is driven.
         """
         self.release()
         self._driven = False
@@ -285,18 +283,18 @@ class Guard:
     def _check(self) -> None:
         limits = self.limits
         speed = self.speed
-        # A coarse encoder at rest shows speeds of a count per period: they are no
+        # A coarse encoder at rest shows speeds of one count per period, which are not
         # motion.
         speed -= math.copysign(min(abs(speed), self.shake), speed)
-        # Where the arm would come to rest, as a limit that is looked at where it stands
-        # is passed before it is noticed.
+        # The position at which the arm would come to rest: checked at the present
+        # position, a limit would be passed before it is noticed.
         ends = self.angle + speed * (self.coast + 2 * self.period)
         for name, value, most, unit in (
             ("angle", ends, limits.angle, "rad"),
             ("speed", speed, limits.speed, "rad/s"),
             ("torque", self.torque, limits.torque, "N·m"),
         ):
-            # Written so that NaN stops, too.
+            # Written so that NaN also stops.
             if not abs(value) <= (_SPEED_TRIP if name == "speed" else _TRIP) * most:
                 raise LimitReached(
                     f"{name}: {value:.3g} {unit} is about to exceed the limit of {most:g} {unit}; the drive "

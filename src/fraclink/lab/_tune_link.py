@@ -1,5 +1,5 @@
-"""The link: an excitation that is planned from the errors of the last fit and grows
-until they suffice.
+"""The link: an excitation planned from the errors of the last fit, which grows until
+they are small enough.
 """
 
 from __future__ import annotations
@@ -33,18 +33,21 @@ __all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 # delay that turns the vibration's phase as much, cost 2 · 0.018 · π/2, 3° of margin; those
 # of ω₀ and of the gauge's gain are as the drift that `watch` does not name.
 ENOUGH = {"order": 0.018, "natural_frequency": 0.012, "gain": 0.045, "delay": 0.018}
-# Errors fall with the root of the length but with the amplitude itself: size is tried
-# first.
-_SHORTEST, _LONGEST = 4.0, 16.0  # [s] of one excitation
-_LARGER = 3.0  # the most by which an excitation grows at once
+# [s] of one excitation. Errors fall with the square root of the length, but in
+# proportion to the amplitude, which is therefore increased first.
+_SHORTEST, _LONGEST = 4.0, 16.0
+_LARGER = 3.0  # largest factor by which an excitation grows at once
 _ROUNDS = 2
-# A random voltage that changes every T has half of its power up to 2.8/T: 250 rad/s for
-# 12 ms, and as far as the second mode of a link that weighs an eighth of its payload.
-# The smooth moves end at a tenth of that. A quarter of the speed limit is small.
-_BIT, _BURST, _PUSH = 0.012, 2.0, 0.25  # [s] at most, [s], of the speed limit
+# [s] at most; [s]; share of the speed limit. A random voltage that changes every T has
+# half of its power below 2.8/T: 250 rad/s for 12 ms, up to the second mode of a link
+# that weighs an eighth of its payload. The smooth moves end at a tenth of that. A
+# quarter of the speed limit is small.
+_BIT, _BURST, _PUSH = 0.012, 2.0, 0.25
 _HALF, _SECOND = 2.8, 25.0
-_CLEANED = 6  # fits, at most, of a record without what the structure does not have
-_DECAYS = (1.97, 1.87)  # orders λ of links that ring for long, and for some periods
+# largest number of fits to a record corrected for effects outside the structure
+_CLEANED = 6
+# orders λ of links that ring for a long time, and for a few periods
+_DECAYS = (1.97, 1.87)
 
 
 @document("tuned-link")
@@ -83,8 +86,8 @@ def tune_link(
     # Half of the sequence's power lies below the vibration.
     bit = _HALF / abs(model.pole)
     reach = min(FIRST, PLANNED * limits.angle)
-    # The very sequence on the model: near the resonance the gauge's limit is met before
-    # the angle's.
+    # The same sequence on the model: near the resonance the limit of the gauge is
+    # reached before that of the angle.
     path = _sequence(guard, motor, reach, bit, duration)
     bent = simulated_torque(model, path[0], guard.period, hold="first")
     reach *= min(PLANNED * limits.torque / float(np.max(np.abs(bent))), 1.0)
@@ -109,14 +112,15 @@ def tune_link(
             PLANNED * limits.torque / float(abs(record.torque).max()),
             PLANNED * limits.voltage / float(abs(record.voltage).max()),
         )
-        # A tenth more of size is less than the errors' own scatter: another round would
-        # cost time and change nothing.
+        # Another tenth of size is less than the scatter of the errors: a further round
+        # would take time and change nothing.
         if most < 1.1 and duration >= _LONGEST:
             break
-        # Errors fall with the amplitude, so that the shortfall is the factor that is
-        # missing; a fifth more allows for their own scatter.
+        # Errors fall in proportion to the amplitude, so the shortfall is the missing
+        # factor; another fifth allows for their scatter.
         grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
-        # What the amplitude may not give, the length must: errors fall with its root.
+        # If the amplitude cannot grow enough, the length must: errors fall with its
+        # square root.
         duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
         reach *= grown
     return LinkResult(fit, motor_again(motor, guard, wiring, fit), tuple(rounds))
@@ -134,7 +138,7 @@ def _excited(
     size: float,
 ) -> tuple[Record, Record]:
     """The record of a random sequence of `size` times its reach, and the same with a
-    burst at its end that shows the second mode.
+    burst at its end that excites the second mode.
     """
     resonance = abs(model.pole)
     calm(
@@ -149,8 +153,8 @@ def _excited(
     )
     record = follow(guard, law, path, origin=guard.origin)
     fast = max(guard.period, min(_BIT, _HALF / (_SECOND * resonance)))
-    # What turns the motor by that speed within one bit; friction comes on top, or the
-    # burst would not move it.
+    # The voltage that changes the motor's speed by this amount within one bit; friction
+    # is added, otherwise the burst would not move the motor.
     push = size * _PUSH * guard.limits.speed / (motor.fit.gain * fast)
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
     voltages = burst(voltage, fast, _BURST, guard.period)
@@ -167,35 +171,36 @@ def _sequence(
     start: float = 0.0,
 ) -> Real:
     """A random sequence of ± `reach` [rad] for about `duration` [s]."""
-    # The edge of a bit is as fast as the limits allow, and slow enough for the motor's
-    # loop to follow: a reference that saturates the voltage excites less than it says.
+    # The edge of a bit is as fast as the limits allow, and slow enough for the motor
+    # loop to follow: a reference that saturates the voltage excites less than its model
+    # predicts.
     rise = max(
         2 * 1.875 * reach / (PLANNED * guard.limits.speed),
         3.0 / motor.loop.pole,
         6 * guard.period,
     )
     bit = max(bit, 1.2 * rise)
-    # Fewer than eight bits may leave out the band in which the resonance lies.
+    # Fewer than eight bits may leave out the frequency band of the resonance.
     bits = max(8, math.floor(duration / bit))
     return random_steps(reach, bit, rise, bits, guard.period, start=start)
 
 
 def _fitted(moves: Experiment, whole: Experiment) -> Fit:
-    """The link from the moves and the burst behind them, with the second mode or up to
-    where there is none.
+    """The link from the moves and the burst after them, with the second mode if it is
+    visible.
 
-    What the structure does not have is taken out of the record and the link is fitted
-    again: the torque of the second mode, and what still rang from the motion before.
-    Either bends λ and the delay, and colours the residual, from which their errors are
-    taken; a wrong delay bends the mode. Nothing is held out of these fits, as one of a
-    part leaves in the other what would be taken for ringing; whether a part is
-    predicted is looked at in the end.
+    Effects that the structure does not include are removed from the record, and the
+    link is fitted again: the torque of the second mode, and the remaining vibration of
+    earlier motion. Both bias λ and the delay, and colour the residual from which their
+    errors are computed; a wrong delay in turn biases the mode. Nothing is held out of
+    these fits, since the residual of a held-out part would be taken for ringing;
+    prediction is tested at the end.
     """
     mode: SecondMode | None = None
     rings, held = np.zeros(whole.output.size), dict[str, float]()
     for _ in range(_CLEANED):
-        # With its delay held from the second time on: on the burst it and the mode's
-        # phase stand for each other, and only without the mode is it known.
+        # The delay is held from the second time on: on the burst it cannot be separated
+        # from the phase of the mode, so it is determined without the mode only.
         seen = replace(whole, output=whole.output - rings)
         shown = identify(seen, "UD-FOM", heldout=0.0, fixed=held).model
         before, mode = mode, shown.second_mode or mode
@@ -215,8 +220,8 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
             break
     clean = rest - rings
     fit = identify(replace(whole, output=clean), "UD-FOM", heldout=0.0)
-    # On the moves alone, of which a part is held out: what a fit to everything may hide
-    # is whether it predicts.
+    # On the moves alone, with a part held out: a fit to everything does not show
+    # whether it predicts.
     tested = identify(replace(moves, output=clean[: moves.output.size]), "UD-FOM")
     found = fit if tested.passed else tested
     return replace(
@@ -240,11 +245,11 @@ def _torque_of(mode: SecondMode, model: LinkModel, log: Experiment) -> Real:
 
 
 def _ringing(fit: Fit, output: Real) -> Real:
-    """The free vibration in what a fit leaves of the output: it begins with the record,
-    and only decays.
+    """The free vibration in the residual of a fit: it begins with the record and only
+    decays.
 
-    Two dampings stand for any: the fit that still has it in its record does not know
-    the link's own.
+    Two dampings represent all others: a fit to a record that still contains the
+    vibration does not know the damping of the link.
     """
     time = fit.period * np.arange(output.size)
     # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ =
@@ -263,7 +268,8 @@ def _ringing(fit: Fit, output: Real) -> Real:
 def shortfall(fit: Fit) -> float:
     """The largest standard error over what suffices."""
     errors, model = fit.standard_errors, fit.model
-    # ω₀ and gain relative, the delay as the order whose phase j^λ it has at the vibration.
+    # ω₀ and gain are relative; the delay is expressed as the order λ whose phase j^λ it
+    # has at the vibration.
     scale = {
         "order": 1.0,
         "delay": 0.5 * math.pi / abs(model.pole),
@@ -303,8 +309,8 @@ def motor_again(
     """
     try:
         again = fitted_motor(guard.record(), fit.model.gauge_delay, guard.starts)
-        # A negative inertia is the noise of moves that hardly load the motor: then the
-        # motor alone is known, and no load is made up.
+        # A negative inertia is noise from moves that hardly load the motor: then only
+        # the motor is known, and no load is assumed.
         if again.inertia is None or again.inertia <= 0 or not again.passed:
             return motor
         return closed_motor(again, guard, wiring, motor.rounds)

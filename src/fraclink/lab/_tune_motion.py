@@ -1,4 +1,4 @@
-"""Moving the arm in the motor loop: law.c with its correction left out, and references
+"""Motion of the arm in the motor loop: law.c without its correction, and references
 within the limits.
 """
 
@@ -36,15 +36,17 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-_SLOWEST, _STEP = 4.0, 0.9  # [rad/s] of a loop, and from one that is tried to the next
-_STRETCH = 70  # samples of a move, at least
-_CALM, _LOOK = 0.5, 25  # [s] of a quiet gauge, periods between two looks
-# k and ζ of what calms the link: of s² + 1 behind s² + 2ζs + 1 both pairs of poles are
-# alike, and damped by ζ/2, for k = ζ/2
+# [rad/s], slowest loop; ratio of the speeds of two loops that are tried in turn
+_SLOWEST, _STEP = 4.0, 0.9
+_STRETCH = 70  # smallest number of samples of a move
+# [s] for which the gauge must be quiet; periods between two checks
+_CALM, _LOOK = 0.5, 25
+# k and ζ of the filter that damps the link: for k = ζ/2, both pole pairs of s² + 1
+# behind s² + 2ζs + 1 coincide, with damping ζ/2.
 _FILTER = 0.6
 _DAMPING = 0.5 * _FILTER
-_FREE = 1e6  # where the guard watches, and not the law
-# Three equal poles are found with the cube root of a double's precision, 1e-5 apart.
+_FREE = 1e6  # used where the guard supervises instead of the law
+# Triple poles are computed to the cube root of the precision of a double, 1e-5.
 _SPLIT = 1.0 + 1e-3
 
 
@@ -104,15 +106,16 @@ def motor_law(
     `friction` [V] is compensated.
     """
     limits, period, pole = guard.limits, guard.period, loop.pole
-    # Room for what the guard allows: from one end of the limits to the other, and the
-    # acceleration of a reference that the loop's own pole could follow four times over.
+    # Room for everything that the guard allows: a move between the limits, and the
+    # acceleration of a reference four times faster than the pole of the loop.
     moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
-    # Any link will do: its thresholds are lifted, as the guard has the user's own.
+    # Any link will do: its thresholds are raised, because the guard applies the limits
+    # of the user.
     link, pid = LinkModel(1.0, 10.0, 1.9), loop.pid(motor, period)
     follows = following(abs(link.pole), period, pole, loop.delay_samples, motor, pid)
     derived = derive_limits(link, period, moves, loop=follows)
-    # A threshold that a link of an unknown stiffness trips would end the experiment
-    # that is to measure it.
+    # A threshold derived from an unknown stiffness could end the experiment that is to
+    # measure it.
     free = replace(
         derived,
         torque_limit=_FREE,
@@ -128,9 +131,9 @@ def motor_law(
         period=period,
         precision="single",
         stiffness=1.0,
-        # Without a correction law.c is the motor loop alone: the controller that moves
-        # the arm for its identification is the one that is shipped, with its guards on
-        # encoder and clock.
+        # Without a correction law.c is just the motor loop: the controller that moves
+        # the arm for identification is the one that ships, with its guards on encoder
+        # and clock.
         correction=Modes(0.0),
         feedforward=Modes(0.0),
         motor_loop_pole=pole,
@@ -162,9 +165,9 @@ def fastest_loop(
     Its poles are placed in z with the delay inside the equation: at the same pole this
     leaves three times the distance that a discretised PID does.
     """
-    # Up to half the sampling rate, where a late loop comes closest to −1.
+    # Up to half the sampling rate, where a delayed loop comes closest to −1.
     frequency = np.geomspace(1e-2, math.pi / period, 600)
-    # One at least: a voltage acts when the next sample is taken.
+    # At least one: a voltage takes effect when the next sample is taken.
     samples = max(1, round(delay / period))
     pole = most
     while pole > _SLOWEST:
@@ -205,9 +208,10 @@ def _keeps(
     true = SampledMotorLoop(
         pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples
     )
-    # Poles first: the distance from −1 of a loop that is unstable says nothing. And a
-    # pole that the delay leaves over, slower than those that were placed, is a loop that
-    # follows as slowly as that: with three samples too fast a loop has one at 0.1 rad/s.
+    # Poles first: the distance from −1 means nothing for an unstable loop. If the delay
+    # adds a pole slower than those that were placed, the loop follows only at the speed
+    # of that pole: with three samples of delay, a loop placed too fast has one at 0.1
+    # rad/s.
     slowest = float(np.max(np.abs(true.poles())))
     if slowest >= 1.0 or (
         ratio == 1.0 and slowest > _SPLIT * math.exp(-loop.pole * period)
@@ -232,15 +236,15 @@ def follow(
     """
     here = guard.connect().angle
     start, origin = guard.count, here if origin is None else origin
-    # A law that goes on from the path before keeps its integrator, and its tick.
+    # A law that continues from the previous path keeps its integrator and its tick.
     runs = follower or Follower(law)
     more = np.zeros(path.shape[1]) if shaken is None else shaken
     for (angle, acceleration), voltage in zip(
         path.T.tolist(), more.tolist(), strict=True
     ):
         reading = guard.reading
-        # With the periods since the last sample, so that the law counts what was lost
-        # as its own guards do.
+        # With the number of periods since the last sample, so that the law counts lost
+        # samples in the way of its own guards.
         law_s = runs.step(
             origin + angle, acceleration, reading.angle, guard.torque, reading.periods
         )
@@ -262,17 +266,17 @@ def random_moves(
     """
     random = np.random.default_rng(seed)
     at, parts, total = start, [], 0.0
-    # The motor's fit looks at stretches of 61 samples in one direction.
+    # The fit of the motor uses stretches of 61 samples in one direction.
     least = _STRETCH * period
     while total < max(duration, 4.0 * least):
-        # To the other side each time: the motor must reverse for friction to be told
+        # To the other side each time: only reversals of the motor separate friction
         # from damping.
         to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
-        # The last move ends at the start, so that the next stage finds the limits on
-        # both sides.
+        # The last move ends at the start, so that the next stage has room on both
+        # sides.
         last = total > max(duration - 1.0, 3.0 * least)
         to = 0.0 if last else to
-        # 15/8 is the peak of the quintic's speed over its mean.
+        # 15/8 is the ratio of peak to mean speed of the quintic.
         time = max(1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), least)
         move = smooth_step(to - at, time)
         grid = period * np.arange(math.ceil(time / period))
@@ -297,10 +301,10 @@ def random_steps(
     `rise` [s]; from `start` [rad] to 0.
     """
     levels = _random_levels(reach, bit, bits)
-    # Rest in front, as an identification takes the first samples for rest.
+    # It starts at rest, because an identification takes the first samples as rest.
     parts = [np.tile([[start], [0.0]], (1, round(0.2 / period)))]
     if start:
-        # An edge is 2 reach at most: what lies farther away is reached as slowly.
+        # An edge is at most 2 reach; a larger distance is covered at the same speed.
         slow = rise * max(1.0, abs(start) / reach)
         back, grid = smooth_step(-start, slow), period * np.arange(round(slow / period))
         parts.append(np.array([start + back.angle(grid), back.acceleration(grid)]))
@@ -344,7 +348,7 @@ def calm(
     runs, origin = Follower(law), guard.connect().angle
     last = guard.record(-round(2.0 * math.pi / resonance / guard.period)).torque
     zero, swing = (float(np.mean(last)), float(np.ptp(last))) if last.size else (0, 0)
-    # No farther than the limits, however much the link swings: k times its own bend.
+    # Within the limits, however much the link swings: k times its own deflection.
     reach = 0.5 * PLANNED * guard.limits.angle
     damping = min(_DAMPING, reach * stiffness / max(0.5 * swing, 1e-12))
     part, speed = 0.0, 0.0
@@ -359,8 +363,8 @@ def calm(
             and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise
         ):
             return
-        # A tenth of a second between two looks: the deviation is that of half a second
-        # anyway.
+        # A tenth of a second between two checks: the standard deviation is that of half
+        # a second anyway.
         for _ in range(_LOOK):
             reading = guard.reading
             push = 2.0 * _FILTER * resonance * (guard.torque - zero - speed)

@@ -1,5 +1,5 @@
-"""The motor: identified in a slow loop that is safe with what the wiring check knows,
-then closed.
+"""The motor: identified in a slow loop that is safe for the results of the wiring
+check, then closed for good.
 """
 
 from __future__ import annotations
@@ -30,29 +30,27 @@ __all__ = [
     "unlimited_pole",
 ]
 
-# The first guess of K/J is good to a quarter; the link adds up to the arm's own inertia
-# at low frequencies.
+# The first guess of K/J is accurate to a quarter; at low frequencies the link adds up
+# to the inertia of the arm.
 _UNSURE, _ROBUST = (0.4, 0.7, 1.0, 1.5), 0.35
-# A fit is good to a few per cent; what is left is the gear's position dependence and
-# the amplifier's.
+# A fit is accurate to a few per cent; the rest is the dependence of gear and amplifier
+# on position.
 _SURE, _MARGIN = (0.85, 1.0, 1.15), 0.45
-_SLOW, _FAST = (
-    25.0,
-    60.0,
-)  # [rad/s], at most: a faster loop takes more voltage for the same noise
-# of K/J, standard error: three of them lie within what the loop is placed for; the motor
-# is identified once more with all that moves the link
+# [rad/s] at most: a faster loop takes more voltage for the same noise
+_SLOW, _FAST = (25.0, 60.0)
+# Standard error of K/J: three of them lie within the range for which the loop is
+# placed; the motor is identified again later with all motion of the link experiments.
 _ENOUGH = (max(_SURE) - 1.0) / 3.0
-# of the friction that was identified: along a gear and after a rest it differs by a
-# fifth, and what is compensated beyond drives the motor by itself
+# Share of the identified friction: along a gear and after a rest it differs by a fifth,
+# and an overcompensation would drive the motor by itself.
 _COMPENSATED = 0.8
-# of the voltage limit, at most, for one count of the encoder, which is a noise of
-# 1/√12 of it: no more of the voltage than the gauge's noise may take
+# Largest share of the voltage limit for one count of the encoder, whose noise is 1/√12
+# of a count: it takes no more voltage than the noise of the gauge may.
 _COUNT = NOISE_SHARE * math.sqrt(12.0)
 FIRST = 0.12  # [rad], 7°
 _ROUNDS = 4
-# [s] at most: the motor's fit knows the torque, the first fit of the link prefers an
-# arm at rest
+# [s] at most: the fit of the motor includes the torque, and the first fit of the link
+# works better with an arm at rest.
 _RINGING = 1.5
 
 
@@ -98,14 +96,14 @@ def tune_motor(
     `tell` is told where a move reached a limit, and is made again smaller.
     """
     period, limits = guard.period, guard.limits
-    # Without its damping: more phase is lost than in truth, and the loop errs on the
-    # slow side.
+    # Without damping the model loses more phase than the motor does, so the loop comes
+    # out on the slow side.
     guess = MotorGain(wiring.gain, 0.0)
     loop = fastest_loop(
         guess, wiring.delay, period, ratios=_UNSURE, margin=_ROBUST, most=_SLOW
     )
     law = motor_law(guess, loop, guard)
-    # A quarter of what may be planned: until K/J is known the guard alone keeps the
+    # A quarter of the planned share: until K/J is known, only the guard limits the
     # speed.
     reach, speed = min(FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
     fit: MotorFit | None = None
@@ -114,7 +112,7 @@ def tune_motor(
         record, size = guard.sized(motion, wiring.gauge_noise, tell)
         reach, speed = size * reach, size * speed
         guard.release()
-        # On every round: each tells a little more.
+        # In every round, since each adds information.
         with contextlib.suppress(LogError):
             fit = fitted_motor(guard.record(), wiring.gauge_delay, guard.starts)
             # Smooth moves hardly show a delay, which the edges of the doublets do: the
@@ -164,13 +162,14 @@ def _moved(
     seed: int,
     size: float,
 ) -> Record:
-    """The record of some random moves, of `size` times their reach and speed."""
-    # For the link's first fit, which takes the beginning of the record for rest.
+    """The record of random moves with `size` times their reach and speed."""
+    # For the first fit of the link, which takes the beginning of the record as rest.
     guard.quiet(wiring.gauge_noise, _RINGING)
-    # What is not compensated yet lets the arm lag: the moves are slow enough for the
-    # loop to follow.
+    # Uncompensated friction makes the arm lag: the moves are slow enough for the loop
+    # to follow.
     fast = min(speed, 0.35 * pole * reach)
-    # From where a swinging link has left the motor, and about where it stood first.
+    # From the position in which a swinging link has left the motor, back to about its
+    # first position.
     here = guard.connect_angle()
     path = random_moves(
         size * reach, size * fast, 3.0, guard.period, seed=seed, start=here
@@ -184,8 +183,8 @@ def closed_motor(
     """Return a motor with the fastest loop that a fit good to a few per cent, and the
     encoder's count, allow.
     """
-    # Below zero by their own errors; a loop that counted on negative friction would be
-    # too fast.
+    # Values may be negative within their errors; a loop designed for negative friction
+    # would be too fast.
     fit = replace(
         fit, decay=max(fit.decay, 0.0), coulomb_voltage=max(fit.coulomb_voltage, 0.0)
     )

@@ -1,5 +1,5 @@
-"""The first moves under the new law: a tenth of the speed, then all of it, promised
-against measured.
+"""The first moves under the new law, at a tenth of the speed and at full speed, with
+promised and measured figures.
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from fraclink.lab._tune_motor import MotorResult
 __all__ = ["FirstMove", "first_moves"]
 
 Real = NDArray[np.float64]
-# Settling time [s], residual vibration [rad], and half the peak-to-peak motor angle in
-# the last two seconds [rad].
+# Settling time [s], residual vibration [rad], and half of the peak-to-peak motor angle
+# in the last two seconds [rad].
 Judged = tuple[float, float, float]
-# How far [rad], what was recorded, and what is judged of it.
+# Distance [rad], the record, and its figures.
 Made = tuple[float, Record, Judged]
 
-_BAND = 0.02  # of the move, as everywhere
-# times the gauge's white noise, as the loop colours it: a narrower band is left by
-# chance
+_BAND = 0.02  # share of the move, as everywhere
+# multiple of the gauge's white noise, as shaped by the loop: noise alone would leave a
+# narrower band
 _ABOVE = 6.0
-_AFTER = 2.5  # [s] watched after a reference has come to rest
-_SLOW, _PART = 10.0, 0.4  # the first move: a tenth of the speed, two fifths of the way
-_FIRST = 5  # periods in which a hand-over would show as a jump
-_SEEDS = range(
-    7
-)  # of the promise: in one of ten simulations the noise leaves the band long after the move
-# The full move is made twice, and a third time where the two do not say the same: one
-# record's noise moves its settling time by a sample's band, and two of three decide.
+_AFTER = 2.5  # [s] observed after a reference has come to rest
+# the first move: a tenth of the speed, two fifths of the distance
+_SLOW, _PART = 10.0, 0.4
+_FIRST = 5  # periods in which a bump of the transfer would show
+# seeds of the promise: in one of ten simulations noise leaves the band long after the
+# move
+_SEEDS = range(7)
+# The full move is made twice, and a third time if the two disagree: the noise of one
+# record shifts its settling time by a sample's band, and two of three decide.
 _TWICE = 2
-_SPEED_TIME = 0.016  # [s] over which a speed is taken
-_LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
+_SPEED_TIME = 0.016  # [s] over which a speed is computed
+_LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
 _REST = 2.0  # [s] at the end in which the motor should rest
 _HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
 
@@ -150,10 +151,10 @@ def first_moves(
     back and forth at full speed: `move` is its amplitude [rad] and duration [s].
     """
     amplitude, duration = move
-    # Of the full move for the slow one, too: of a smaller band friction and noise say
-    # when it has settled.
+    # The band of the full move is also used for the slow one: with a smaller band,
+    # friction and noise would determine the settling time.
     band = _band(amplitude, design)
-    # The slow move first: a law that is wrong shows it at a tenth of the speed.
+    # The slow move first: it shows a wrong law at a tenth of the speed.
     slow, full = (_PART * amplitude, _SLOW * _PART * duration), move
     promised = {
         each: [
@@ -167,7 +168,8 @@ def first_moves(
         ]
         for each in (slow, full)
     }
-    # In one go under the law, which damps what a move leaves for the next one.
+    # All moves in one run under the law, which damps the vibration left for the next
+    # one.
     made, jump = _moved(guard, design, law, motor, (slow, full, full), payload, band)
     while not _decided([judged for *_, judged in made[1:]], promised[full]):
         again, more = _moved(guard, design, law, motor, (full,), payload, band)
@@ -179,8 +181,8 @@ def first_moves(
 
 
 def _decided(judged: list[Judged], promised: list[Judged]) -> bool:
-    """Whether two moves say the same of the promise: both keep it, or are too slow, or
-    too fast. By three, two have said the same.
+    """Whether two moves agree about the promise: both keep it, or both are too slow, or
+    both too fast. Of three moves, at least two agree.
     """
     wanted = _median(promised, 0)
     words = {
@@ -199,13 +201,15 @@ def _moved(
     payload: float,
     band: float,
 ) -> tuple[list[Made], float]:
-    """Moves (amplitude [rad], duration [s]) after one hand-over, each towards where the
-    arm stood at first, and how far the arm moved in the first periods after that.
+    """Moves (amplitude [rad], duration [s]) after a single transfer to the law, each
+    towards the first position of the arm, and the motion of the arm in the first
+    periods after the transfer.
     """
     period, model = guard.period, design.model
-    # The motor's loop holds the arm before the law does, so that a jump is the law's
-    # own and not the arm's sagging; and damps it, as what still rings of the stage
-    # before would be taken for the move's: to half of the band, √2 the deviation.
+    # The motor loop holds the arm before the law takes over, so that a bump is due to
+    # the law and not to sagging. It also damps the link, since vibration left by the
+    # previous stage would be taken for that of the move: down to half of the band, √2
+    # times the standard deviation.
     ringing = 0.5 / math.sqrt(2.0) * band * model.stiffness
     calm(
         guard,
@@ -217,8 +221,8 @@ def _moved(
     before = at = guard.angle
     runs, count = Follower(law, payload), round(0.2 / period)
     waited = follow(guard, law, np.zeros((2, count)), follower=runs)
-    # What the link's vibration makes the law do later is no jump: the first periods
-    # are.
+    # Only the first periods count as a bump; later the law responds to the vibration of
+    # the link.
     jump = float(np.max(np.abs(waited.angle[:_FIRST] - before)))
     records = list[tuple[float, float, Record]]()
     for amplitude, duration in moves:
@@ -228,14 +232,14 @@ def _moved(
             period,
             math.ceil((duration + _AFTER) / period),
         )
-        # The reference counts from where the last one ended, and not from where friction
-        # has left the arm.
+        # The reference starts where the last one ended, not where friction has left the
+        # arm.
         record = follow(
             guard, law, path[[0, 2]], follower=runs, origin=guard.origin + at
         )
         at += far
         records.append((far, duration, record))
-    # Judged with the drive off, as nobody answers the arm meanwhile.
+    # Judged with the drive off, since nothing controls the arm meanwhile.
     guard.release()
     return [
         (
@@ -252,8 +256,8 @@ def _moved(
 def _simulated(
     design: Design, law: Law, path: Path, payload: float, *, seed: int
 ) -> tuple[Real, Real]:
-    """Motor angle and torque of the same move on the measured arm, as the sensors show
-    them.
+    """Motor angle and torque of the same move on the model of the measured arm, as read
+    by the sensors.
     """
     run = simulate(
         law,
@@ -275,8 +279,8 @@ def _compared(
     band: float,
     payload: float,
 ) -> FirstMove:
-    """The median of some moves, beside the median of the same move on the model with
-    other noises.
+    """The median over some moves, and the median of the same move on the model with
+    different noise.
     """
     judged, records = [each for *_, each in made], [record for _, record, _ in made]
     far, record, _ = made[-1]
@@ -308,16 +312,19 @@ def _median(judged: list[Judged], place: int) -> float:
 
 
 def _band(amplitude: float, design: Design) -> float:
-    """Around its last angle in which a move's smoothed tip has settled [rad]."""
+    """The band about its last angle in which the smoothed tip of a move has settled
+    [rad].
+    """
     rig, model = design.rig, design.model
-    # The gauge's noise is left in the estimate: a band below it would never be kept.
+    # The estimate contains the noise of the gauge: it would never stay in a narrower
+    # band.
     noise = rig.gauge.noise / model.stiffness / math.sqrt(_width(design))
     return max(_BAND * abs(amplitude), _ABOVE * noise)
 
 
 def _width(design: Design) -> int:
-    """Samples of a mean over a quarter of a vibration, which keeps 2√2/π of its
-    amplitude.
+    """Samples of a mean over a quarter of a vibration period, which preserves 2√2/π of
+    the amplitude.
     """
     return max(3, round(0.5 * math.pi / abs(design.model.pole) / design.rig.period))
 
@@ -326,11 +333,12 @@ def _judged(
     angle: Real, torque: Real, band: float, ends: float, design: Design
 ) -> Judged:
     """Time from which the tip estimate, smoothed over a quarter of a vibration, stays
-    within the band, its residual vibration behind `ends` [s], and the motor's unrest.
+    within the band, its residual vibration after `ends` [s], and the remaining motion
+    of the motor.
     """
     model, period, width = design.model, design.rig.period, _width(design)
-    # Torque and angle of the same instant: a gauge that is 12 ms late would turn the
-    # motor's motion into vibration.
+    # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
+    # the motor would appear as vibration.
     late = round(max(model.gauge_delay, 0.0) / period)
     bend = torque[late:] / model.stiffness
     tip = angle[: bend.size] - (bend - float(np.mean(bend[-round(_LAST / period) :])))
@@ -338,8 +346,8 @@ def _judged(
         np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same"
     )[width:-width]
     final = float(np.mean(smooth[-round(_LAST / period) :]))
-    # Around where it came to rest, not around the reference: the motor's friction
-    # leaves it a little beside.
+    # About its final position and not the reference, since friction of the motor leaves
+    # a small offset.
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     begin = round(ends / period)
     ringing = smooth[begin : begin + round(0.5 / period)]

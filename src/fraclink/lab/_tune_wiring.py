@@ -1,10 +1,10 @@
-"""The wiring, found within 5° of motion and before any loop is closed: signs, scales,
-liveness, delay.
+"""The wiring check, within 5° of motion and before any loop is closed: signs, scales,
+function of the sensors, delay.
 
-The arm is pushed with doublets, a voltage and then its opposite, each just a little
-stronger than the last, until encoder or gauge answers. A train of such moves is then
-fitted: the motor to the angle, the link to the torque. Every sign is a fitted gain with
-its standard error.
+The arm is moved by doublets, a voltage followed by its opposite, each slightly larger
+than the last, until encoder or gauge responds. A train of such moves is then fitted:
+the motor to the angle, the link to the torque. Every sign is a fitted gain with its
+standard error.
 """
 
 from __future__ import annotations
@@ -27,50 +27,59 @@ __all__ = ["Wiring", "WiringFault", "check_wiring"]
 
 Real = NDArray[np.float64]
 
-# A hundred samples at 4 ms: their deviation is known to 7 %.
-_REST = 0.4  # [s] in which the noise of the sensors is measured
-# Three seconds, for an arm that somebody has just let go.
-_LOOKS = 8  # that an arm may take to come to rest
+# [s] in which the noise of the sensors is measured: the standard deviation of a hundred
+# samples (4 ms) is accurate to 7 %.
+_REST = 0.4
+# checks for which an arm may take to come to rest: three seconds, for an arm that was
+# just released
+_LOOKS = 8
 _STILL = 0.004  # [rad]
-# [s] of one half of a doublet: shorter than a quarter vibration of any arm of a
-# laboratory
+# [s] of each half of a doublet: shorter than a quarter of the vibration period of any
+# laboratory arm
 _PULSE = 0.04
-_PAUSE = 0.16  # [s] behind it
-_FIRST, _GROWTH = (
-    0.01,
-    1.25,
-)  # of the voltage limit; a motion that has just begun must not be 5° the next time
-_ANSWER = 0.012  # [rad], 0.7°: the motion that the doublets grow to
-_MOST = 0.040  # [rad], 2.3°: grown to this where the gauge does not show the first
-# [N·m], at least: where the gauge alone answers, be it with an angle, it must be a
-# motion
+_PAUSE = 0.16  # [s] after a doublet
+# share of the voltage limit; growth: a motion that has just begun must not reach 5° at
+# the next doublet
+_FIRST, _GROWTH = (0.01, 1.25)
+_ANSWER = 0.012  # [rad], 0.7°: size of motion at which the doublets stop growing
+# [rad], 2.3°: size of motion if the gauge does not respond to the first one
+_MOST = 0.040
+# [N·m], at least: if only the gauge responds, possibly with an angle, the response must
+# be a real motion
 _FELT = 0.006
-_MISSING = 0.5  # of the wanted motion: less is none where the gauge answers
-# A motion of fewer counts is known to no better than an eighth, and so is K/J.
-_COUNTS = 8  # of an encoder, at least
-# What a later, larger try leaves of the motion that the plan states, for the first one.
+# share of the wanted motion below which there is none, if the gauge responds
+_MISSING = 0.5
+# counts of an encoder, at least: with fewer, the motion, and thus K/J, is known to no
+# better than an eighth
+_COUNTS = 8
+# The plan states the largest motion; this factor leaves room for a later, larger
+# attempt.
 _LARGER = 1.6
-COUNT = _MOST / _LARGER / _COUNTS  # [rad]: the coarsest that shows as many
-# A wrong sign closes a loop that runs away: one in two million is allowed to be chance.
-_SURE = 5.0  # standard errors that a sign needs
-_DEVIATIONS = 8.0  # of the gauge's noise, smoothed, that are an answer
-# of a motion that follows the doublets: of an angle about half, of a torque a tenth
+COUNT = _MOST / _LARGER / _COUNTS  # [rad]: the coarsest encoder with that many counts
+# Standard errors required of a sign: a wrong sign closes a loop that runs away; the
+# probability of chance is one in two million.
+_SURE = 5.0
+# multiple of the smoothed noise of the gauge that counts as a response
+_DEVIATIONS = 8.0
+# share of a motion that follows the doublets: about half for an angle, a tenth for a
+# torque
 _KEPT = 0.3
-# of what the link leaves unexplained: with the right wires the reverse leaves more
+# share of the link's residual: with correct wires the residual of the exchanged fit is
+# larger
 _REVERSED = 0.6
-# standard errors of the torque's gain that a fit over all frequencies does not find in
-# noise
+# Standard errors of the torque's gain that a fit over all frequencies does not reach
+# with noise.
 _CLEAR = 8.0
-# Of both signs, six each: what drifts or drags to one side cancels.
+# Six of each sign: drift or drag to one side cancels.
 _DOUBLETS = 12
-# times the stated K/J: the fit to small motions is within a tenth, payload and gear a
-# third off
+# multiple of the stated K/J: the fit to small motions is accurate to a tenth, payload
+# and gear may differ by a third
 _FAR = 1.6
-# that a stated value may be off: friction, payload and gauge differ by a third, units
-# by ten
+# allowed factor of a stated value: friction, payload and gauge differ by a third, wrong
+# units by ten
 _SCALE = 2.5
-# nmse above which one signal is not the other's link; of noise nothing is explained,
-# nmse 1
+# NMSE above which one signal is not the response of a link to the other; for noise it
+# is 1
 _EXPLAINED = 0.85
 
 
@@ -79,7 +88,7 @@ class WiringFault(FraclinkError):
 
 
 class _Unsure(WiringFault):
-    """What a larger motion may still refute."""
+    """A suspected fault that a larger motion may still refute."""
 
 
 @document("wiring")
@@ -135,8 +144,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         start = guard.count
         guard.rest(_REST)
         still = guard.record(start)
-        # Second differences: an arm that still rings adds nothing to them.
-        # Second differences of white noise have six times its variance: 1 + 4 + 1.
+        # Second differences, to which an arm that still rings adds almost nothing. For
+        # white noise they have six times its variance: 1 + 4 + 1.
         shake, noise = (
             float(np.std(np.diff(x, 2))) / math.sqrt(6.0)
             for x in (still.angle, still.torque)
@@ -149,11 +158,12 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
             f"the motor turns by {math.degrees(turned):.2g}° at 0 V: the drive is not off, or the arm is "
             "being moved"
         )
-    # The gauge's zero is its mean at rest, not its first sample.
+    # The zero of the gauge is its mean at rest, not its first sample.
     guard.offset += float(np.mean(still.torque))
-    # Before the first doublet: six deviations of a coarse encoder's speed would end it.
+    # Before the first doublet: six standard deviations of a coarse encoder's speed
+    # would end it.
     guard.allow(shake)
-    # What must be seen above noise that a mean of five samples has smoothed.
+    # The response must exceed the noise after smoothing over five samples.
     answers = (
         max(_ANSWER, _DEVIATIONS * shake / math.sqrt(_SMOOTH)),
         max(_FELT, _DEVIATIONS * noise / math.sqrt(_SMOOTH)),
@@ -168,16 +178,18 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         moved = float(np.ptp(record.angle))
         if not isinstance(found, _Unsure) or moved > _MOST / _LARGER:
             raise found
-        # Grown on from there: a motion that was too small for the noise is made
-        # larger, up to 2.3°.
+        # Continue from there: a motion too small for the noise is enlarged, up to 2.3°.
         pulse = _grown(guard, (_LARGER * max(moved, answers[0]), answers[1]), pulse)
 
 
 def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> float:
-    """The voltage of a doublet that encoder [rad] or gauge [N·m] answers by as much."""
+    """The voltage of a doublet that moves encoder [rad] or gauge [N·m] by the given
+    amount.
+    """
     most, (wanted, felt) = guard.limits.voltage, answers
     pulse = max(pulse, _FIRST * most / _GROWTH)
-    # Signs alternate, so that what one doublet leaves of motion the next takes back.
+    # Signs alternate, so that each doublet cancels the remaining motion of the last
+    # one.
     sign, alone = 1.0, 0
     while pulse < most:
         pulse = min(_GROWTH * pulse, most)
@@ -186,13 +198,13 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         sign = -sign
         record = guard.record(before)
         moved = float(np.max(np.abs(_smoothed(record.angle) - angle)))
-        # The encoder's own step is looked at each time: it is not known before
-        # something moves.
-        # Never beyond what the plan says: a coarse encoder is told as one.
+        # The resolution of the encoder is determined each time, since it is unknown
+        # before something moves; but never beyond the plan, so that a coarse encoder is
+        # reported as such.
         counts = min(_COUNTS * _step(record.angle), _COUNTS * COUNT)
         if moved >= max(wanted, counts):
             return pulse
-        # Twice, as one swing of the gauge may be chance.
+        # Twice, since a single swing of the gauge may be chance.
         answer = float(np.max(np.abs(_smoothed(record.torque) - torque)))
         alone = alone + 1 if answer > felt and moved < _MISSING * wanted else 0
         if alone == 2:
@@ -229,14 +241,14 @@ def _half(period: float) -> int:
 
 def _train(guard: Guard, pulse: float) -> tuple[Record, Record]:
     """Doublets of both signs with pauses of different lengths, so that no vibration
-    builds up; and what was recorded before, from rest on.
+    builds up; and the earlier record since the last rest.
     """
     guard.rest(0.2)
     start = guard.count
     guard.rest(0.1)
     for k in range(_DOUBLETS):
         _doublet(guard, pulse if k % 2 == 0 else -pulse)
-        # Equal pauses would feed a link whose period they are; four different ones feed
+        # Equal pauses would excite a link with that period; four different ones excite
         # none.
         guard.rest(0.05 * (k % 4))
     guard.rest(0.3)
@@ -254,15 +266,15 @@ def _concluded(
     step = _step(record.angle)
     moved = float(np.ptp(record.angle))
     degrees = f"{math.degrees(moved):.2g}°"
-    # Two counts are what a standing encoder shows between two marks.
+    # An encoder at rest between two marks may show two counts.
     if moved < 3 * step or moved == 0.0:
         return WiringFault(
             f"encoder dead: it stands still while the gauge answers the drive ({pulse:.3g} V) with "
             f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
         )
     gain, error, friction, delay = motor_of_doublets(record, _half(record.period))
-    # Before the gauge is looked at: with counts of another encoder the torque fits no
-    # link either, and would be blamed.
+    # Checked before the gauge: with the counts of another encoder the torque would not
+    # fit a link either, and would be blamed.
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     link = _link(record, earlier)
@@ -328,18 +340,17 @@ def _concluded(
 def _scales(
     gain: float, stiffness: float, stated: Rig | None
 ) -> tuple[tuple[str, ...], str]:
-    """What is said of the scales, and which of them is wrong."""
+    """The message about the scales, and which of them is wrong."""
     if stated is None:
         return (
             "scales of encoder and gauge: not shown, as nothing is stated to compare them with (--rig)",
         ), ""
     motor = stated.motor.gain
     encoder = gain / motor
-    # The stiffness is torque over angle, so that a wrong encoder's scale divides it;
-    # the product is the gauge's alone.
-    bend = (
-        stiffness / stated.link.stiffness * encoder
-    )  # the gauge's scale over the true one
+    # The stiffness is torque over angle, so a wrong encoder scale divides it; the
+    # product depends on the gauge only.
+    # ratio of the gauge's scale to the true one
+    bend = stiffness / stated.link.stiffness * encoder
     said = (
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
         f"gauge scale: torque over angle is {stiffness / stated.link.stiffness:.2g} of the rig's stiffness",
@@ -362,13 +373,13 @@ def _encoder_scale(gain: float, stated: Rig) -> str:
 
 
 def _kept(record: Record, channel: Real) -> float:
-    """The share of a channel's motion that follows the places the doublets move the
-    motor to.
+    """The share of a channel's motion that follows the motor positions reached by the
+    doublets.
     """
     place = np.zeros(channel.size)
     for begin in edges_of(record):
-        # A doublet leaves the motor where its first half has thrown it: stairs, each
-        # from the doublet's middle on.
+        # A doublet leaves the motor where its first half has moved it: a staircase with
+        # its steps in the middle of the doublets.
         place[begin + _half(record.period) :] += np.sign(record.voltage[begin])
     matrix = np.column_stack([place, np.ones(channel.size)])
     left = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
@@ -377,9 +388,9 @@ def _kept(record: Record, channel: Real) -> float:
 
 
 def _step(angle: Real) -> float:
-    """The smallest difference of two readings, the encoder's count where it has one."""
+    """The smallest difference of two readings: the resolution of an encoder."""
     apart = np.abs(np.diff(angle))
-    # Readings that are equal but for rounding are equal.
+    # Readings that differ by rounding are equal.
     apart = apart[apart > 1e-12]
     return float(np.min(apart)) if apart.size else 0.0
 
@@ -387,11 +398,11 @@ def _step(angle: Real) -> float:
 def _link(
     record: Record, earlier: Record, *, swapped: bool = False
 ) -> tuple[float, float, float, float, float] | None:
-    """Gain with its sign, its standard error, ω₀, delay and nmse of the torque as a
-    link on that angle, or of the angle on that torque.
+    """Signed gain, its standard error, ω₀, delay and NMSE of a link from the angle to
+    the torque, or from the torque to the angle.
 
-    With what was recorded `earlier`: a lightly damped link still swings by that, and of
-    the train alone it looked reversed.
+    It includes what was recorded `earlier`: a lightly damped link still swings from
+    that motion, and with the train alone it looked reversed.
     """
     angle, torque, before = record.angle, record.torque, earlier.angle
     if swapped:
@@ -411,8 +422,8 @@ def _link(
         )
     except FraclinkError:
         return None
-    # A fit without errors, as of a gain at its bound, is known to what it leaves
-    # unexplained.
+    # A fit without standard errors, for example with its gain at a bound, gets one from
+    # its residual.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     return fit.gain, error, fit.model.natural_frequency, fit.delay, fit.nmse
 
@@ -422,12 +433,12 @@ def _swapped(
     earlier: Record,
     link: tuple[float, float, float, float, float] | None,
 ) -> bool:
-    """Whether what is read as the angle is the link's answer to what is read as the
-    torque.
+    """Whether the signal read as angle is the response of the link to the signal read
+    as torque.
     """
     other = _link(record, earlier, swapped=True)
-    # The reverse must explain clearly more: torque on angle, read as angle on torque,
-    # fits a little, too.
+    # The exchanged fit must be clearly better, since a torque fitted to an angle also
+    # explains a little with the signals exchanged.
     left = 1.0 if link is None else link[4]
     return (
         other is not None

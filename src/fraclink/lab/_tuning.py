@@ -1,6 +1,4 @@
-"""What is asked of a tuning, and what it has come to: every stage that is whole, in one
-file.
-"""
+"""The plan of a tuning and its results so far: every completed stage, in one file."""
 
 from __future__ import annotations
 
@@ -34,14 +32,14 @@ FILES = (
     "certificate.json",
     "log.npz",
 )
-LAW_FILES = FILES[3:6]  # that are taken back where the arm refuses the law
+LAW_FILES = FILES[3:6]  # removed if the law fails on the arm
 
-# Four vibrations of the paper's arm (12 rad/s): what rings longer was not damped by the
-# law.
-_LATEST = 2.0  # [s] behind the reference's end
-# 1.1°, which one sees: a law that takes over without a bump moves the motor by its
-# noise alone.
-_JUMP = 0.02  # [rad] at the hand-over
+# [s] after the end of the reference: four vibrations of the paper's arm (12 rad/s); a
+# longer vibration was not damped by the law
+_LATEST = 2.0
+# [rad] at the transfer: 1.1°, which is visible; with a bumpless transfer the law moves
+# the motor by its noise alone
+_JUMP = 0.02
 
 
 @checked
@@ -104,15 +102,15 @@ class TuningPlan:
         """(lightest, heaviest) payload that the law is for [kg]."""
         if self.payloads is not None:
             return self.payloads
-        # A rig's range counts only where it holds this payload: otherwise it is that of
-        # another tool at the tip.
+        # The range of a rig only applies if it contains this payload; otherwise it
+        # belongs to another tool at the tip.
         if (
             self.rig is not None
             and self.rig.payloads.low <= self.payload <= self.rig.payloads.high
         ):
             return self.rig.payloads.low, self.rig.payloads.high
-        # By the same factor to both sides: the payload that was measured is their
-        # geometric mean, and ω₀ ∝ 1/√m.
+        # By the same factor in both directions: the measured payload is the geometric
+        # mean of the ends, and ω₀ ∝ 1/√m.
         return 0.75 * self.payload, float(f"{4 / 3 * self.payload:.6g}")
 
     @property
@@ -206,8 +204,8 @@ class Tuning:
         if self.certified and self.design_passed:
             promise = Scope("passed")
         elif self.reasons or self.stopped:
-            # Reasons are what was found against a law; a stop alone leaves it open
-            # whether there is one.
+            # Reasons are findings against a law; a stop alone leaves open whether there
+            # is one.
             promise = Scope(
                 "failed" if self.reasons else "not run", self.reasons or (self.stopped,)
             )
@@ -220,7 +218,7 @@ class Tuning:
                 Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
-        # By the promise and not by the arm: this scope is the model's.
+        # Compared with the promise instead of the arm: this scope is that of the model.
         settles = all(
             move.promised_settling <= move.duration + _LATEST for move in self._fast
         )
@@ -237,7 +235,8 @@ class Tuning:
         the limits from where the tuning has left the arm, and its payload [kg].
         """
         if self.moves:
-            # Back again: the last one was towards the middle, and beyond it.
+            # In the opposite direction: the last move went towards the middle and
+            # beyond.
             last = self.moves[-1]
             return -last.amplitude, last.duration, last.payload
         return None if self.planned is None else (*self.planned, self.payload)
@@ -291,11 +290,11 @@ class Tuning:
         )
 
     def _measured(self) -> tuple[Row, ...]:
-        """Motor and link with their standard errors."""
+        """Rows of motor and link with their standard errors."""
         rows: list[Row] = []
         if self.motor is not None:
-            # The motor measured with its link is the later and better one; the errors
-            # are those of the motor's own experiments, which are larger.
+            # The motor measured together with its link is the later and better one; the
+            # errors are those of its own experiments, which are larger.
             known = self.motor.fit.standard_errors
             fit = (self.link.motor if self.link else self.motor).fit
             friction = fit.coulomb_voltage + fit.dead_zone

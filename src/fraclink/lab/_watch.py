@@ -1,4 +1,4 @@
-"""`watch`: whether a running arm is still the one that its law was made for, and what
+"""`watch`: whether a running arm is still the one for which its law was made, and what
 has changed.
 """
 
@@ -19,23 +19,24 @@ from fracsys.checks import checked
 
 __all__ = ["Change", "Watch", "watch"]
 
-# What a change must exceed to be named: half of what is worth a retune, and more than
-# the drift that the design's box holds. Relative, but for the delay [s].
+# Smallest changes that are reported: half of what justifies a new tuning, and more than
+# the drift covered by the box of the design. Relative, except for delay [s] and order.
 _WORTH = {
     "natural_frequency": 0.04,
     "gauge_gain": 0.05,
     "gauge_delay": 0.0025,
     "order": 0.01,
-    "motor_gain": 0.15,  # what the motor loop is placed for
+    "motor_gain": 0.15,  # the range for which the motor loop is placed
     "friction": 0.4,
 }
 _ABSOLUTE = ("gauge_delay", "order")
-# standard errors, as well: the errors of a short record are larger than the limits
-# above
+# Standard errors required in addition, since those of a short record exceed the limits
+# above.
 _SURE = 4.0
 _LEAST_MOTION = 4.0  # [s] of motion; less shows nothing
 _MOVING = 0.02  # [rad/s]
-_UNEXPLAINED = 4.0  # times the residual that the tuning left, with nothing else changed
+# multiple of the residual left by the tuning, if nothing else has changed
+_UNEXPLAINED = 4.0
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,8 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             allowed=f"{tuning.period:g} s",
             remedy="record at the period of the law",
         )
-    # Motion and not length: an arm that rests for a minute shows its noise.
+    # The time in motion instead of the length: an arm at rest for a minute shows only
+    # noise.
     moving = _moving_time(log)
     if moving < _LEAST_MOTION:
         raise FieldError(
@@ -206,7 +208,9 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
 
 
 def _part(log: Experiment, rows: slice) -> Experiment:
-    """Some samples, with the angle before them: a link swings by what the motor did."""
+    """A range of samples including the earlier angle, on which the swing of the link
+    depends.
+    """
     return replace(
         log,
         motor_angle=log.motor_angle[rows],
@@ -221,8 +225,9 @@ def _part(log: Experiment, rows: slice) -> Experiment:
 
 
 def _fitted(log: Experiment, known: Fit) -> Fit:
-    """The link with λ held or with the delay held, whichever leaves less: free together,
-    each takes up what the other does to the phase, and neither is named.
+    """The link with λ held or with the delay held, whichever has the smaller residual:
+    with both free, each compensates the phase of the other, and neither would be
+    identified as changed.
     """
     held: list[dict[str, float]] = [{}]
     if known.model.order < 2.0:
@@ -259,8 +264,8 @@ def _link_changes(was: Fit, now: Fit) -> tuple[Change, ...]:
 
 
 def _moving_time(log: Experiment) -> float:
-    # Over 50 ms: from one sample to the next an encoder's count is a speed above the
-    # threshold.
+    # Over 50 ms: from one sample to the next, one count of an encoder is a speed above
+    # the threshold.
     lag = max(1, round(0.05 / log.period))
     speed = np.abs(log.motor_angle[lag:] - log.motor_angle[:-lag]) / (lag * log.period)
     return float(np.count_nonzero(speed > _MOVING)) * log.period
@@ -269,28 +274,28 @@ def _moving_time(log: Experiment) -> float:
 def _compared(
     name: str, was: float, now: float, fit: Fit, known: Fit, error: str = ""
 ) -> Change:
-    # Both fits err, independently.
+    # The errors of the two fits are independent.
     parts = (found.standard_errors.get(error or name, 0.0) for found in (fit, known))
     return _change(name, was, now, math.hypot(*parts))
 
 
 def _change(name: str, was: float, now: float, spread: float) -> Change:
-    # A delay has no scale of its own: 2.5 ms cost the same phase behind a gauge that is
-    # never late.
+    # A delay has no scale of its own: 2.5 ms cost the same phase for a gauge without
+    # delay.
     worth = _WORTH[name] * (1.0 if name in _ABSOLUTE else abs(was))
     off = abs(now - was)
     return Change(name, was, now, spread, off > worth and off > _SURE * spread)
 
 
 def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
-    """K/J, and friction and dead zone as one voltage; nothing where the record has no
+    """K/J, and friction and dead zone as one voltage; nothing if the record has no
     voltage or too few moves.
     """
     assert tuning.motor is not None  # `watch` looked  # noqa: S101
     if log.voltage is None:
         return ()
-    # All of the angle: a link that swings at a cut loads the motor by what it did
-    # before.
+    # From the whole angle: a link that swings at a cut loads the motor according to its
+    # earlier motion.
     whole = simulated_torque(fit.model, log.whole_angle, log.period, hold="first")
     torque = whole[-log.motor_angle.size :]
     try:
@@ -300,7 +305,7 @@ def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, .
             period=log.period,
             torque=torque,
             delay=tuning.motor.fit.delay,
-            # As one voltage: what a record of moves shows is their sum.
+            # As a single voltage, since a record of moves only shows their sum.
             dead_zone=0.0,
         )
     except LogError:
@@ -308,13 +313,13 @@ def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, .
     motor = tuning.motor
     errors = found.standard_errors["gain"], motor.fit.standard_errors["gain"]
     gain = _change("motor_gain", motor.fit.gain, found.gain, math.hypot(*errors))
-    # The voltage that it takes of the motor as it was: a weaker motor needs more of it for
-    # the same friction.
+    # Converted to the voltage of the earlier motor: a weaker motor needs more voltage
+    # for the same friction.
     friction = found.coulomb_voltage * found.gain / motor.fit.gain
-    # Its own error and a twentieth of what it was: friction depends on where the gear
-    # stands.
+    # Its own error and a twentieth of the earlier value: friction depends on the
+    # position of the gear.
     spread = math.hypot(found.standard_errors["coulomb_voltage"], 0.05 * motor.friction)
     grown = _change("friction", motor.friction, friction, spread)
-    # Less friction than before is how moves that turn round often look, too: only more
-    # of it is a change.
+    # Moves that reverse often also appear to have less friction than before: only an
+    # increase counts as a change.
     return gain, replace(grown, changed=grown.changed and grown.now > grown.was)
