@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink.errors import FieldError
-from fracsys import FractionalTransferFunction, s
-from fracsys._terms import Term
+from fracsys import FractionalTransferFunction, Term, s
 
 LINK = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
 W = np.array([0.01, 0.3, 1.0, 7.0, 90.0])

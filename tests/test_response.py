@@ -15,15 +15,14 @@ from fraclink import LinkModel
 from fraclink.errors import NotConvergedError
 from fracsys import (
     FractionalTransferFunction,
+    Term,
     discrete_modes,
     impulse_response,
     s,
     step_response,
     time_response,
 )
-from fracsys._modes import split_delay
 from fracsys._response import held_quotient
-from fracsys._terms import Term
 
 T = 0.004
 LINK = 11.54**2 / (s**1.92 + 11.54**2)
@@ -395,21 +394,24 @@ def test_several_delays_claim_the_errors_of_all_and_the_least_direct_method() ->
 
 
 @pytest.mark.parametrize(
-    ("delay", "lag", "ahead"),
+    ("delay", "lag"),
     [
-        (0.0, 0, 0.0),
-        (T, 1, 0.0),
-        (1.5 * T, 2, 0.5 * T),
-        (T * (1 - 1e-10), 1, 0.0),  # a whole period but for rounding
-        (T * (1 + 1e-10), 1, 0.0),
-        (T * (1 + 1e-6), 2, T * (1 - 1e-6)),
-        (1e-6 * T, 1, T * (1 - 1e-6)),
+        (0.0, 0),
+        (T, 1),
+        (1.5 * T, 2),
+        (T * (1 - 1e-10), 1),  # a whole period but for rounding
+        (T * (1 + 1e-10), 1),
+        (T * (1 + 1e-6), 2),
+        (1e-6 * T, 1),
     ],
 )
-def test_a_delay_is_whole_periods_and_the_rest_ahead(
-    delay: float, lag: int, ahead: float
-) -> None:
-    assert split_delay(delay, T) == (lag, pytest.approx(ahead, rel=1e-9, abs=0.0))
+def test_a_delay_is_whole_periods_and_the_rest_ahead(delay: float, lag: int) -> None:
+    modes = discrete_modes((1 / (s + 1)).delayed(delay), T, span=1.0)
+    assert modes.lag == lag
+    late = np.maximum(np.arange(200) * T - delay, 0.0)
+    np.testing.assert_allclose(
+        modes.respond(np.ones(200)), -np.expm1(-late), atol=1e-11
+    )
 
 
 DAMPED = (s + 40) / (s**2 + 4 * s + 100) + 0.3

@@ -19,6 +19,7 @@ from fracsys._response import time_response as time_response
 from fracsys._stability import StabilityVerdict as StabilityVerdict
 from fracsys._stability import is_stable as is_stable
 from fracsys._stability import poles as poles
+from fracsys._terms import Term as Term
 from fracsys._to_control import to_control as to_control
 
 __all__: list[str]
