@@ -272,8 +272,8 @@ def test_every_flipped_byte_is_noticed(copy, whole):
 @pytest.mark.parametrize(
     ("old", "new", "field"),
     [
-        ('"format": 2', '"format": 1', "format"),
-        ('"format": 2', '"format": 99', "format"),
+        ('"format": 3', '"format": 2', "format"),
+        ('"format": 3', '"format": 99', "format"),
         ('"seed": 7', '"seed": 8', "sha256"),
         ('"runs": 2500', '"runs": "many"', "sha256"),
         ('"fraclink": "campaign"', '"fraclink": "plan"', "file"),

@@ -191,11 +191,11 @@ CEILINGS = {
     "_identify": 3157,
     "_law": 985,
     "_reading": 1075,
-    "_simulate": 1281,
+    "_simulate": 1271,
     "lab": 1930,
     "logs": 680,
     "studio": 1298,
-    "trials": 1487,
+    "trials": 1486,
     "view": 1723,
 }
 

@@ -403,12 +403,10 @@ def twin_runs() -> Iterator[tuple[str, Callable[[], Any]]]:
     )
 
 
-def campaign_figures(motor_loop: str, seed: int) -> Plain:
+def campaign_figures() -> Plain:
     """Every column of a Monte Carlo part of 250 arms."""
     columns = simulate_part(
-        Campaign.of(
-            RIG, LINK, law("default"), runs=250, seed=seed, motor_loop=motor_loop
-        ),
+        Campaign.of(RIG, LINK, law("default"), runs=250, seed=7),
         0,
     )
     finite = {name: np.asarray(values, dtype=float) for name, values in columns.items()}
@@ -467,10 +465,7 @@ def runs() -> Entries:
     made: Entries = {
         title: partial(_of_run, make) for title, make in (*model_runs(), *twin_runs())
     }
-    made |= {
-        f"campaign {motor_loop}": partial(campaign_figures, motor_loop, seed)
-        for motor_loop, seed in (("sampled", 7), ("ideal", 8))
-    }
+    made["campaign sampled"] = campaign_figures
     return made | {
         f"fault {name}-{severity}-{phase}": partial(
             fault_figures, name, severity, phase

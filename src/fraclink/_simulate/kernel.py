@@ -80,73 +80,55 @@ MARKS = ("flags", "mode", "reason")
 
 
 # Columns of the numbers of a run, in the order of batch.h.
-_NUMBERS = (
-    "stiffness",
-    "motor_gain",
-    "motor_decay",
-    "friction",
-    "gauge_offset",
-    "noise",
-    "delay_samples",
-    "amplitude",
-    "gauge_delay",
-    "gauge_gain",
-    "payload_given",
+NUMBERS = (
+    "stiffness",  # [N·m/rad]
+    "motor_gain",  # A [rad/(s²·V)]
+    "motor_decay",  # B [1/s]
+    "friction",  # [rad/s²]
+    "gauge_offset",  # [N·m]
+    "noise",  # [N·m]
+    "delay_samples",  # [periods]
+    "amplitude",  # of the reference [rad]
+    "gauge_delay",  # [periods]
+    "gauge_gain",  # [1]
+    "payload_given",  # that the law is given [kg], 0: none
 )
 
 
 @dataclass(frozen=True)
 class LumpedArms:
-    """R arms: their links, and one value each, shape (R,), of what differs between
-    them.
-
-    stiffness [N·m/rad], motor_gain A [rad/(s²·V)], motor_decay B [1/s], friction
-    [rad/s²], gauge_offset and noise [N·m], delay_samples [periods], amplitude of the
-    reference [rad], gauge_delay [periods], gauge_gain [1], the payload that the law is
-    given [kg] (0: none), and the seed of the noise.
+    """R arms: their links, one row of `NUMBERS` for each, shape (R, 11), and the seeds of
+    their noise, shape (R,).
     """
 
     links: LinkWeights
-    stiffness: Real
-    motor_gain: Real
-    motor_decay: Real
-    friction: Real
-    gauge_offset: Real
-    noise: Real
-    delay_samples: Real
-    amplitude: Real
-    gauge_delay: Real
-    gauge_gain: Real
-    payload_given: Real
+    numbers: Real
     seed: NDArray[np.uint64]
 
     @staticmethod
     def of(
         rig: Rig, links: LinkWeights, seed: NDArray[np.uint64], **values: Real
     ) -> LumpedArms:
-        """Return arms of one rig; motor gain, viscous friction, Coulomb torque are
-        factors of its own.
+        """Return arms of one rig, each of `values` of shape (R,); motor_gain,
+        viscous_friction and coulomb_torque are factors of the rig's own.
         """
         motor = rig.motor
         # As a deceleration at the gear's output: nΓc over n²J.
-        friction = (
-            motor.coulomb_torque
-            / (motor.inertia * motor.gear_ratio)
-            * values.pop("coulomb_torque")
-        )
-        return LumpedArms(
-            links=links,
-            seed=seed,
-            motor_gain=motor.gain * values.pop("motor_gain"),
-            motor_decay=motor.decay * values.pop("viscous_friction"),
-            friction=friction,
-            **values,
-        )
+        braking = motor.coulomb_torque / (motor.inertia * motor.gear_ratio)
+        own = values | {
+            "motor_gain": motor.gain * values["motor_gain"],
+            "motor_decay": motor.decay * values["viscous_friction"],
+            "friction": braking * values["coulomb_torque"],
+        }
+        return LumpedArms(links, np.stack([own[n] for n in NUMBERS], axis=1), seed)
 
-    def rows(self, rows: slice | NDArray[np.intp]) -> LumpedArms:
+    def column(self, name: str) -> Real:
+        """Return one of `NUMBERS` of every arm, shape (R,)."""
+        return np.asarray(self.numbers[:, NUMBERS.index(name)])
+
+    def rows(self, rows: NDArray[np.intp]) -> LumpedArms:
         """Return some of the arms."""
-        values = {name: getattr(self, name)[rows] for name in (*_NUMBERS, "seed")}
-        return LumpedArms(links=self.links.rows(rows), **values)
+        return LumpedArms(self.links.rows(rows), self.numbers[rows], self.seed[rows])
 
 
 def shared_rig(
@@ -208,7 +190,6 @@ def run_lumped(
         field.name: np.ascontiguousarray(getattr(arms.links, field.name))
         for field in fields(LinkWeights)
     }
-    numbers = np.stack([getattr(arms, name) for name in _NUMBERS], axis=1)
     single = law.precision == "single"
     _kernels.loop_run(
         law.block,
@@ -216,7 +197,7 @@ def run_lumped(
         b"" if estimator is None else estimator.block,
         shared,
         _kernels.Links(**links),
-        numbers,
+        arms.numbers,
         arms.seed,
         chosen,
         path,

@@ -145,7 +145,7 @@ def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
     path = unit_paths(campaign, times)
     rows = run_lumped(
         campaign.law,
-        shared_rig(campaign.rig, campaign.law, campaign.motor_loop),
+        shared_rig(campaign.rig, campaign.law, "sampled"),
         block.arms,
         path,
         block.chosen,
@@ -153,7 +153,9 @@ def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
     )
     # The kernel scales the unit reference by the amplitude; the signals contain the
     # reference that the arm followed.
-    return rows | {"reference": block.arms.amplitude[:, None] * path[block.chosen, 0]}
+    return rows | {
+        "reference": block.arms.column("amplitude")[:, None] * path[block.chosen, 0]
+    }
 
 
 def _judged(campaign: Campaign, block: Block, rows: dict[str, Any]) -> Signals:
@@ -271,15 +273,15 @@ def replay_run(campaign: Campaign, run: int) -> Run:
             "rig": campaign.rig.name,
             "law_sha256": campaign.law.digest,
             "campaign_run": run,
-            "motor_loop": campaign.motor_loop,
+            "motor_loop": "sampled",
             "gauge_delay": own["gauge_delay"],
             "gauge_gain": own["gauge_gain"],
             "gauge_offset": own["gauge_offset"],
-            "gauge_noise": float(arms.noise[0]),
+            "gauge_noise": float(arms.column("noise")[0]),
             "seed": int(arms.seed[0]),
             "delay_samples": int(own["delay_samples"]),
             "substeps": SUBSTEPS,
-            "payload_given": float(arms.payload_given[0])
+            "payload_given": float(arms.column("payload_given")[0])
             if estimator is None
             else ESTIMATED,
         },

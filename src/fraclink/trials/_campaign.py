@@ -254,14 +254,14 @@ def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
 
 
 @checked
-@document("campaign", version=2, period=lambda campaign: campaign.law.period)
+@document("campaign", version=3, period=lambda campaign: campaign.law.period)
 @dataclass(frozen=True)
 class Campaign:
     """Monte Carlo runs of one law on arms that differ: payload, stiffness, λ, motor,
     friction, sensors.
 
-    rig, model and law: the nominal arm and the law under test, with its motor loop for
-    ``motor_loop="sampled"``. draws: the distributions. runs: how many, 1 … 10⁹. seed: 0
+    rig, model and law: the nominal arm and the law under test, with its motor loop.
+    draws: the distributions. runs: how many, 1 … 10⁹. seed: 0
     … 2⁶³ − 1; the same seed gives the same runs whatever the number of workers.
     duration [s] of each run. reference: what the tip follows, times the drawn
     amplitude; a quintic of one of three durations where it is left out. payloads [kg]:
@@ -275,7 +275,6 @@ class Campaign:
     draws: Draws
     runs: Annotated[int, Between(1)]
     seed: Annotated[int, Between(0, 2**63 - 1)] = 0
-    motor_loop: Literal["ideal", "sampled"] = "sampled"
     duration: Annotated[
         float, Between(max(SHAPES) + 1.0, 600.0, "s", remedy="leave time to settle")
     ] = DURATION
@@ -348,7 +347,6 @@ class Campaign:
         runs: int,
         seed: int = 0,
         draws: Draws | None = None,
-        motor_loop: Literal["ideal", "sampled"] = "sampled",
         told: bool = False,
         estimated: tuple[float, float] | None = None,
         reference: Reference | None = None,
@@ -368,37 +366,22 @@ class Campaign:
         >>> Campaign.of(rig, rig.model, law, runs=2500).parts
         3
         """
-        own = (
-            equip(law, rig, model)
-            if motor_loop == "sampled" and law.motor_loop is None
-            else law
-        )
+        own = equip(law, rig, model) if law.motor_loop is None else law
         chosen = draws_for(rig, model) if draws is None else draws
         chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
-        if reference is None:
-            return Campaign(
-                rig, model, own, chosen, runs, seed, motor_loop, payloads=estimated
-            )
-        # A given reference has its own size: with a drawn amplitude the moves would not
-        # be the planned ones.
-        length = max(DURATION, reference.duration + REST)
-        chosen = replace(chosen, amplitude=_always(1.0))
-        if not isinstance(reference, Path | SampledReference):
+        length = DURATION
+        if reference is not None:
+            # A given reference has its own size: with a drawn amplitude the moves would
+            # not be the planned ones.
+            length = max(DURATION, reference.duration + REST)
+            chosen = replace(chosen, amplitude=_always(1.0))
+        if reference is not None and not isinstance(reference, Path | SampledReference):
             # for any other reference, the samples that can be stored in a file
             count = math.ceil(reference.duration / own.period) + 1
             rows = sampled(reference, own.period, count)
             reference = SampledReference(own.period, rows)
         return Campaign(
-            rig,
-            model,
-            own,
-            chosen,
-            runs,
-            seed,
-            motor_loop,
-            length,
-            reference,
-            estimated,
+            rig, model, own, chosen, runs, seed, length, reference, estimated
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -16,7 +16,7 @@ from fraclink._design import Design
 from fraclink._law import MODES, REASONS, Law
 from fraclink._simulate import Twin, kernel
 from fraclink._simulate import events as columns
-from fraclink._simulate.events import FAULTS, Action, healthy_inputs
+from fraclink._simulate.events import FAULTS, healthy_inputs
 from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import acted, twin_run, with_motor_loop
 from fraclink._simulate.run import Run
@@ -27,6 +27,7 @@ __all__ = ["PHASES", "Bench", "Case", "Phase", "Trial", "end_of", "execute"]
 
 Real = NDArray[np.float64]
 Rows = slice | NDArray[np.int_]
+Action = Callable[[ArmState], None]
 Phase = Literal["whole", "start", "mid", "rest"]
 
 # The move of the catalogue: 1 rad, from 1.0 to 2.2 s; times of its phases [s].
