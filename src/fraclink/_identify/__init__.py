@@ -1,7 +1,7 @@
-"""Identification: from a log to a link model, with what it takes to judge it.
+"""Identification: from a log to a link model, with the figures needed to judge it.
 
-`identify` fits the structure that the log supports; `compare_structures` shows every
-one of them.
+`identify` fits the structure that the log supports; `compare_structures` shows all of
+them.
 """
 
 from fraclink._arm.recording import FrequencyResponse, Recording

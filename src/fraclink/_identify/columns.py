@@ -1,6 +1,4 @@
-"""Columns of a log that are not what they are called: what their values alone show,
-before any model.
-"""
+"""Mislabelled columns of a log: checks of their values before any model is fitted."""
 
 from __future__ import annotations
 
@@ -15,12 +13,12 @@ from fraclink.findings import Finding
 
 Vector = NDArray[np.float64]
 
-# Share of a channel's variance that another one explains by itself: of 300 random links
-# that vibrate, the angle, the speed and the acceleration of the motor explain 31 % of
-# the torque at most, the time 0.5 %.
+# Share of the variance of a channel that another one explains alone: for 300 random
+# vibrating links, angle, speed and acceleration of the motor explain at most 31 % of
+# the torque, the time 0.5 %.
 COPIED_LEAST = 0.98
-# A share of the samples at the stops of the amplifier: 6 % change the identified gain
-# by 0.6 %, 13 % by 8 %.
+# Share of the samples at the limits of the amplifier: 6 % change the identified gain by
+# 0.6 %, 13 % by 8 %.
 STOPPED_MOST = 0.1
 
 
@@ -78,8 +76,8 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             "move less or lower the amplifier's gain, and check the column of the output",
         )
     largest = float(np.max(np.abs(angle - angle[0])))
-    # At the link's side of a gear no flexible arm turns more than once; 7 degrees
-    # called radians do.
+    # On the output side of the gear no flexible arm turns more than once, but 7 degrees
+    # labelled as radians do.
     if largest > 2 * math.pi:
         yield Finding(
             "W209",
@@ -97,11 +95,11 @@ def mains_of(log: Experiment) -> float | None:
     output = log.output
     power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
     top, length = int(power.argmax()), output.size * log.period
-    # A Hann window spreads a line over four bins: two on either side of the top hold
-    # all of it.
+    # A Hann window spreads a line over four bins: two on either side of the peak
+    # contain all of it.
     line = float(power[max(top - 2, 0) : top + 3].sum())
-    # The mains keep within 0.5 Hz of their frequency, and a record of T seconds tells
-    # lines 1/T apart.
+    # The mains frequency stays within 0.5 Hz, and a record of T seconds separates lines
+    # 1/T apart.
     nearest = 50.0 if top / length < 55.0 else 60.0
     return (
         nearest
@@ -112,8 +110,8 @@ def mains_of(log: Experiment) -> float | None:
 
 def lead_of(output: Vector) -> int:
     """Samples at the beginning of a log that show whether it begins at rest."""
-    # Ten samples at least: the mean of fewer is the gauge's noise and not the link's
-    # bend.
+    # At least ten samples: the mean of fewer is noise of the gauge and not the
+    # deflection of the link.
     return max(10, round(0.01 * output.size))
 
 
@@ -122,8 +120,8 @@ def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | No
     is without offset.
     """
     lead = lead_of(vibration)
-    # A fiftieth of the way: an encoder's noise and the creep of a brake stay below it,
-    # a move does not.
+    # A fiftieth of the motion: encoder noise and the creep of a brake stay below it, a
+    # move does not.
     if float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle)):
         return "the motor moves"
     return (
@@ -138,28 +136,28 @@ def _explained(values: Vector, source: Vector) -> float:
     explain: R².
     """
     centred, other = values - values.mean(), source - source.mean()
-    # Squared, so that a copy with the other sign or in another unit is a copy too.
+    # Squared, so that a copy with the opposite sign or in another unit also counts as a
+    # copy.
     power = float(centred @ centred) * float(other @ other)
     return float(centred @ other) ** 2 / power if power > 0 else 0.0
 
 
 def _is_ramp(values: Vector) -> bool:
-    """Whether nearly all steps are one step, as those of a clock or of a counter that
-    starts anew.
+    """Whether nearly all steps are equal, like those of a clock or of a counter that
+    restarts.
     """
     steps = np.diff(values)
     usual = float(np.median(steps))
-    # Measured steps differ by counts of the encoder and by noise: alike to a millionth
-    # are only those that were computed. A tenth of them may be others, where a counter
-    # starts anew.
+    # Measured steps differ by counts of the encoder and by noise: only computed ones
+    # agree to a millionth. A tenth may differ, where a counter restarts.
     return (
         usual != 0 and float(np.mean(np.abs(steps - usual) < 1e-6 * abs(usual))) > 0.9
     )
 
 
 def _at_stops(output: Vector) -> float:
-    """Share of the samples at the extremes; 0 where it is small or the levels beside
-    them nearly as frequent.
+    """Share of the samples at the extremes; 0 if it is small or if the neighbouring
+    levels are nearly as frequent.
 
     The crest of a sine in a coarse converter has 2.4 times as many samples as the level
     below it.

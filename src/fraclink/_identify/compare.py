@@ -1,4 +1,4 @@
-"""Identify a log: every structure, which of them is used, and how sure the log makes
+"""Identification of a log: all structures, the choice among them, and the certainty of
 that choice.
 """
 
@@ -31,13 +31,13 @@ from fraclink.findings import Finding
 from fracsys.checks import checked
 from fracsys.checks.equality import compared
 
-# Chance alone lowers the AIC by 8 with one superfluous parameter in one log of six
-# hundred (by 4: in one of seventy). Of 510 random logs, two thirds of them with
-# coloured noise, 4 named a wrong structure in 13 and 8 in 3, which left one log in five
-# undecided instead of one in seven (benchmarks/bench_gates.py).
+# By chance alone one superfluous parameter lowers the AIC by 8 in one log of six
+# hundred (by 4 in one of seventy). Of 510 random logs, two thirds of them with coloured
+# noise, a limit of 4 preferred a wrong structure in 13 and a limit of 8 in 3, which
+# left one log in five undecided instead of one in seven (benchmarks/bench_gates.py).
 _DECISIVE = 8.0
-# Standard errors by which a link without damping, which no real link is, may predict
-# the held-out part worse than a damped one: Breiman's rule.
+# Standard errors by which an undamped link, which no real link is, may predict the
+# held-out part worse than a damped one: Breiman's rule.
 _WORSE = 1.0
 Criteria = Mapping[str, tuple[float, float]]
 
@@ -184,8 +184,7 @@ def identify(
     >>> fit.structure, round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
     ('UD-FOM', 1.92, 10.02, 1.56)
     """
-    # A structure without the parameter that is held, such as λ, would not keep what it
-    # was given.
+    # A structure without the fixed parameter, such as λ, would ignore the given value.
     held = {"order", "damping_order"} & set(fixed or {})
     names = [row.name for row in STRUCTURES.values() if held <= set(row.free)]
     if structure is not None and structure not in STRUCTURES and "/" in structure:
@@ -202,8 +201,8 @@ def identify(
         log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold
     )
     if len(names) < len(STRUCTURES):
-        # One structure, or two that hold the value: the pair of criteria is made for
-        # the whole table.
+        # With one structure, or two that have the fixed value, the pair of criteria,
+        # which needs the whole table, does not apply.
         fits = [
             fit_from(search, name, log, stiffness=stiffness, details=details)
             for name in names
@@ -298,7 +297,8 @@ def compare_structures(
             like=like,
         )
 
-    # The second mode is in the log and not in the structure: it is sought once.
+    # The second mode belongs to the log and not to the structure: it is searched for
+    # once.
     best = fitted(choice.preferred, None)
     fits = {
         name: best if name == choice.preferred else fitted(name, best)
@@ -306,8 +306,8 @@ def compare_structures(
     }
     still = {}
     if "delay" not in search.fixed:
-        # A delay turns the phase as λ < 2 does: only a fit without it shows what it has
-        # explained.
+        # A delay turns the phase in the same way as λ < 2: only a fit without delay
+        # shows what the delay has explained.
         at_once = {**(fixed or {}), "delay": 0.0}
         other = make_search(
             log,
@@ -319,8 +319,8 @@ def compare_structures(
         )
         still = {
             name: fit_from(other, name, log, stiffness=stiffness, details=False)
-            # Of the two that may be taken for each other, and not of all four: a fit
-            # costs as much without a delay.
+            # Only for the two structures that may be confused with each other, because
+            # a fit without delay takes as long as one with it.
             for name in (VISCOUS, FRACTIONAL)
         }
     verdict = _verdict(fits, still, choice)
@@ -352,8 +352,8 @@ class Choice:
         """By how much a structure is above the one to use in both criteria, below it in
         both; 0 if they differ.
         """
-        # Where one criterion speaks for each, the log has not decided: the gap is the
-        # smaller one of two that agree.
+        # If the two criteria disagree, the log has not decided; otherwise the gap is
+        # the smaller of the two.
         pairs = zip(self.criteria[name], self.criteria[self.preferred], strict=True)
         gaps = [a - b for a, b in pairs]
         return max(min(gaps), 0.0) + min(max(gaps), 0.0)
@@ -370,7 +370,9 @@ def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Uncertainty]]:
 
 
 def _near(criteria: Criteria) -> list[str]:
-    """Structures that at least one criterion does not set decisively behind the best."""
+    """Structures that at least one criterion does not decisively reject in favour of
+    the best.
+    """
     lowest = [min(column) for column in zip(*criteria.values(), strict=True)]
     return [
         name
@@ -402,7 +404,7 @@ def vetoed_structures(
 
     def predicts_worse(name: str, other: str) -> bool:
         mean, error = mean_with_error(squares[name] - squares[other])
-        # Two descents to one model end within their tolerance of each other.
+        # Two descents to the same model agree to within their tolerance.
         same = abs(mean) <= 1e-6 * float(squares[name].mean())
         return not same and mean > _WORSE * error
 
@@ -422,19 +424,18 @@ def preferred_structure(criteria: Criteria, vetoed: Sequence[str] = ()) -> str:
 def _undecided(
     search: Search, criteria: Criteria, preferred: str, vetoed: Sequence[str]
 ) -> tuple[str, ...]:
-    """Structures that the log leaves open beside the one to use.
+    """Structures that the log does not rule out, in addition to the one to use.
 
-    A structure that has the one to use as a special case is no rival: that close, its
-    further parameter is not needed. A fit that ended as the same model is the same
-    answer, not another one.
+    A structure that includes the one to use as a special case is no rival: with so
+    small a gap, its additional parameter is not needed. A fit that ended at the same
+    model is the same answer.
     """
     least = search.solve(preferred).cost
     return tuple(
         name
         for name in _near(criteria)
         if name not in (preferred, *vetoed)
-        # Two descents to one model end within their tolerance of each other, and no
-        # closer.
+        # Two descents to the same model agree only to within their tolerance.
         and abs(search.solve(name).cost - least) > 1e-9 * least
         and preferred not in special_cases(name)
     )
@@ -458,7 +459,7 @@ def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], choice: Choice) 
 
 
 def _sentence(fits: Mapping[str, Fit], choice: Choice) -> str:
-    """The structure that is used and how sure that is: one sentence, so that it cannot
+    """The structure used and its certainty in a single sentence, which cannot
     contradict itself.
     """
     preferred, best = choice.preferred, fits[choice.preferred]
@@ -491,11 +492,11 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
     if not still:
         return []
     viscous, fractional = fits[VISCOUS], fits[FRACTIONAL]
-    # 2: what one parameter costs in the AIC. Both have as many, so that a smaller gap
-    # is no preference.
+    # 2 is the cost of one parameter in the AIC. Both have the same number of
+    # parameters, so a smaller gap is no preference.
     at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
-    # Less than a sample of delay may be the noise of the angle, averaged between two
-    # samples.
+    # A delay below one sample may come from the noise of the angle, which interpolation
+    # averages.
     shown = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
     if (
         at_once_wins

@@ -1,11 +1,11 @@
-"""A link with its motor, from a frequency response whose input is the amplifier's
-voltage.
+"""A link with its motor, identified from a frequency response whose input is the
+amplifier's voltage.
 
     J θ̈m + ν θ̇m = K V − Γ,    Γ = c (s/z)^λ/((s/z)^λ + 1) θm,    z = ω₀^(2/λ)
 
 so that θm/V = A ((s/z)^λ + 1)/((s² + B s)((s/z)^λ + 1) + m (s/z)^λ) with A = K/J, B =
-ν/J and m = c/J: an anti-resonance at z, where the link swings and holds the motor
-still, and a peak above it, where both swing.
+ν/J and m = c/J: an anti-resonance at z, where the swinging link keeps the motor at
+rest, and a peak above it, where both swing.
 """
 
 from __future__ import annotations
@@ -32,22 +32,24 @@ __all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
 Output = Literal["motor_angle", "torque"]
 Band = tuple[float, float]
 
-# λ up to 2.2: that of a classical link is then inside of its range, and its interval
-# says that it is 2.
+# λ up to 2.2: the value of a classical link then lies inside the range, and its
+# interval includes 2.
 _ORDERS = (1.0, 2.2)
-_POSITIVE = (1e-12, 1e12)  # inertia, friction and stiffness, and the amplifier's gain
-# Motor (1) and link (10): gain, friction and m are straight in numerator and denominator.
+# inertia, friction and stiffness, and the gain of the amplifier
+_POSITIVE = (1e-12, 1e12)
+# Motor (1) and link (10): gain, friction and m are linear in numerator and denominator.
 _BOTTOM = "((s**2 + B*s)*((s/z)**l + 1) + m*(s/z)**l)*exp(-T*s)"
 _STRUCTURES = {
     "motor_angle": f"A*((s/z)**l + 1)/{_BOTTOM}",
     "torque": f"k*(s/z)**l/{_BOTTOM}",
 }
-_BEYOND = (
-    3.0  # times the band: a peak that it misses is sought there, so that it can be said
-)
+# multiple of the band within which a peak outside it is sought, so that it can be
+# reported
+_BEYOND = 3.0
 _GRID = 3000
-_LEAST_OCTAVES = 2  # anti-resonance and peak, and lines on either side of them
-_AROUND = 3  # lines on either side of a place that the response is said to show
+_LEAST_OCTAVES = 2  # anti-resonance and peak, with lines on either side of them
+# lines required on either side of a feature that the response is said to show
+_AROUND = 3
 
 
 @document(
@@ -148,9 +150,10 @@ class DrivenLinkFit(StructureFit):
         if "l" in intervals:
             order = (min(intervals["l"].low, 2.0), min(intervals["l"].high, 2.0))
             rows.append(("order", *order))
-            if "z" in intervals:  # ω₀ = z^(λ/2) is as unsure as both
+            if "z" in intervals:  # the uncertainty of ω₀ = z^(λ/2) comes from both
                 low, high = intervals["z"].low, intervals["z"].high
-                # All four corners: z^(λ/2) rises with λ above 1 rad/s and falls below.
+                # All four corners: z^(λ/2) increases with λ for z above 1 rad/s and
+                # decreases below.
                 ends = [end ** (half / 2) for end in (low, high) for half in order]
                 rows.append(("natural_frequency", min(ends), max(ends)))
         if "m" in intervals:
@@ -240,11 +243,11 @@ def identify_driven_link(
 
 
 def _narrower(band: Band) -> Iterator[Band]:
-    """Parts of a band, an octave less at one end or the other, the widest first.
+    """Parts of a band, shortened by octaves at either end, the widest first.
 
-    A link of one mode on a motor holds neither where higher modes or the noise floor
-    begin nor, far below the anti-resonance, where friction does. Between them lie
-    anti-resonance and peak, within two octaves.
+    The model of a motor with a one-mode link fails at high frequencies, where higher
+    modes or the noise floor begin, and far below the anti-resonance, where friction
+    dominates. Anti-resonance and peak lie in between, within two octaves.
     """
     low, high = band
     octaves = int(math.log2(high / low)) - _LEAST_OCTAVES
@@ -263,7 +266,7 @@ def _holds(
         lines = measured.between(*part)
         return _fitted(lines, output, weighting, details=False).passed
     except (FieldError, NotConvergedError):
-        return False  # too few lines for the parameters, or nothing fits them
+        return False  # too few lines for the parameters, or no fit
 
 
 def _of_the_rest(part: Band, band: Band) -> Finding:
@@ -292,8 +295,8 @@ def _fitted(
     gain = "A" if output == "motor_angle" else "k"
     bounds = {
         "l": _ORDERS,
-        # So wide that an anti-resonance outside of the band can be found there and
-        # reported, not pressed to its edge.
+        # Wide enough for an anti-resonance outside the band to be found there and
+        # reported, instead of being pressed to the edge of the range.
         "z": (low / 30, high * 30),
         **dict.fromkeys((gain, "B", "m"), _POSITIVE),
     }
@@ -317,30 +320,30 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     """The highest local maximum of |H|, for a motor angle above the anti-resonance
     [rad/s].
     """
-    # Below its anti-resonance a motor angle falls from the integrator: no maximum there
-    # is a resonance.
+    # Below its anti-resonance the response of a motor angle falls like an integrator: a
+    # maximum there is not a resonance.
     low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
-    # Searched on the fitted function and not on the lines: noise has maxima everywhere.
+    # Searched on the fitted function instead of the lines, since noise has maxima
+    # everywhere.
     w = np.geomspace(low, _BEYOND * max(band[1], low), _GRID)
     level = np.log(np.abs(fit.transfer_function(1j * w)))
     tops = np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:])) + 1
     if not tops.size:
         return None
     k = int(tops[np.argmax(level[tops])])
-    # The grid is 0.3 % wide a step where the band spans three decades: a third of a
-    # percent of a peak would be more than its interval.
+    # The grid has steps of 0.3 % if the band spans three decades; an error of a third
+    # of a per cent would exceed the interval of the peak.
     before, at, after = level[k - 1 : k + 2]
-    shift = (
-        0.5 * (before - after) / (before - 2 * at + after)
-    )  # the top of the parabola through three points
+    # the vertex of the parabola through three points
+    shift = 0.5 * (before - after) / (before - 2 * at + after)
     return float(w[k] * (w[1] / w[0]) ** shift)
 
 
 def _of_the_band(
     fit: StructureFit, measured: FrequencyResponse, output: Output, peak: float | None
 ) -> Iterator[Finding]:
-    """W315: a place that the lines do not surround is an extrapolation, however
-    narrow its interval.
+    """W315: a feature that is not surrounded by lines is extrapolated, however narrow
+    its interval.
     """
     z = fit.parameters["z"]
     if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:

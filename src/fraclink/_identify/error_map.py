@@ -1,4 +1,4 @@
-"""How the error of a fit grows around it, in order and resonance."""
+"""The error of a fit as a function of order and resonance around it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,10 @@ __all__ = ["ErrorMap", "error_map"]
 
 Real = NDArray[np.float64]
 
-_ORDERS, _RESONANCES = 25, 25  # points of the map
-_TRIED, _LEAST, _MOST = (
-    0.01,
-    0.002,
-    0.1,
-)  # of λ and of ln Ω: first step, least and greatest reach of the map
-_GROWN = 0.6  # of the error, by which it has grown where the map ends
+_ORDERS, _RESONANCES = 25, 25  # grid points of the map
+# in λ and ln Ω: first step, smallest and largest extent of the map
+_TRIED, _LEAST, _MOST = (0.01, 0.002, 0.1)
+_GROWN = 0.6  # relative growth of the error at the edge of the map
 
 
 @dataclass(frozen=True)
@@ -57,17 +54,17 @@ def error_map(log: Experiment, fit: Fit) -> ErrorMap:
     count = fit.fitted_samples
     window = fitted_window(log, count, chosen_hold(log.motor_angle, "auto"))
     best = shape_of(fit.model, fit.delay)
-    # The grid of rates reaches down to the lowest resonance of the map, or its edge
-    # would be wrong.
+    # The grid of rates extends down to the lowest resonance of the map; otherwise its
+    # edge would be wrong.
     kernel = window.kernel(math.exp(best[1] - _MOST), longest_delay=abs(fit.delay))
-    # A parabola through the best point and one beside it says where the error will have
+    # A parabola through the best point and a neighbour predicts where the error has
     # grown enough.
     beside = best + _TRIED * np.array(
         [[0.0] * 5, [-1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0]]
     )
     least, *grown = kernel.costs(beside, math.nan, math.nan)
-    # A direction in which nothing grows is cut at _MOST: a parabola without curvature
-    # reaches anywhere.
+    # A direction without growth ends at _MOST, since a parabola without curvature
+    # extends to infinity.
     shares = np.maximum(np.array(grown) / least - 1.0, 1e-6)
     reach = np.clip(_TRIED * np.sqrt(_GROWN / shares), _LEAST, _MOST)
     orders = np.linspace(

@@ -1,5 +1,5 @@
-"""Design the experiment: how large and how fast must the motor move for λ to be known
-well enough?
+"""Design of the experiment: the size and speed of motor motion that determine λ to a
+required accuracy.
 """
 
 from __future__ import annotations
@@ -24,12 +24,10 @@ from fracsys.checks.equality import compared
 
 Reals = NDArray[np.float64]
 
-# Of the resonance: centres of the bands that are tried.
+# Centres of the bands that are tried, relative to the resonance.
 _BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-_LEAST_SAMPLES, _MOST_SAMPLES = (
-    200,
-    1_000_000,
-)  # of a log; each band is simulated sample by sample
+# [s] longest log, since each band is simulated sample by sample
+_LEAST_SAMPLES, _MOST_SAMPLES = (200, 1_000_000)
 
 
 Deflection = Annotated[
@@ -153,20 +151,20 @@ def design_experiment(
     found = [_scaled(unit, wanted, deflection_limit, motor) for unit in units]
     allowed = [design for design, reached in found if reached]
     if allowed:
-        # The smallest motion that does: it wears the arm least and bends the link least
-        # out of its straight range.
+        # The smallest sufficient motion: it wears the arm least and keeps the link
+        # closest to its linear range.
         return min(allowed, key=lambda design: design.amplitude)
     best = min(
         (design for design, _ in found), key=lambda design: design.standard_error
     )
-    # The error of an estimate falls with the square root of the samples.
+    # The error of an estimate falls with the square root of the number of samples.
     enough = duration * (best.standard_error / wanted) ** 2
     longer = f"; a log of {math.ceil(enough)} s may do" if enough <= longest else ""
     raise InfeasibleError(
         f"{best.limit} limit",
         f"standard error {wanted:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
-        # A hair more than what was reached, or rounding would refuse what is offered
-        # here.
+        # Slightly more than the value reached; otherwise rounding could make this offer
+        # infeasible.
         {"standard_error": best.standard_error * (1 + 1e-6)},
     )
 
@@ -180,24 +178,26 @@ def _unit(
     motor: Motor | None,
     motor_loop_pole: float,
 ) -> ExperimentDesign:
-    """What a random sequence of amplitude 1 does whose band is a share of the resonance."""
+    """The effect of a random sequence of amplitude 1 whose band is centred at a share
+    of the resonance.
+    """
     samples = round(duration / period) + 1
     time = np.asarray(period * np.arange(samples), dtype=np.float64)
-    # Half a period of the centre a bit: power then lies from the lowest line to
-    # 0.44/bit, where it has fallen by half. Whole samples: the controller that plays it
-    # can change its reference at a sample only.
+    # Half a period of the centre frequency per bit: the power then extends from the
+    # lowest line to 0.44/bit, where it has fallen by half. A whole number of samples,
+    # because the controller can only change its reference at a sample.
     bit = max(round(math.pi / (share * abs(model.pole)) / period), 2) * period
-    # 0.2 s of rest before it, for the offset, and 0.3 s after it, so that its last bit
-    # is answered.
+    # 0.2 s of rest before it, for the offset, and 0.3 s after it, for the response to
+    # its last bit.
     bits = max(int((duration - 0.5) / bit), 1)
     reference = prbs(1.0, bit, bits=bits, register=9, start=0.2).angle(time)
-    # The motor loop follows it, held between samples, as 1/(1 + s/pole)².
+    # The motor loop follows it, held between samples, with 1/(1 + s/pole)².
     loop = ([1.0], [motor_loop_pole**-2, 2 / motor_loop_pole, 1.0])
     numerator, denominator, _ = cont2discrete(loop, period)
     motion = np.asarray(lfilter(numerator[0], denominator, reference))
     window = Window(motion, np.zeros_like(motion), period, "first")
     kernel = window.kernel(abs(model.pole), longest_delay=2 * period)
-    # Without its damping: λ alone is asked for, and a fit of λ beside μ would need
+    # Without damping: only λ is wanted, and a fit of λ together with μ would need
     # another amplitude.
     fractional = LinkModel(model.stiffness, model.natural_frequency, model.order)
     mask = mask_of(
@@ -205,13 +205,13 @@ def _unit(
     )
     columns = columns_of(kernel, shape_of(fractional), mask)
     scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
-    scaled[0] /= model.stiffness  # the gain's own derivative
-    # Row 0 is the gain's, row 1 that of λ.
+    scaled[0] /= model.stiffness  # derivative with respect to the gain
+    # Row 0 belongs to the gain, row 1 to λ.
     inverse = inverted(scaled @ scaled.T)[0]
     voltage = None
     if motor is not None:
-        # Differences of the motion after the motor's loop: it has a double pole, so
-        # that θm'' is finite.
+        # Differences of the motion after the motor loop, whose double pole makes θm''
+        # finite.
         speed = np.gradient(motion, period)
         load = model.stiffness * columns[0] / (motor.gear_ratio * motor.torque_constant)
         drive = (np.gradient(speed, period) + motor.decay * speed) / motor.gain + load
@@ -233,13 +233,13 @@ def _unit(
 def _scaled(
     unit: ExperimentDesign, wanted: float, deflection_limit: float, motor: Motor | None
 ) -> tuple[ExperimentDesign, bool]:
-    """The motion at the amplitude that meets the request, or at the largest the limits
-    admit.
+    """The motion at the amplitude that meets the request, or at the largest amplitude
+    that the limits allow.
     """
     most = {"deflection": deflection_limit / unit.peak_deflection}
     if motor is not None and unit.peak_voltage:
         most["voltage"] = motor.voltage_limit / unit.peak_voltage
-    # The limit that binds first is the one that is named.
+    # The limit that is reached first is reported.
     limit = min(most, key=lambda name: most[name])
     needed = unit.standard_error / wanted
     reached = needed <= most[limit]

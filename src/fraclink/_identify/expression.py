@@ -1,8 +1,8 @@
-"""A structure as text: "k*s**a/(s**b + w)*exp(-T*s)", read without evaluating anything
-that Python would run.
+"""A structure as text: "k*s**a/(s**b + w)*exp(-T*s)", read without executing any of it
+as Python.
 
-The text is parsed, every piece is compared with the few that a fractional transfer
-function is made of, and what is left is walked by two algebras: arrays of complex
+The text is parsed, every node is compared with the few kinds that a fractional transfer
+function consists of, and the tree is evaluated in two algebras: arrays of complex
 numbers (many parameter vectors at once) and exact transfer functions.
 """
 
@@ -28,10 +28,10 @@ Role = Literal["order", "delay", "coefficient"]
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-_LONGEST = 1000  # characters; a structure that is written by hand has some fifty
-_DEEPEST = 60  # pieces inside each other: the walk below is recursive
-_MOST = 12  # parameters: beyond, no log tells them apart
-_LARGEST_POWER = 8  # of a sum: each multiplies the number of terms
+_LONGEST = 1000  # characters; a structure written by hand has about fifty
+_DEEPEST = 60  # nesting depth, since the evaluation below is recursive
+_MOST = 12  # parameters; a log cannot separate more
+_LARGEST_POWER = 8  # of a sum: each power multiplies the number of terms
 _RESERVED, _FORMS = (
     ("s", "exp", "offset"),
     "numbers, names, s, + - * / **, and exp(-T*s)",
@@ -68,16 +68,15 @@ class Expression:
 
     def response(self, values: Mapping[str, Any], points: Complexes) -> Complexes:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
-        # The principal branch once for all powers: s^a is then the same function at
-        # every point, with its cut along the negative real axis, as `_systems` has it.
+        # The principal branch, computed once for all powers: s^a is then the same
+        # function at every point, with its cut along the negative real axis.
         logarithm = np.log(points)
         arrays = {
             name: np.asarray(value, dtype=np.float64) for name, value in values.items()
         }
         leaves = Leaves(points, lambda order: np.exp(order * logarithm), np.exp, arrays)
-        with np.errstate(
-            all="ignore"
-        ):  # a candidate may overflow: its cost is infinite, and it is dropped
+        # a candidate may overflow: its cost is infinite, and it is dropped
+        with np.errstate(all="ignore"):
             return np.asarray(walk(self.tree, leaves), dtype=np.complex128)
 
     @cached_property
@@ -133,8 +132,8 @@ def walk(node: ast.expr, leaves: Leaves) -> Any:
 
 
 def _real_power(base: Any, exponent: Any) -> Any:
-    """A power; ArithmeticError where Python, unlike numpy, makes a complex number of a
-    negative one.
+    """A power; ArithmeticError for a negative base, for which Python, unlike numpy,
+    returns a complex number.
     """
     if (
         type(base) is float
@@ -158,7 +157,9 @@ _ONE = ast.Constant(1.0)
 
 
 def _divided(node: ast.expr) -> tuple[ast.expr, ast.expr]:
-    """Numerator and denominator of a tree; what is no quotient stands over one."""
+    """Numerator and denominator of a tree; the denominator is 1 if it is not a
+    quotient.
+    """
     if isinstance(node, ast.UnaryOp):
         top, bottom = _divided(node.operand)
         return ast.UnaryOp(node.op, top), bottom
@@ -176,8 +177,8 @@ def _divided(node: ast.expr) -> tuple[ast.expr, ast.expr]:
         return _product(top, other), _product(bottom, divisor)
     if isinstance(node.op, ast.Div):
         return _product(top, divisor), _product(bottom, other)
-    # A common denominator is kept and not squared: the equations would have roots that
-    # G has not.
+    # A common denominator is kept instead of being squared: the equations would have
+    # roots that G does not have.
     if ast.dump(bottom) == ast.dump(divisor):
         return ast.BinOp(top, node.op, other), bottom
     left, right = _product(top, divisor), _product(other, bottom)
@@ -222,9 +223,8 @@ def parse_expression(text: str) -> Expression:
             remedy='write it as in "k/(T*s**a + 1)"',
         )
     try:
-        # Parsed as Python and never run as Python: `_check` compares every node with
-        # the few kinds that a transfer function is made of, and refuses any other by
-        # name.
+        # Parsed as Python but never executed: `_check` compares every node with the few
+        # kinds that a transfer function consists of, and rejects any other by name.
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = (
@@ -239,8 +239,8 @@ def parse_expression(text: str) -> Expression:
             allowed=_FORMS,
             remedy="check brackets and operators; a product needs its *",
         ) from error
-    # A number is a transfer function, too, but a text without s is nearly always a
-    # slip.
+    # A number is a transfer function too, but a text without s is nearly always a
+    # mistake.
     if "s" not in _names(tree):
         raise _refused(
             tree, "without s", "write the transfer function, such as k/(T*s**a + 1)"
@@ -255,12 +255,10 @@ def parse_expression(text: str) -> Expression:
             allowed=f"<= {_MOST} parameters",
             remedy="write known values as numbers",
         )
-    # After the checks, so that an error quotes what was written and not what became of
-    # it.
+    # After the checks, so that an error quotes the original text.
     tree = _Distributed().visit(tree)
-    _check(
-        tree, 0
-    )  # once more: a factor of a term may be a root of a negative number now
+    # again, since a factor of a term may now be a root of a negative number
+    _check(tree, 0)
     made = Expression(" ".join(text.split()), roles, tree)
     _check_exponentials(made)
     return made
@@ -268,7 +266,7 @@ def parse_expression(text: str) -> Expression:
 
 def _names(tree: ast.AST) -> list[str]:
     """Names in the order of the text, those of functions left out."""
-    # exp is a name to the parser, and no parameter.
+    # The parser treats exp as a name, but it is not a parameter.
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     found = [
         node
@@ -289,7 +287,7 @@ def _has_s(node: ast.AST) -> bool:
 def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
     try:
         text = ast.unparse(node)
-    except RecursionError:  # a sum of hundreds of terms is a tree as deep
+    except RecursionError:  # a sum of hundreds of terms is a tree of that depth
         text = f"characters {node.col_offset + 1} to {node.end_col_offset}"
     return FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy)
 
@@ -307,11 +305,12 @@ def _not_a_number(text: str, error: ArithmeticError | None = None) -> FieldError
 
 
 def _constant(node: ast.expr) -> float:
-    """The value of a piece without names; FieldError where it is no finite real number."""
+    """The value of a subtree without names; FieldError if it is not a finite real
+    number.
+    """
     try:
-        value = walk(
-            node, Leaves(s, s.power, _delayed, {})
-        )  # in floating point: no power takes long
+        # in floating point, so that every power is fast
+        value = walk(node, Leaves(s, s.power, _delayed, {}))
     except ArithmeticError as error:
         raise _not_a_number(ast.unparse(node), error) from error
     if not math.isfinite(value):
@@ -320,8 +319,8 @@ def _constant(node: ast.expr) -> float:
 
 
 def _check(node: ast.expr, depth: int) -> None:
-    """Raise FieldError for the first piece of the tree that is none of a fractional
-    transfer function.
+    """Raise FieldError for the first node of the tree that cannot belong to a
+    fractional transfer function.
     """
     if depth > _DEEPEST:
         raise _refused(node, "nested too deeply", "write it with fewer brackets")
@@ -329,7 +328,7 @@ def _check(node: ast.expr, depth: int) -> None:
         if (
             isinstance(node.value, bool)
             or not isinstance(node.value, int | float)
-            # Room for a product: at 1e308 the first multiplication is infinite.
+            # Room for a product: with 1e308 the first multiplication would overflow.
             or not abs(node.value) < 1e300
         ):
             raise _refused(node, "not a number", "write numbers as 0.5 or 1e-3")
@@ -367,8 +366,8 @@ def _check(node: ast.expr, depth: int) -> None:
         raise _refused(
             node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)"
         )
-    # Constants are computed here once: an overflow or a root of −1 is named with the
-    # piece that has it.
+    # Constants are computed here once, so that an overflow or a root of −1 is reported
+    # with its subtree.
     if isinstance(node, ast.BinOp) and not _names(node):
         _constant(node)
 
@@ -390,8 +389,8 @@ def _check_power(node: ast.BinOp, depth: int) -> None:
     _check(node.right, depth + 1)
     if not _has_s(node.left) or _is_single_term(node.left):
         return
-    # A power that is a parameter may be fractional: (s + 1)^a is no quotient of powers
-    # of s.
+    # A power that is a parameter may be fractional, and (s + 1)^a is not a quotient of
+    # powers of s.
     power = None if _names(node.right) else _constant(node.right)
     if power is None or not power.is_integer() or abs(power) > _LARGEST_POWER:
         raise _refused(
@@ -402,7 +401,7 @@ def _check_power(node: ast.BinOp, depth: int) -> None:
 
 
 def _is_single_term(node: ast.expr) -> bool:
-    """Whether a piece is c·s^a, of which every real power is one, too."""
+    """Whether a subtree is c·s^a, for which every real power is again of this form."""
     if not _has_s(node) or isinstance(node, ast.Name):
         return True
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
@@ -439,7 +438,7 @@ def _raised(term: ast.expr, power: ast.expr) -> ast.expr:
 
 
 def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
-    """Every parameter with what it is where it stands."""
+    """Every parameter with its role at each place where it occurs."""
     if isinstance(node, ast.Name) and node.id != "s":
         yield node.id, inside
     elif isinstance(node, ast.Call):
@@ -457,8 +456,8 @@ def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
 
 
 def _roles(tree: ast.expr) -> dict[str, Role]:
-    # An order is the narrowest: what stands in an exponent and elsewhere keeps the
-    # exponent's range.
+    # The range of an order is the narrowest: a parameter that occurs in an exponent and
+    # elsewhere gets that range.
     rank: tuple[Role, ...] = ("order", "delay", "coefficient")
     uses = list(_uses(tree, "coefficient"))
     return {
@@ -469,10 +468,11 @@ def _roles(tree: ast.expr) -> dict[str, Role]:
 
 
 def _check_exponentials(made: Expression) -> None:
-    """Raise FieldError where an exponent is no delay: not proportional to −s for
-    positive parameters.
+    """Raise FieldError for an exponent that is not a delay, i.e. not proportional to −s
+    for positive parameters.
     """
-    # No difference of two of these, or of one and a number that people write, is zero.
+    # Differences between two of these values, or between one of them and a number that
+    # people write, are never zero.
     values = {
         name: 0.7 + 0.1037 * (place + 0.71) for place, name in enumerate(made.names)
     }
@@ -485,8 +485,7 @@ def _check_exponentials(made: Expression) -> None:
         except (FieldError, ArithmeticError) as error:
             raise _refused(node, "not a delay", "write it as exp(-T*s)") from error
         slope = exponent / s
-        # exponent/s must be a number: no delay inside a delay, no power of s left in
-        # it.
+        # exponent/s must be a number, without a further delay and without a power of s.
         if slope.delay or any(
             t.order for terms in (slope.numerator, slope.denominator) for t in terms
         ):

@@ -1,9 +1,7 @@
-"""What a reader of a fit should know: findings W3xx, and the gates that a model must
-pass to be used.
+"""Findings W3xx about a fit, and the gates that a model must pass to be used.
 
-A gate is a finding of severity "error" with its threshold in the evidence. Behind a
-failed gate the model is kept with all its numbers, but nothing that is made from it can
-pass.
+A gate is a finding of severity "error" with its threshold in the evidence. After a
+failed gate the model is kept with all its numbers, but no result based on it can pass.
 """
 
 from __future__ import annotations
@@ -21,23 +19,23 @@ from fraclink._identify.shape import ORDER_LIMITS
 from fraclink._identify.uncertainty import Uncertainty
 from fraclink.findings import Finding, worst_first
 
-# Of the power of a motion that the model has not seen. What a law cancels with such a
-# model leaves half of the vibration: 6 dB, as a structure's own gate has it.
+# Share of the power of an unseen motion: a law that cancels with such a model leaves
+# half of the vibration, 6 dB, as for the gate of a structure.
 HELDOUT_MOST = 0.25
-# Calibrations of strain gauges are good to some 20 %; mrad for rad, volts for radians
-# are off by more.
+# The calibration of a strain gauge is accurate to about 20 %; mrad for rad or volts for
+# radians differ by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
-# n ln(power/mse)/k: pure noise reaches 20 in one of a thousand logs, as the fit may
+# n ln(power/mse)/k: pure noise reaches 20 in one log of a thousand, because the fit may
 # choose its frequency.
 SIGNAL_LEAST = 30.0
-# Relative standard error of the resonance. A link that vibrates visibly gives 0.01 % to
-# 1 %.
+# Relative standard error of the resonance; a link that vibrates visibly has 0.01 % to 1
+# %.
 RESONANCE_MOST = 0.1
-# Vibrations at the beginning of a log that are held against the rest, and what their
-# error may be of it.
+# Vibration periods at the beginning of a log that are compared with the rest, and the
+# largest ratio of their error to that of the rest.
 _START, _FIRST_ERROR = 2.0, 2.0
-# No encoder of a rig resolves less.
-_TREMBLE = 1e-3  # [rad]
+# [rad]: the encoder of every rig is finer than this
+_TREMBLE = 1e-3
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",
@@ -59,7 +57,7 @@ def findings_of(
     """All findings of a fit, worst first; `motion` are the shares of motion and
     vibration held out.
     """
-    # The sign and the delay of noise say nothing.
+    # Sign and delay of noise mean nothing.
     heard = signal_of(fit) >= SIGNAL_LEAST
     found = [
         *column_findings(log),
@@ -67,8 +65,8 @@ def findings_of(
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, errors.singular),
-        # Of noise, too: `Fit.loop_model` takes the rig's stiffness where this one is
-        # said to be nobody's.
+        # Also for noise: `Fit.loop_model` takes the stiffness of the rig if this
+        # finding says that the log does not determine it.
         *_of_the_stiffness(fit, stiffness),
         *(_of_the_gain(fit) if heard else ()),
         *(_of_the_delay(fit, solution) if heard else ()),
@@ -81,8 +79,8 @@ def signal_of(fit: Fit) -> float:
     """Twice the log-likelihood that the model wins over an arm at rest, colour allowed
     for.
     """
-    # By the residual's colour: under slow noise a thousand samples are a hundred
-    # witnesses, and luck wins more with them.
+    # Scaled by the colour of the residual: under slow noise a thousand samples are a
+    # hundred independent ones, and chance has a larger effect.
     inflation = max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
     output = (fit.predicted + fit.residual)[: fit.fitted_samples]
     return (
@@ -93,7 +91,7 @@ def signal_of(fit: Fit) -> float:
 
 
 def _no_signal(signal: float, log: Experiment) -> Finding:
-    """W313, with the cause where the output or the motor shows one."""
+    """W313, with its cause if the output or the motor shows one."""
     turned, hum = float(np.ptp(log.motor_angle)), mains_of(log)
     evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": turned}
     if turned < _TREMBLE:
@@ -153,10 +151,10 @@ def _of_the_vibration(
 
 
 def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
-    """W231: the vibration from before the first sample, which the model does not have.
+    """W231: a vibration from before the first sample, which the model does not include.
 
-    A log that begins in motion and is met from its first sample on had little of it;
-    what a fit cannot meet there it takes for a delay and a damping.
+    A log that begins in motion and is fitted well from its first sample had little such
+    vibration; otherwise the fit takes it for delay and damping.
     """
     output = log.output - fit.offset
     begins = motion_at_start(log.motor_angle, output, float(output.std()))
@@ -195,8 +193,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         )
     elif relative > HELDOUT_MOST:
         yield _not_predicted(fit, relative)
-    # Both: a quiet end has a large relative error by its small power alone, a loud one
-    # a large mean square.
+    # Both conditions: at a quiet end the relative error is large because of the small
+    # power alone, at a loud end the mean square is.
     elif relative > 4 * fit.nmse and held > 2 * fit.mse:
         yield Finding(
             "W318",
@@ -205,8 +203,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             {"nmse": fit.nmse, "heldout_nmse": relative},
             "look for a change of the arm within the log, or fit a longer part",
         )
-    # Of its own accord a fit takes 60 %: less than half is the border's move to where
-    # motion is.
+    # By default 60 % are fitted: less than half means that the border was moved to
+    # where the motion is.
     if fit.fitted_samples < fit.samples // 2:
         yield Finding(
             "W317",
@@ -222,8 +220,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
 
 
 def _not_predicted(fit: Fit, relative: float) -> Finding:
-    """W318, with what the sizes of the output in both parts and of the prediction point
-    to.
+    """W318, with the cause suggested by the size of the output in both parts and of the
+    prediction.
     """
     output, late = fit.predicted + fit.residual, slice(fit.fitted_samples, None)
     before, after = (
@@ -232,7 +230,8 @@ def _not_predicted(fit: Fit, relative: float) -> Finding:
     )
     predicted = float(np.std(fit.predicted[late]))
     cause = "a payload that slipped, a wrong channel or saturation"
-    # A third of both: neither the motion nor the model grew quiet there.
+    # A third of both: the output became quiet there although neither the motion nor the
+    # model did.
     if after < 0.3 * min(before, predicted):
         cause = "a gauge or a cable that came off: the output is nearly at rest there"
     elif after > 2 * max(before, predicted):
@@ -255,7 +254,7 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
     }
     for name in fit.at_bound:
         if name == "delay" and (fit.delay == 0 or fit.hold == "zero"):
-            # a rough angle cannot show a negative one, a held one none between its
+            # a rough angle cannot show a negative delay, a held one none between its
             # samples
             continue
         evidence = {name: values.get(name, getattr(fit.model, name, 0.0))}
@@ -308,7 +307,7 @@ def _of_the_stiffness(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
 
 def _of_the_gain(fit: Fit) -> Iterator[Finding]:
     size = abs(fit.gain)
-    # Of a torque the gain is a stiffness, which may be any.
+    # For a torque the gain is a stiffness, which may have any value.
     if fit.output_kind == "deflection" and not GAIN_RANGE[0] < size < GAIN_RANGE[1]:
         yield Finding(
             "W320",
@@ -324,8 +323,8 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
     error = fit.standard_errors.get("delay")
     if error is None or error == 0:
         return
-    # A sample's time: who stamps the sample before reading the gauge is that late, and
-    # it matters to no loop.
+    # One sample: a logger that stamps the sample before it reads the gauge causes this
+    # delay, which no loop contains.
     if fit.delay > max(4 * error, fit.period):
         yield Finding(
             "W306",
@@ -346,8 +345,8 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
 
 def _of_the_sign(fit: Fit, cycle: float) -> Iterator[Finding]:
     """Sign and delay together: of a vibration, half a `cycle` more is the other sign."""
-    # Beyond an eighth of a cycle half a turn of phase may be delay and sign as well as
-    # sign alone.
+    # Beyond an eighth of a cycle, a phase of half a turn may be delay and sign as well
+    # as sign alone.
     late = abs(fit.delay) > cycle / 8
     if fit.gain < 0 and not late:
         yield Finding(
@@ -391,8 +390,8 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             },
             "nothing, or look at the residual for a second mode or friction",
         )
-    # One in a thousand: every real arm has friction, and at one in twenty each log
-    # would say so.
+    # One in a thousand: every real arm has friction, and at one in twenty every log
+    # would be reported.
     if fit.tests.input_independence < 1e-3:
         yield Finding(
             "W310",
@@ -421,7 +420,8 @@ def _of_outliers(fit: Fit) -> Iterator[Finding]:
     squares = np.sort(fit.residual[: fit.fitted_samples] ** 2)[::-1]
     few = max(fit.fitted_samples // 500, 1)
     share = float(squares[:few].sum() / squares.sum()) if squares[0] > 0 else 0.0
-    # Of Gaussian noise the largest 0.2 % of the samples hold 2 % of the squares.
+    # For Gaussian noise the largest 0.2 % of the samples contain 2 % of the sum of
+    # squares.
     if share > 0.3:
         yield Finding(
             "W224",

@@ -1,6 +1,4 @@
-"""A fit: the identified link with everything needed to judge it, and the file it is
-kept in.
-"""
+"""A fit: the identified link with everything needed to judge it, and its file."""
 
 from __future__ import annotations
 
@@ -55,8 +53,8 @@ def aic(mse: float, samples: int, parameters: int) -> float:
     >>> [round(aic(mse, 5001, k)) for mse, k in ((0.05845, 1), (0.00531, 2), (0.00524, 2), (0.00524, 3))]
     [-14199, -26192, -26258, -26256]
     """
-    # A perfect fit has no bound of its likelihood: simulated logs without noise reach
-    # it.
+    # The likelihood of a perfect fit is unbounded; simulated logs without noise have
+    # such fits.
     return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
 
 
@@ -199,8 +197,8 @@ class Fit(Saved):
     sha256: str = ""
 
     __made_by__ = "fraclink.identify(log)"
-    # It fits every log by itself, with what makes fits: `validation`, which lies above
-    # this module, sets it.
+    # `validation` fits each log itself and therefore depends on this module; it sets
+    # this attribute.
     _validated: ClassVar[Callable[..., Any]]
 
     def __post_init__(self) -> None:
@@ -242,10 +240,10 @@ class Fit(Saved):
         )
 
     def _stated(self, name: str) -> float | None:
-        """A parameter of the link; None where this structure has none of the kind."""
+        """A parameter of the link; None if this structure does not have it."""
         value: float = getattr(self.model, name)
         absent = value == 0 or (name == "damping_order" and self.model.damping == 0)
-        # ω₀ = 0 is a bound at which a fit with damping may end, and no frequency.
+        # ω₀ = 0 is a bound at which a damped fit may end, and not a frequency.
         held = name not in structure(self.structure).free or name == "natural_frequency"
         return None if absent and held else value
 
@@ -278,7 +276,7 @@ class Fit(Saved):
         """
         model = self.model
         if any(finding.code == "W304" for finding in self.findings):
-            # The 1 N·m/rad of such a fit is nobody's: it would scale the tip estimate
+            # The 1 N·m/rad of such a fit is arbitrary; it would scale the tip estimate
             # θm − Γ/c of the law.
             model = dataclasses.replace(model, stiffness=rig.link.stiffness)
         return in_loop(model, rig)

@@ -1,5 +1,5 @@
-"""Fit one structure to one log: options, the part that is held out, the fit and how
-sure it is.
+"""Fit of one structure to one log: options, the held-out part, the fit and its
+uncertainty.
 """
 
 from __future__ import annotations
@@ -59,12 +59,11 @@ Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
 SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 
 _LEAST_SAMPLES = 50
-_COLOURED = 0.01  # p-value below which the residual is taken for coloured
+_COLOURED = 0.01  # p-value below which the residual counts as coloured
 _HELDOUT = 0.4
-_MOVES = (
-    0.05  # of the motor's motion (mean square speed) that a held-out part must contain
-)
-_BLOCKS = 120  # of a log, in which its motion is measured
+# share of the motor's motion (mean square speed) that a held-out part must contain
+_MOVES = 0.05
+_BLOCKS = 120  # parts of a log in which its motion is measured
 
 
 @checked
@@ -106,22 +105,22 @@ def make_search(
         for name, value in (fixed or {}).items()
     }
     if stiffness is not None and log.output_kind == "torque":
-        # In a deflection log the gain is the gauge's own, whatever the link's
-        # stiffness.
+        # In a deflection log the gain is that of the gauge, whatever the stiffness of
+        # the link.
         values.setdefault("gain", stiffness)
     count = (
         fitted_samples(log)
         if heldout is None
         else log.output.size - round(heldout * log.output.size)
     )
-    # What moved before the cut is motion, too: a ring-down behind it says all of the
-    # link.
+    # Motion before the cut counts as well: a ring-down after it determines the link
+    # completely.
     window = fitted_window(log, count, chosen_hold(moving_angle(log), hold))
     _check_motion(window)
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))
-        # A guess may be any link; a search that began outside of its limits would end
+        # A guess may be any link; a search that starts outside its limits would end
         # there.
         start[0] = np.clip(start[0], *ORDER_LIMITS)
     return Search(window, values, start)
@@ -170,11 +169,11 @@ def _activity(signal: Vector) -> Vector:
     """Share of the signal's energy after each of the blocks' borders, shape (_BLOCKS +
     1,).
 
-    Twice the level of the quietest blocks is taken for noise and left out: without
-    that, half an hour of a noisy gauge at rest would outweigh a move of a second.
+    Twice the level of the quietest blocks counts as noise and is subtracted; otherwise
+    half an hour of a noisy gauge at rest would outweigh a move of one second.
     """
-    # As np.array_split cuts it, but in two arrays: a hundred small means take longer
-    # than the fit.
+    # Split like np.array_split, but as two arrays: a hundred small means would take
+    # longer than the fit.
     size, longer = divmod(signal.size, _BLOCKS)
     first, rest = np.split(signal**2, [longer * (size + 1)])
     short = rest.reshape(_BLOCKS - longer, -1).mean(axis=1)
@@ -184,9 +183,8 @@ def _activity(signal: Vector) -> Vector:
         else short
     )
     energy = np.maximum(blocks - 2 * np.quantile(blocks, 0.05), 0.0)
-    energy = (
-        energy if energy.sum() > 0 else np.ones(_BLOCKS)
-    )  # the same everywhere: a periodic motion
+    # the same everywhere: a periodic motion
+    energy = energy if energy.sum() > 0 else np.ones(_BLOCKS)
     return np.asarray(
         np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum()
     )
@@ -218,24 +216,24 @@ def fitted_samples(log: Experiment) -> int:
     """
     total = log.output.size
     count = total - round(_HELDOUT * total)
-    # Blocks of a sample or two have no mean square to compare.
+    # Blocks of one or two samples have no meaningful mean square.
     if total < 2 * _BLOCKS or _MOVES <= motion_after(log, count)[0] <= 1 - _MOVES:
         return count
     places = np.linspace(0, total, _BLOCKS + 1).astype(int)
-    # Steps of the angle and not the angle: a motor that rests away from zero does not
-    # move.
+    # Steps of the angle instead of the angle: a motor that rests away from zero does
+    # not move.
     motor = _activity(np.diff(log.motor_angle))
     swing = _activity(log.output - np.median(log.output))
     borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
-    # A border at rest: the held-out part then begins as the model does, and no old
-    # vibration is charged to it.
+    # A border at rest: the held-out part then begins like the model, without earlier
+    # vibration.
     rests = [
         k
         for k in borders
         if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75
     ]
     ringing = [k for k in borders if swing[k] >= 0.25 and motor[k] < 0.5]
-    # The last of them: the fitted part is then as long as it can be.
+    # The last of them, so that the fitted part is as long as possible.
     return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
 
 
@@ -256,7 +254,7 @@ def predicted_output(
 def _deviations(
     names: Iterable[str], variances: NDArray[np.float64]
 ) -> dict[str, float]:
-    # Rounding may leave a variance just below zero.
+    # Rounding may leave a variance slightly below zero.
     return dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True))
 
 
@@ -278,12 +276,13 @@ def fit_from(
     predicted = predicted_output(search, solution, log)
     residual = log.output - predicted
     if errors is None or not details:
-        # Without details the white covariance alone: the coloured one takes as long as
+        # Without details only the white covariance: the coloured one takes as long as
         # the fit.
         errors = uncertainty(search, solution, coloured=details)
     tests, allow, intervals = None, False, {}
     if details:
-        # On the fitted part: what was held out judges the prediction, not the noise.
+        # On the fitted part: the held-out part is for judging the prediction, not the
+        # noise.
         tests = _tests(search, residual[: window.samples], errors)
         allow = tests.whiteness < _COLOURED and errors.coloured is not None
         intervals = _intervals(search, solution, errors, allow)
@@ -321,23 +320,23 @@ def fit_from(
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     motion = motion_after(log, window.samples)
     findings = findings_of(fit, solution, errors, stiffness, motion, log)
-    # What makes the log unusable makes the model so.
+    # Errors that make the log unusable make the model unusable.
     return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
 
 
 def _figures(
     log: Experiment, residual: Vector, count: int, solution: Solution
 ) -> dict[str, Any]:
-    """Errors and criteria over the fitted part and over the one held out."""
-    # The structure's own, as the paper counts them: gain, offset and delay are in every
-    # one, and shift all criteria alike.
+    """Errors and criteria over the fitted part and over the held-out part."""
+    # Parameters of the structure, as counted in the paper: gain, offset and delay occur
+    # in every structure and shift all criteria equally.
     parameters = len(structure_row(solution.structure).free)
-    # Powers about the offset: a gauge that is off by a volt explains nothing by being
-    # constant.
+    # Powers about the offset, so that a constant error of the gauge explains nothing.
     squares, powers = residual**2, (log.output - solution.offset) ** 2
     mse = float(np.mean(squares[:count]))
-    # Behind the last sample at which the model predicts more than the fitted part's
-    # error, a ring-down has sunk into the noise: no error there tells of the model.
+    # After the last sample at which the prediction exceeds the error of the fitted
+    # part, a ring-down is lost in noise, and an error there says nothing about the
+    # model.
     motion = (log.output - residual - solution.offset) ** 2
     end = int(np.flatnonzero(motion >= mse).max(initial=-1)) + 1
     held, held_power = (
@@ -361,20 +360,20 @@ def _figures(
 def _identified(
     fit: Fit, mode: tuple[SecondMode | None, float | None], stiffness: float | None
 ) -> LinkModel:
-    """The link with all that the log showed of it, so that no later step has to state
-    it again.
+    """The link with everything that the log determined, so that no later step has to
+    state it again.
 
-    A torque log shows gauge gain times stiffness and nothing that tells them apart: the
-    product is the stiffness that the controller meets. A deflection log shows the gauge
-    gain itself. A reversed sign is a wiring fault to be stated in the rig file (W211),
-    not a property of the gauge.
+    A torque log determines the product of gauge gain and stiffness, which is the
+    stiffness seen by the controller. A deflection log determines the gauge gain itself.
+    A reversed sign is a wiring fault to be stated in the rig file (W211), not a
+    property of the gauge.
     """
-    # Zero is no stiffness of a link model; a fit of nothing ends there, and its gates
-    # say so.
+    # A link model cannot have zero stiffness; a fit to noise may end there, which its
+    # gates report.
     size = max(abs(fit.gain), 1e-12)
     torque = fit.output_kind == "torque"
-    # The gain is straight in the prediction: its profile is the parabola, and the
-    # standard error says all.
+    # The gain is linear in the prediction: its profile is a parabola, and the standard
+    # error suffices.
     reach = 1.96 * fit.standard_errors.get("gain", math.nan)
     rows = [
         (name, end.low, end.high)
@@ -402,8 +401,8 @@ def _identified(
 
 def _variances(errors: Uncertainty, allow: bool) -> NDArray[np.float64]:
     white = np.diag(errors.white)
-    # Colour may also narrow an estimate, but the sandwich is too noisy to be believed
-    # there.
+    # Colour may also reduce the error of an estimate, but the sandwich covariance is
+    # too noisy to be trusted there.
     return (
         np.maximum(np.diag(errors.coloured), white)
         if allow and errors.coloured is not None
@@ -419,8 +418,8 @@ def _tests(search: Search, residual: Vector, errors: Uncertainty) -> ResidualTes
             np.diag(errors.white).tolist(),
             strict=True,
         )
-        # The worst one: it says by how much fewer samples the least certain parameter
-        # counts.
+        # The worst ratio: the factor by which the number of samples counts less for the
+        # least certain parameter.
         ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
     motion = search.window.increments()[-search.window.samples :]
     return residual_tests(residual, motion, search.window.period, errors.lag, ratio)

@@ -82,8 +82,8 @@ class Coordinates:
         ratio = damping * sine * math.exp((other - order) * log_resonance) / 2
         shape = np.array([order, log_resonance, ratio, other, delay])
         values, slopes = (part[0] for part in link_parameters(shape[None]))
-        # Of the parameters by the shape, in logarithms where θ has these; what is wanted
-        # is its inverse.
+        # The derivatives of the parameters with respect to the shape, in logarithms
+        # where θ uses them; their inverse is needed.
         slopes[2] /= damping or 1.0
         slopes[0] = slopes[0] / values[0] if self.payloads else np.eye(5)[1]
         columns = [_PLACES.index(name) for name in self.names]
@@ -95,15 +95,15 @@ class Coordinates:
 def _log_resonance(square: float, order: float, damping: float, other: float) -> float:
     """ln Ω of Ω^λ = ω₀² + μ Ω^α cos(απ/2), by Newton's method in ln Ω."""
     cosine = math.cos(other * math.pi / 2)
-    # The undamped link's Ω: within some percent of the root, as the damping of an arm
-    # is weak.
+    # Ω of the undamped link is within a few per cent of the root, because the damping
+    # of an arm is weak.
     place = math.log(square) / order
     for _ in range(40):
         moving, friction = math.exp(order * place), damping * math.exp(other * place)
         slope = order * moving - other * friction * cosine
         step = (moving - square - friction * cosine) / slope
-        # On a sum of exponentials a step from the left overshoots: half an e-fold keeps
-        # it in reach.
+        # For a sum of exponentials a step from the left overshoots; a limit of half an
+        # e-fold keeps it within range.
         place -= min(max(step, -0.5), 0.5)
         if abs(step) < 1e-14:
             break
@@ -117,20 +117,20 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
         shape = solution.shape.copy()
         if solution.on_edge:
             shape[3] = (
-                # ω₀ = 0 holds for one μ only; from mid-valley a common μ finds its
-                # place
+                # ω₀ = 0 holds for one μ only; from the middle of the valley a common μ
+                # converges
                 1.0
             )
         damping, square = damping_and_square(shape)
         frequency = float(shape[1])
         if coordinates.payloads is not None:
-            # ω₀² m = c/L² by eq. (5): each log's own estimate of what is to be common.
+            # ω₀² m = c/L² by eq. (5): each log's own estimate of the common value.
             frequency = math.log(max(square, 1e-12) * coordinates.payloads[i])
         values = {
             "frequency": frequency,
             "order": float(shape[0]),
-            # A logarithm needs a start above zero; an undamped fit begins where damping
-            # no longer shows.
+            # A logarithm needs a start above zero; an undamped fit starts where damping
+            # is no longer visible.
             "damping": math.log(max(damping, 1e-6)),
             "damping_order": float(shape[3]),
             "delay": float(shape[4]),
@@ -156,8 +156,8 @@ def weight_of(search: Search, solution: Solution) -> float:
     if not variance > 0:
         return 1.0
     if errors.coloured is None or not own:
-        return 1 / variance  # all at a limit: every sample counts
-    # The median over the link's own parameters: one that hardly matters may have any
+        return 1 / variance  # all parameters are at a limit: every sample counts
+    # The median over the parameters of the link: one with little influence may have any
     # ratio.
     tiny = np.finfo(np.float64).tiny
     ratios = np.diag(errors.coloured)[own] / np.maximum(
@@ -224,8 +224,8 @@ class JointProblem(Problem):
             rows = [self.coordinates.shape(theta, i) for theta in places]
             shapes, chain = (np.array(column) for column in zip(*rows, strict=True))
             possible = [row[2] <= largest_ratio(float(row[3])) for row in shapes]
-            # The chain rule takes each log's own Gram matrix to θ: no log's data are
-            # touched twice.
+            # The chain rule maps each log's own Gram matrix to θ, so that the data of
+            # each log are used once.
             at = quadratic_of(search.kernel, shapes, chain, search.gain, search.offset)
             cost = np.where(possible, weight * at.cost, math.inf)
             parts.append(

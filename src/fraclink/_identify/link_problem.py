@@ -1,4 +1,6 @@
-"""The least-squares problem of a link: the compiled kernel's, for many shapes at once."""
+"""The least-squares problem of a link, evaluated by the compiled kernel for many shapes
+at once.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ from fraclink._kernels import FitProblem
 __all__ = ["LinkProblem", "quadratic_of"]
 
 Reals = NDArray[np.float64]
-_NO_DAMPING = 1e-12  # of ζ: below it α has no meaning
+_NO_DAMPING = 1e-12  # ζ below which α has no meaning
 
 
 def quadratic_of(
@@ -69,8 +71,8 @@ class LinkProblem(Problem):
         """
         stuck = set(solution.at_bound) if inside else set()
         turned = {2, 3} <= set(solution.free) - stuck
-        # α itself where it is inside: a covariance under colour is widened for each
-        # coordinate (see `sandwich`).
+        # α itself if it is inside: with a coloured residual the covariance is widened
+        # per coordinate (see `sandwich`).
         turned = turned and (not inside or solution.on_edge)
         if inside and turned:
             stuck.add(3)
@@ -79,7 +81,7 @@ class LinkProblem(Problem):
 
     @cached_property
     def _start(self) -> Reals:
-        """The solution's shape, with r for α where it stands for it."""
+        """The shape of the solution, with r in place of α if the problem uses it."""
         start = self.solution.shape.copy()
         if self.turned:
             ratio, order = start[2:4]
@@ -92,7 +94,7 @@ class LinkProblem(Problem):
 
     @property
     def _slope(self) -> float:
-        """−dr/dα at α = 1; without damping α has no meaning, and any will do."""
+        """−dr/dα at α = 1; without damping α has no meaning, and any value will do."""
         return math.pi * float(self.solution.shape[2] or 1.0)
 
     @property
@@ -135,7 +137,8 @@ class LinkProblem(Problem):
             name
             for name in own
             if (COORDINATE[name] in self.free or (edge and name == "damping_order"))
-            # At ω₀ = 0 it is no parameter: the link is the undamped one with λ = 2 − α.
+            # At ω₀ = 0 it is not a parameter: the link is the undamped one with λ = 2 −
+            # α.
             and not (edge and name == "natural_frequency")
         )
 
@@ -186,7 +189,8 @@ class LinkProblem(Problem):
         """
         shapes, chain = self.expanded(places)
         values, slopes = link_parameters(shapes)
-        # ω₀ is the root of what the shape has; at zero its slope is infinite.
+        # ω₀ is the square root of a quantity of the shape; at zero its slope is
+        # infinite.
         if not squared:
             values[:, 0] = np.sqrt(values[:, 0])
             slopes[:, 0] /= 2 * np.maximum(values[:, :1], 1e-6)

@@ -28,14 +28,15 @@ from fracsys.checks import Between, checked, checked_series
 
 Reals = NDArray[np.float64]
 
-_BUMP = (
-    Polynomial([1.0, 0.0, -1.0]) ** 5
-)  # (1 − x²)⁵: five derivatives vanish at its ends
+# (1 − x²)⁵: its first four derivatives vanish at the ends
+_BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5
 _LEAST_WINDOWS = 20
 _LEAST_SAMPLES = 200
-# a motor model that leaves half of the acceleration unexplained compensates no friction
+# A motor model that leaves half of the acceleration unexplained compensates no
+# friction.
 _NMSE_MOST = 0.5
-# standard errors below zero at which a sign is impossible and not merely badly known
+# Standard errors below zero beyond which a negative value is impossible instead of
+# merely uncertain.
 _SIGN = 3.0
 
 
@@ -197,8 +198,8 @@ def identify_motor(
             "dead_zone", dead_zone
         )
     # 80 ms: friction, backlash and the encoder average out, and a move of a tenth of a
-    # second still holds a bump. Fewer than 30 samples would not follow the bump's
-    # second derivative.
+    # second still contains a bump. Fewer than 30 samples would not resolve the second
+    # derivative of the bump.
     half = max(15, round(0.04 / period))
     bumps = _Bumps(angle, load, period, half, starts, spring)
     if bumps.places.size < _LEAST_WINDOWS:
@@ -214,10 +215,10 @@ def identify_motor(
 
 
 def _judged(fit: MotorFit) -> MotorFit:
-    """The fit with its findings; LogError where its signs are those of no motor.
+    """The fit with its findings; LogError if its signs are impossible for a motor.
 
-    Estimates of a motor with little friction scatter around zero, so that a sign is
-    impossible only where its standard error cannot explain it.
+    Estimates for a motor with little friction scatter around zero, so a negative value
+    is impossible only if its standard error cannot explain it.
     """
     for name, symbol, value in (
         ("gain", "K/J", fit.gain),
@@ -225,8 +226,8 @@ def _judged(fit: MotorFit) -> MotorFit:
         ("coulomb_voltage", "Coulomb friction", fit.coulomb_voltage),
     ):
         error = fit.standard_errors[name]
-        # A gain of zero or below is impossible however badly it is known: nothing can
-        # be commanded with it.
+        # A gain of zero or below is impossible, whatever its uncertainty: nothing can
+        # be controlled with it.
         if value < -_SIGN * error or (name == "gain" and value <= 0):
             raise LogError(
                 name,
@@ -237,7 +238,7 @@ def _judged(fit: MotorFit) -> MotorFit:
             )
     findings = []
     if fit.inertia is not None and "inertia" in fit.standard_errors:
-        # What is fitted is 1/J, whose error is that of J over its square.
+        # The fit determines 1/J, whose error is that of J divided by its square.
         error = fit.standard_errors["inertia"] / fit.inertia**2
         if 1 / fit.inertia < -_SIGN * error:
             raise LogError(
@@ -272,8 +273,8 @@ def _judged(fit: MotorFit) -> MotorFit:
 
 
 class _Bumps:
-    """Bumps over stretches where the motor moves one way, and their integrals with what
-    is known.
+    """Bumps over stretches in which the motor moves in one direction, and their
+    integrals with the known signals.
     """
 
     def __init__(
@@ -288,28 +289,29 @@ class _Bumps:
         self.period, self.half, self.spring = period, half, spring
         width = half * period
         x = np.arange(-half, half + 1) / half
-        # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, as φ and its slope vanish at
-        # both ends. The angle itself is never differentiated: an encoder's steps twice
-        # differentiated are all noise.
+        # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, since φ and its slope vanish
+        # at both ends. The angle itself is never differentiated: the second difference
+        # of an encoder's steps is noise only.
         first, second = _BUMP.deriv(1)(x) / width, _BUMP.deriv(2)(x) / width**2
-        # As a sum over samples the second one neither vanishes on a constant (2e-4 at
-        # 31 samples: 8 % of an angle in rad, from wherever the encoder counts, would
-        # pass for an acceleration in rad/s²) nor gives a parabola its own (1.4e-4 too
-        # much, several standard errors of the gain). Both are set right here.
+        # As a sum over samples the second derivative neither vanishes for a constant
+        # (2e-4 at 31 samples: 8 % of an angle in rad, whatever the zero of the encoder,
+        # would count as an acceleration in rad/s²) nor is exact for a parabola (1.4e-4
+        # too large, several standard errors of the gain). Both are corrected here.
         second -= second.mean()
         second *= np.sum(_BUMP(x)) / (0.5 * second @ (x * width) ** 2)
         slope = -np.correlate(angle, first, "valid") * period  # ∫ φ θ'
         mean = slope / (np.sum(_BUMP(x)) * period)
-        for start in starts:  # a velocity of zero is one that no bump may touch
+        # a velocity of zero marks samples that no bump may include
+        for start in starts:
             mean[max(start - 2 * half, 0) : start] = 0.0
         wide = np.lib.stride_tricks.sliding_window_view(mean, 2 * half + 1)
-        # A share of the fastest motion: nearer to rest friction takes any value up to
-        # Γc.
+        # A fraction of the fastest motion: closer to rest, friction takes any value up
+        # to Γc.
         least = 0.03 * float(np.max(np.abs(mean)))
         steady = (np.min(wide, axis=1) > least) | (np.max(wide, axis=1) < -least)
-        # A bump at k touches velocities half a bump to each side: all of them must have
-        # one sign. Eight to a bump's length: more of them are nearly the same equation
-        # again, fewer leave information out.
+        # A bump at k includes velocities half a bump to each side, which must all have
+        # the same sign. Eight bumps per length of a bump: more give nearly the same
+        # equations, fewer lose information.
         self.places = (np.flatnonzero(steady) + half)[:: max(1, half // 4)]
         self.centres = self.places + half
         self.sign = np.sign(mean[self.places])
@@ -326,7 +328,7 @@ class _Bumps:
         """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
         width = self.half * self.period
         # A held voltage is a staircase: its integral with the bump is a sum of
-        # differences of the antiderivative, for delays between samples, too.
+        # differences of the antiderivative, also for delays of a fraction of a sample.
         integral = _BUMP.integ()
         reach = self.half + 1
         shift = delay / self.period
@@ -334,8 +336,8 @@ class _Bumps:
         edges = np.arange(-reach, reach + 2) + (shift - whole)
         inside = np.clip(edges * self.period / width, -1, 1)
         weights = np.diff(integral(inside)) * width
-        # Before the log and after it the voltage is taken to stay: bumps near the ends
-        # reach there.
+        # Before and after the log the voltage is assumed constant, since bumps near the
+        # ends extend there.
         padded = np.concatenate(
             [
                 np.full(reach + abs(whole) + 1, u[0]),
@@ -344,8 +346,8 @@ class _Bumps:
             ]
         )
         products = np.correlate(padded, weights, "valid")
-        # products[k] belongs to the sample k − (abs(whole) + 1) of u as the bump's
-        # centre, moved by `whole`.
+        # products[k] has the sample k − (abs(whole) + 1) of u, shifted by `whole`, at
+        # the centre of its bump.
         return np.asarray(
             products[self.centres + abs(whole) + 1 - whole], dtype=np.float64
         )
@@ -372,11 +374,14 @@ class _Bumps:
 def _search(
     bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
 ) -> tuple[float, float]:
-    """Delay and dead zone of the least cost: on a grid, then downhill from its best."""
-    # Up to eight samples: computation, filter and a bus; half a sample, as the cost
-    # bends at every whole one.
+    """Delay and dead zone with the least cost: on a grid, then by descent from its best
+    point.
+    """
+    # Up to eight samples for computation, filter and bus; in steps of half a sample,
+    # because the cost has a kink at every whole one.
     delays = np.arange(0, 8.01, 0.5) * period if delay is None else np.array([delay])
-    # Half of the usual voltage: a dead zone beyond would have left the motor at rest.
+    # Half of the usual voltage: with a larger dead zone the motor would have stayed at
+    # rest.
     top = 0.5 * float(np.median(np.abs(u[u != 0]))) if np.any(u) else 0.0
     zones = np.linspace(0, top, 9) if dead_zone is None else np.array([dead_zone])
     steps = np.array([0.5 * period, top / 8 or 1.0])
@@ -387,8 +392,8 @@ def _search(
     grid = np.array([[d, z] for d in delays for z in zones]) / steps
     best = grid[np.argmin([cost(place) for place in grid])]
     free = np.array([delays.size > 1, zones.size > 1])
-    # The bounds are the neighbours on the grid; the edges (no delay, no dead zone) are
-    # places, too.
+    # The bounds are the neighbours on the grid; its edges (no delay, no dead zone) are
+    # included.
     bounds = np.stack([np.where(best > 0, best - free, best), best + free], axis=1)
     found = minimize(
         cost,
@@ -411,16 +416,15 @@ def _result(
     matrix = bumps.matrix(u, delay, zone)
     values = np.linalg.lstsq(matrix, bumps.acceleration, rcond=None)[0]
     error = bumps.acceleration - matrix @ values
-    # A motor without friction in its log makes a column small, not wrong: the
-    # pseudo-inverse says so in its error.
+    # A motor without friction in its log makes a column small, not wrong; with the
+    # pseudo-inverse this shows in its error.
     inverse = np.linalg.pinv(matrix.T @ matrix)
-    meat = long_run_covariance(
-        (matrix * error[:, None]).T, min(16, error.size // 4)
-    )  # bumps overlap eightfold
+    # the bumps overlap eightfold
+    meat = long_run_covariance((matrix * error[:, None]).T, min(16, error.size // 4))
     covariance = inverse @ meat @ inverse
     gain, decay, coulomb = (float(v) for v in values[:3])
-    # Γc/K is a quotient of two estimates that depend on each other: the gradient takes
-    # their covariance along.
+    # Γc/K is a quotient of two correlated estimates; the gradient accounts for their
+    # covariance.
     by_gain = np.array([-coulomb / gain**2, 0.0, 1 / gain])
     errors = {
         "gain": math.sqrt(max(covariance[0, 0], 0)),
@@ -430,8 +434,7 @@ def _result(
         ),
     }
     if bumps.load is not None:
-        # Column 1/J: the error of a reciprocal is its square times that of what was
-        # found.
+        # Column 1/J: the error of the reciprocal is its square times the error of 1/J.
         inertia = 1 / float(values[3])
         errors["inertia"] = math.sqrt(max(covariance[3, 3], 0)) * inertia**2
     if bumps.spring:
@@ -454,7 +457,7 @@ def _result(
 def _channels(
     voltage: ArrayLike, motor_angle: ArrayLike, torque: ArrayLike | None
 ) -> tuple[Reals, Reals, Reals | None]:
-    """The channels as columns of one length that move; LogError otherwise."""
+    """The channels as moving columns of equal length; LogError otherwise."""
     given = {"voltage": voltage, "motor_angle": motor_angle}
     if torque is not None:
         given["torque"] = torque

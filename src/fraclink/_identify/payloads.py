@@ -1,4 +1,6 @@
-"""Identify several payloads together: what is common to them, and may it be?"""
+"""Joint identification of several payloads, and the test whether their common
+parameters may be common.
+"""
 
 from __future__ import annotations
 
@@ -51,8 +53,8 @@ class LikelihoodRatio:
     @property
     def common(self) -> bool:
         """Whether the logs let the parameters be common (p ≥ 0.05)."""
-        # Of logs whose parameters are common one in twenty is refused: the usual error
-        # of the first kind.
+        # Of logs with truly common parameters one in twenty is rejected: the usual
+        # error of the first kind.
         return self.p_value >= 0.05
 
 
@@ -201,16 +203,15 @@ def identify_payloads(
     _check(logs, tied)
     fixed = {} if delay is None else {"delay": delay}
     searches = [
-        # Nothing is held out: the likelihood ratio compares the fits over the same
-        # samples.
+        # Nothing is held out: the likelihood ratio compares fits over the same samples.
         make_search(
             log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
         )
         for log in logs
     ]
     structure = _supported(searches) if structure is None else structure
-    # ω₀ is each payload's own, or tied by eq. (5): what may be common is the link's
-    # material.
+    # ω₀ is separate for each payload, or given by eq. (5): the common parameters are
+    # those of the link's material.
     own = tuple(
         name for name in structure_row(structure).free if name != "natural_frequency"
     )
@@ -224,8 +225,8 @@ def identify_payloads(
             for name in common
         )
     )
-    # The fits of each log for itself are the start of the joint one, its weights, and
-    # what the test compares with.
+    # The separate fits of the logs give the start and the weights of the joint fit, and
+    # the reference of the test.
     alone = [search.solve(structure) for search in searches]
     weights = [
         weight_of(search, solution)
@@ -243,8 +244,8 @@ def identify_payloads(
 
 
 def _supported(searches: Sequence[Search]) -> str:
-    """The structure that all logs together support: their log-likelihoods add up, and
-    so do the criteria.
+    """The structure supported by all logs together: their log-likelihoods, and thus the
+    criteria, are added.
     """
     found = [criteria_of(search)[0] for search in searches]
     total = {
@@ -294,7 +295,8 @@ def _result(
     models, gains, offsets, delays, predicted = (
         tuple(column) for column in zip(*rows, strict=True)
     )
-    # Over all samples and unweighted: figures that a user can compare from log to log.
+    # Over all samples and unweighted, so that a user can compare the figures of
+    # different logs.
     mse = tuple(
         float(np.mean((log.output - p) ** 2))
         for log, p in zip(logs, predicted, strict=True)
@@ -341,12 +343,13 @@ def _of_one(
     raw = columns_of(search.kernel, shape)[0]
     gain = search.gain
     if math.isnan(gain):
-        # Gain and offset are straight in the prediction: regression gives both.
+        # Gain and offset are linear in the prediction: regression gives both.
         gain = float(np.cov(raw, log.output, bias=True)[0, 1] / np.var(raw))
     offset = float(np.mean(log.output - gain * raw))
     model = model_of(shape, max(abs(gain), 1e-12), log.payload)
     if "damping" in coordinates.names and model.damping > 0:
-        # The way through each log's own resonance rounds: the last digits would differ.
+        # Converting via the resonance of each log rounds, and the last digits would
+        # differ.
         model = replace(model, damping=math.exp(theta[coordinates.index("damping", i)]))
     delay = float(shape[4])
     return replace(model, gauge_delay=delay), gain, offset, delay, gain * raw + offset
@@ -355,8 +358,8 @@ def _of_one(
 def _errors(
     coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]
 ) -> dict[str, float]:
-    # Two that only act together make the matrix singular: the pseudo-inverse gives what
-    # is determined.
+    # Two parameters that only act together make the matrix singular: the pseudo-inverse
+    # gives the determined combination.
     covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0))
     result: dict[str, float] = {}
@@ -385,15 +388,16 @@ def _test(
         logs, joint.weights, mse, alone_mse, strict=True
     ):
         if own > 0:  # weight · own is 1/k
-            # A residual with colour has fewer independent samples than it has samples:
-            # k divides their number.
+            # A coloured residual has fewer independent samples than samples: k divides
+            # their number.
             statistic += (
                 log.output.size * weight * own * math.log(max(together / own, 1.0))
             )
     coordinates = joint.coordinates
-    # As many as the joint fit has parameters less.
+    # The difference in the number of parameters between the separate fits and the joint
+    # fit.
     degrees = coordinates.logs * len(coordinates.names) - coordinates.size
-    # The upper tail of χ², whose small values keep their digits: 1 − P would round to
+    # The upper tail of χ², which keeps the digits of small values: 1 − P would round to
     # zero below 1e-16.
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
     return LikelihoodRatio(statistic, degrees, p_value)
@@ -407,7 +411,7 @@ def _verdict(
     shared = [_SYMBOLS[name] for name in common]
     if coordinates.payloads is not None:
         shared.append("the stiffness of eq. (5)")
-    # Below 1e-9 a normal distribution's tail says nothing of a real log.
+    # Below 1e-9 the tail of a normal distribution means nothing for a real log.
     chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
     may = "may" if test.common else "cannot"
     return f"{' and '.join(shared)} {may} be common to these {coordinates.logs} logs ({chance})."

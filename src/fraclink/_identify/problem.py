@@ -1,15 +1,13 @@
-"""The engine of every fit: what a problem is, its descent, and the ends of its
-intervals.
+"""The engine of all fits: the problem, its descent, and the ends of its intervals.
 
-A problem says, for M candidates at once, what a candidate costs and how the cost
-changes around it,
+A problem gives, for M candidates at once, the cost of each and its change around it,
 
     cost(x + d) = cost − 2 slopeᵀ d + dᵀ normal d,
 
 with gain and offset projected out (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)
-413): a start needs no value of theirs, and a step cannot trade one for the other. Where
-the numbers come from (a Gram matrix of the compiled kernel, a Laplace transform, exact
-responses) is the problem's own affair.
+413): a start needs no values for them, and a step cannot trade one for the other. Each
+problem computes these numbers in its own way (a Gram matrix of the compiled kernel, a
+Laplace transform, exact responses).
 """
 
 from __future__ import annotations
@@ -39,14 +37,14 @@ __all__ = [
 Reals = NDArray[np.float64]
 Bits = NDArray[np.bool_]
 
-QUANTILE = 1.959963984540054  # of the normal distribution at 97.5 %
-# Of a normal matrix with ones on its diagonal, a sum of products of doubles: a
-# direction that is seen less is rounding.
+QUANTILE = 1.959963984540054  # 97.5 % quantile of the normal distribution
+# Smallest eigenvalue of a normal matrix scaled to ones on its diagonal: since its
+# entries are sums of products of doubles, a weaker direction is rounding.
 _UNSEEN = 1e-10
-# Down by ten and up by eight, so that no damping that failed is tried again.
+# Factors down by ten and up by eight, so that no damping that failed is tried again.
 _FASTER, _SLOWER = 0.1, 8.0
-_STUCK = 1e9  # damping at which a step is none
-PERFECT = 1e-16  # of the power: a cost below is rounding
+_STUCK = 1e9  # damping at which a step is negligible
+PERFECT = 1e-16  # share of the power: a cost below it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +120,7 @@ def reduced(
     free_offset, known_gain = math.isnan(offset), gain[0] == gain[1]
     count = gram[:, 2, 2]
     with np.errstate(all="ignore"):
-        # Everything about its mean where the offset is free.
+        # All signals relative to their means if the offset is free.
         inner = gram
         if free_offset:
             mean = gram[:, 2] / count[:, None]
@@ -201,7 +199,7 @@ def descend(
     at = problem.quadratic(places)
     costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
     evaluations, damping = len(places), np.full(len(places), 1e-3)
-    # A start without a response has no slope to leave it by.
+    # A start without a response has no slope along which to leave it.
     moving, settled = np.isfinite(costs), np.zeros(len(places), dtype=bool)
     for _ in range(iterations):
         own = np.flatnonzero(moving)
@@ -221,7 +219,7 @@ def descend(
         at = problem.quadratic(trial)
         evaluations += own.size
         better = at.cost < costs[own]
-        # At its end a descent goes on while that costs one candidate a step.
+        # At its end a descent continues as long as that costs one candidate per step.
         moving[own] = np.where(
             better, gain > 0.01 * least, ~settled[own] & (damping[own] < _STUCK)
         )
@@ -248,7 +246,7 @@ def descend_within_samples(
     low, high = (np.tile(x, (whole.size, 1)) for x in (problem.low, problem.high))
     low[:, k] = np.maximum((whole - 1 + 1e-6) * period, low[:, k])
     high[:, k] = np.minimum(whole * period, high[:, k])
-    # A delay of none has one place only, where the others are fitted.
+    # A fixed zero delay leaves a single value, while the others are fitted.
     inside = low[:, k] <= high[:, k]
     # From the sample itself, where the cost is smooth from below.
     rows = np.where(np.arange(place.size) == k, high, place)
@@ -259,25 +257,26 @@ def descend_within_samples(
 def _damped_steps(
     normal: Reals, slope: Reals, damping: Reals, held: Bits
 ) -> tuple[Reals, Reals]:
-    """Damped steps (M, p) and what undamped ones would gain (M,).
+    """Damped steps (M, p) and the gain of undamped ones (M,).
 
-    A coordinate that a limit stops is held, or it would bend the others' step. In units
-    of each coordinate's own curvature (Marquardt) a step does not depend on the
-    parameters' units, and in the axes of the valley one decomposition serves damped and
-    undamped steps.
+    A coordinate stopped by a limit is held, since it would distort the step of the
+    others. In units of each coordinate's own curvature (Marquardt) a step does not
+    depend on the units of the parameters, and in the axes of the valley one
+    decomposition serves damped and undamped steps.
     """
     values, vectors, size = _axes(normal, held)
     along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
     seen = values > _UNSEEN
     gain = np.where(seen, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
-    # Along what is not seen any step is as good, and rounding would choose it.
+    # Along an undetermined direction any step is equally good, and rounding would
+    # choose it.
     step = np.where(seen, along / (values + damping[:, None]), 0.0)
     return np.einsum("mpk,mk->mp", vectors, step) / size, gain
 
 
 def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
-    """Eigenvalues, eigenvectors and column sizes of normal matrices scaled to ones on
-    their diagonals, without the coordinates that are held.
+    """Eigenvalues, eigenvectors and column scales of normal matrices scaled to ones on
+    their diagonals, without the held coordinates.
     """
     square = np.einsum("mpp->mp", normal)
     size = np.sqrt(np.where((square > 0) & np.isfinite(square), square, 1.0))
@@ -332,11 +331,11 @@ Parameters = Callable[
     [Reals], tuple[Reals, Reals]
 ]  # (M, p) -> values (M, q), gradients (M, q, p)
 
-# Ends that a limit does not stop are met in 4 to 13; the others slide along a cost that
-# has no end.
+# Ends that no limit stops are found in 4 to 13 iterations; the others move along a cost
+# without an end.
 _TURNS = 30
-_MET = 2e-3  # of the quantile: 0.01 % of the coverage
-_FAR = 1.5  # times the quantile: there the quadratic model is left
+_MET = 2e-3  # relative to the quantile: 0.01 % of the coverage
+_FAR = 1.5  # multiple of the quantile, beyond which the quadratic model fails
 
 
 def interval_ends(
@@ -361,7 +360,7 @@ def interval_ends(
     places = np.repeat(best[None, :], 2 * count, axis=0)
     before, steps, values = places.copy(), np.zeros(places.shape), centre.copy()
     active, blocked = np.ones(2 * count, dtype=bool), np.zeros(2 * count, dtype=bool)
-    share = np.ones(2 * count)  # of the quadratic model's step
+    share = np.ones(2 * count)  # share of the step of the quadratic model
     for _ in range(_TURNS):
         own = np.flatnonzero(active)
         if not own.size:
@@ -370,7 +369,7 @@ def interval_ends(
         value, gradient = (
             x[np.arange(own.size), rows[own]] for x in parameters(places[own])
         )
-        # The root of the log-likelihood is nearly straight in a parameter.
+        # The root of the log-likelihood is nearly linear in a parameter.
         with np.errstate(all="ignore"):
             root = np.sqrt(np.log(np.maximum(at.cost / least, 1.0)) / height[own])
         far = ~(root < _FAR)
@@ -378,7 +377,7 @@ def interval_ends(
         values[own] = np.where(far, values[own], value)
         done = still & ((np.abs(root - 1.0) < _MET) | (blocked[own] & (root < 1.0)))
         active[own] = ~done
-        # Beyond the reach of the quadratic model: back, and less far.
+        # Beyond the range of the quadratic model: go back, and take a shorter step.
         share[own] = np.where(far, 0.3 * share[own], np.minimum(2.0 * share[own], 1.0))
         step, stopped = _outward(
             problem, at, gradient, sign[own], least * np.exp(height[own]), places[own]
@@ -409,14 +408,14 @@ def _outward(
     target: Reals,
     places: Reals,
 ) -> tuple[Reals, Bits]:
-    """The steps to the extreme value of a parameter on the target's surface, with all
-    others at their best, and where limits stop the parameter.
+    """The steps to the extreme value of a parameter on the target surface, with all
+    others optimal, and flags where limits stop the parameter.
     """
     held = np.zeros(places.shape, dtype=bool)
-    # Twice: a coordinate that a limit stops is held, and the others go without it.
+    # Twice: a coordinate stopped by a limit is held in the second pass.
     for _ in range(2):
         values, vectors, size = _axes(at.normal, held)
-        # An undetermined direction would take any step.
+        # Along an undetermined direction any step would do.
         inverse = np.einsum(
             "mpk,mk,mqk->mpq", vectors, 1.0 / np.maximum(values, _UNSEEN), vectors
         ) / (size[:, :, None] * size[:, None, :])
@@ -424,7 +423,7 @@ def _outward(
         down, along = (np.einsum("mpq,mq->mp", inverse, x) for x in (slope, g))
         across = np.einsum("mp,mp->m", along, g)
         room = np.maximum(target - at.cost + np.einsum("mp,mp->m", down, slope), 0.0)
-        # A candidate without a response has no model: its step is none.
+        # A candidate without a response has no model, and no step.
         with np.errstate(all="ignore"):
             reach = np.where(across > 0, sign * np.sqrt(room / across), 0.0)
             step = np.where(held, 0.0, down + reach[:, None] * along)

@@ -1,6 +1,4 @@
-"""What a residual holds: its spectrum, tests of whiteness, and the second vibration
-mode.
-"""
+"""Analysis of residuals: spectrum, tests of whiteness, and the second vibration mode."""
 
 from __future__ import annotations
 
@@ -19,15 +17,16 @@ from fraclink._identify.shape import Vector, Window, columns_of, mask_of
 
 Matrix = NDArray[np.float64]
 
-_LAGS = 25  # of the portmanteau tests
-# order of the residual's autoregression: a few resonances, mains hum and slow drift
-# together
+_LAGS = 25  # lags of the portmanteau tests
+# Order of the residual's autoregression: a few resonances, mains hum and slow drift
+# together.
 _AR_MOST = 30
-# Of giving back to the noise what the fit took out of it. One leaves a third of the
-# error under AR(1) noise with ρ = 0.97; ten find no other intervals, but on short logs
-# some that run away to ρ = 1.
+# Rounds of correction for the noise that the fit removed. One round leaves a third of
+# the error under AR(1) noise with ρ = 0.97; ten give the same intervals, except on some
+# short logs, where they diverge to ρ = 1.
 _ROUNDS = 3
-_LEAST_FREEDOM = 4.0  # degrees, with a quantile of Student's of 2.8
+# degrees of freedom, with a quantile of Student's distribution of 2.8
+_LEAST_FREEDOM = 4.0
 
 
 def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
@@ -51,7 +50,8 @@ def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
     a sum over lags.
     """
     count = scores.shape[1]
-    # Padded beyond the lags that count: the transform's convolution is circular.
+    # Padded beyond the lags that are used, because the convolution of the transform is
+    # circular.
     size = next_fast_len(count + lags + 1, real=True)
     spectrum = rfft(scores, size, axis=1)
     half = np.pi * np.arange(1, spectrum.shape[1]) / size
@@ -68,8 +68,8 @@ def mean_with_error(series: Vector) -> tuple[float, float]:
     """Mean of a series and its standard error, colour allowed for."""
     mean = float(series.mean())
     centred = series - mean
-    # Five correlation times hold e^-5 of the colour; a fifth of the series is what its
-    # own covariance can bear.
+    # Five correlation times contain the colour up to e^-5; more than a fifth of the
+    # series would make its covariance too noisy.
     lags = min(max(5 * correlation_lag(centred), 10), series.size // 5)
     power = float(long_run_covariance(centred[None, :], lags)[0, 0])
     return mean, math.sqrt(max(power, 0.0)) / series.size
@@ -87,8 +87,8 @@ def autoregression(series: Vector) -> tuple[Vector, float]:
 
 def _levinson(gamma: Vector) -> tuple[Vector, float]:
     """The autoregression of autocovariances at lags 0..n−1 of n samples."""
-    # Ten samples a coefficient at least: a longer autoregression describes the noise
-    # that there is.
+    # At least ten samples per coefficient: a longer autoregression fits the particular
+    # noise.
     most = min(_AR_MOST, gamma.size // 10)
     best, coefficients, variance = (
         (math.inf, np.ones(1), float(gamma[0])),
@@ -102,12 +102,11 @@ def _levinson(gamma: Vector) -> tuple[Vector, float]:
             order == most or variance <= 1e-12 * gamma[0]
         ):  # the series is predicted exactly
             break
-        # Levinson: the last coefficient of the next order, from what the present one
-        # leaves correlated at that lag.
+        # Levinson: the last coefficient of the next order, from the correlation left by
+        # the present one at that lag.
         reflection = -float(coefficients @ gamma[order + 1 : 0 : -1]) / variance
-        if (
-            abs(reflection) >= 1.0
-        ):  # corrected autocovariances, see `noise_behind`, need not be definite
+        # corrected autocovariances, see `noise_behind`, need not be definite
+        if abs(reflection) >= 1.0:
             break
         longer = np.append(coefficients, 0.0)
         coefficients = longer + reflection * longer[::-1]
@@ -121,8 +120,8 @@ def _power(coefficients: Vector, variance: float, size: int) -> Vector:
 
 
 def _memory(count: int) -> int:
-    """Length of the circle on which an autoregression's memory is taken: noise that
-    rings for longer than the record goes round it.
+    """Length of the circle used for the memory of an autoregression: noise that rings
+    for longer than the record wraps around.
     """
     return 1 << (2 * count - 1).bit_length()
 
@@ -153,10 +152,10 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
     for _ in range(_ROUNDS):
         again = _levinson(found + _taken(basis, spectra, model, size))
         model = irfft(_power(*again, memory), memory)
-        # What has no four independent samples in a log is a drift or a misfit, not
-        # noise: its strength is not to be had from a spectrum, and the correction runs
-        # away with it. A ring-down of 8 s without noise, met to 0.004 %, had its
-        # frequency "not determined" by what rounding left.
+        # Noise without four independent samples in a log is a drift or a misfit: its
+        # strength cannot be estimated from a spectrum, and the correction diverges. For
+        # a ring-down of 8 s without noise, fitted to 0.004 %, the frequency was "not
+        # determined" because of rounding.
         if _freedom(model[:count]) < _LEAST_FREEDOM:
             break
         (coefficients, variance), freedom = again, _freedom(model[:count])
@@ -166,13 +165,13 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
 def _taken(
     basis: Matrix, spectra: NDArray[np.complex128], model: Vector, size: int
 ) -> Vector:
-    """What a fit takes from the sample autocovariances of noise with those of `model`;
-    basis: shape (p, n), its transforms of `size`.
+    """The reduction of sample autocovariances by a fit, for noise with the
+    autocovariances of `model`; basis: shape (p, n), its transforms of `size`.
 
     The lag sums of Γ − (I − P) Γ (I − P), and of the division by n at every lag.
     """
     count = basis.shape[1]
-    # ΓQ, by a circle that holds Γ from end to end.
+    # ΓQ, with a circle long enough for Γ from end to end.
     circle = np.concatenate(
         [model[:count], np.zeros(size - 2 * count + 1), model[count - 1 : 0 : -1]]
     )
@@ -187,7 +186,7 @@ def _taken(
 
 
 def _freedom(model: Vector) -> float:
-    """Degrees of freedom by which the level of noise with these autocovariances (lags
+    """Degrees of freedom with which the level of noise with these autocovariances (lags
     0..n−1) is known.
     """
     together = 2 * float(np.sum(model)) / model[0] - 1 if model[0] > 0 else 1.0
@@ -230,8 +229,7 @@ def correlation_lag(residual: Vector) -> int:
     covariance = autocovariance(residual)
     if covariance[0] <= 0:
         return 1
-    # A quarter of the record: farther out the autocovariance is an average of few
-    # products.
+    # A quarter of the record: at larger lags the autocovariance averages few products.
     large = np.flatnonzero(
         np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0]
     )
@@ -283,8 +281,8 @@ def residual_tests(
         return ResidualTests(1.0, 1.0, period, 1.0)
     lags = min(_LAGS, count // 4)
     rho = autocovariance(centred)[1 : lags + 1] / variance
-    # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² right in some hundred
-    # samples, too.
+    # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² accurate for some
+    # hundred samples as well.
     ljung_box = (
         count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
     )
@@ -299,7 +297,7 @@ def residual_tests(
 
 
 def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
-    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R allows for colour on
+    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R accounts for colour on
     both sides.
     """
     count = residual.size
@@ -317,36 +315,31 @@ def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
         float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d])
         for d in range(lags)
     ]
-    # A periodic motion makes R singular: what it does not excite is left out of the
-    # statistic.
+    # A periodic motion makes R singular: directions that it does not excite are left
+    # out of the statistic.
     solution = lstsq(toeplitz(covariance), r, cond=1e-8)[0]
     return max(float(count * (r @ solution)), 0.0)
 
 
 # --- the second mode ----------------------------------------------------------------------------------------
 
-# A payload on a massive link leaves mode 2 at least 4.4 times (no payload: 6.3 times)
-# above mode 1; between 2.5 and 4 times nothing but a misfit of the first mode would be
-# found.
+# With a payload on a massive link, mode 2 is at least 4.4 times as high as mode 1 (6.3
+# times without payload); between 2.5 and 4 times only a misfit of the first mode would
+# be found.
 _LOWEST = 2.5
-# of the Nyquist frequency: the input between the samples is not known well enough
-# beyond
+# fraction of the Nyquist frequency: beyond it the input between the samples is not
+# known well enough
 _HIGHEST = 0.8
-_STEP, _RATIO = (
-    0.04,
-    0.03,
-)  # of the scan: in ln ω₂, below the half width of a resonance with that ζ
+# steps of the scan: in ln ω₂, below the half width of a resonance with that ζ
+_STEP, _RATIO = (0.04, 0.03)
 _RATIOS = (0.005, 0.02, 0.06)
-_RATIO_LIMITS = (
-    5e-4,
-    0.2,
-)  # more strongly damped, it is friction or a filter rather than a mode
-# Standard deviations of its gain. The scan tries some hundred frequencies, of which
-# noise alone makes the best one 3.5; the spread of a coloured residual is itself known
-# to a third only.
+# a more strongly damped one is friction or a filter rather than a mode
+_RATIO_LIMITS = (5e-4, 0.2)
+# Standard deviations of its gain. The scan tries some hundred frequencies, among which
+# noise alone reaches 3.5; the spread of a coloured residual is itself known to a third
+# only.
 _SIGNIFICANT = 6.0
-# a mode of this static share is one that a design must know: at ζ = 0.02 its peak is
-# 1.25 c
+# A mode with this static share matters for a design: at ζ = 0.02 its peak is 1.25 c.
 _SEEN = 0.05
 
 
@@ -388,8 +381,8 @@ def find_second_mode(
     grid = np.arange(low, high, _STEP)
     costs = kernel.costs(np.array([row(x, _RATIO) for x in grid]), math.nan, math.nan)
     lower, upper = row(low, _RATIO_LIMITS[0]), row(high, _RATIO_LIMITS[1])
-    # Three: the deepest dip on the grid need not be the one that passes the gates
-    # below.
+    # The three deepest minima, since the deepest one on the grid need not pass the
+    # gates below.
     for start in grid[np.argsort(costs)[:3]]:
         starts = np.array([row(start, ratio) for ratio in _RATIOS])
         found = kernel.solve(
@@ -400,15 +393,15 @@ def find_second_mode(
         )
         gain, error = _regressed(residual, response(found))
         share = gain / solution.gain
-        # The second mode bends the link the same way at its base: of opposite sign it
-        # is misfit of the first one.
+        # The second mode bends the link in the same direction at its base; the opposite
+        # sign means a misfit of the first mode.
         certain = not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error
         if certain and _shows_again(window, found, gain, motor_angle, whole):
             return SecondMode(math.exp(found[1]), share, float(found[2])), None
     noise = _noise(residual)
     seen = None
     for log_frequency in grid:
-        # ζ = 0.02: what steel and aluminium arms have; a more damped mode has a lower
+        # ζ = 0.02, typical of steel and aluminium arms; a more damped mode has a lower
         # peak and matters less.
         size = float(np.linalg.norm(response(row(log_frequency, 0.02))))
         if _SIGNIFICANT * noise > _SEEN * abs(solution.gain) * size:
@@ -420,8 +413,8 @@ def find_second_mode(
 def _shows_again(
     window: Window, place: Vector, gain: float, motor_angle: Vector, whole: Vector
 ) -> bool:
-    """Whether the held-out part agrees; three standard errors there, as only one mode
-    is on trial.
+    """Whether the held-out part agrees; three standard errors suffice there, since a
+    single mode is tested.
     """
     if whole.size - window.samples < 100:
         return True
@@ -430,21 +423,21 @@ def _shows_again(
         log.kernel(math.exp(place[1]), longest_delay=abs(place[4])), place
     )[0]
     again, error = _regressed(whole[window.samples :], column[window.samples :])
-    # Within a factor of three: a mode is linear, what friction or backlash leaves
-    # changes with the motion.
+    # Within a factor of three: a mode is linear, while effects of friction or backlash
+    # vary with the motion.
     return again * gain > 0 and abs(again) > 3.0 * error and 1 / 3 < again / gain < 3
 
 
 def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
-    """Coefficient of the response in the residual and its standard error, colour
-    allowed for.
+    """Coefficient of the response in the residual and its standard error, with the
+    colour accounted for.
     """
     power = float(response @ response)
     gain = float(response @ residual) / power
     left = residual - gain * response
     scores: NDArray[np.float64] = (response * left)[None, :]
-    # Five correlation times hold e^-5 of the colour; a fifth of the log is what its own
-    # covariance can bear.
+    # Five correlation times contain the colour up to e^-5; more than a fifth of the log
+    # would make its covariance too noisy.
     lags = min(max(5 * correlation_lag(left), 10), left.size // 5)
     variance = max(
         float(long_run_covariance(scores, lags)[0, 0]),
@@ -454,11 +447,10 @@ def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
 
 
 def _noise(residual: Vector) -> float:
-    """Standard deviation [unit of the output] of the residual as a high frequency meets
-    it.
+    """Standard deviation [unit of the output] of the residual at high frequency.
 
-    Slow misfit does not hide a fast mode: the second difference, scaled to white noise,
-    leaves it out.
+    A slow misfit does not mask a fast mode; the second difference, scaled to white
+    noise, removes it.
     """
-    # 1² + 2² + 1²: what a second difference makes of white noise.
+    # 1² + 2² + 1²: variance of the second difference of white noise.
     return float(np.std(np.diff(residual, 2)) / math.sqrt(6.0))

@@ -1,4 +1,4 @@
-"""The way to the best fit of a structure, with no guess asked: a scan over all
+"""Search for the best fit of a structure without a first guess: a scan over all
 frequencies and delays that the log can show, then Levenberg–Marquardt from its valleys.
 """
 
@@ -30,22 +30,25 @@ from fraclink._identify.shape import (
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 
-# Of the scan: ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
+# The scan uses ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
 # the grid overlap.
 _SCAN_ORDER, _SCAN_STEP = 1.85, 0.2
-_FINE_ORDER = 1.92  # ζ = 0.065, for the places between them
-# Delays of the scan and of the starts, as parts of the vibration's period: a descent
-# creeps over an eighth of a period by itself, and a third of one is all that may be.
+_FINE_ORDER = 1.92  # ζ = 0.065, for the points between them
+# Delays of the scan and of the starts, as fractions of the vibration period: a descent
+# covers an eighth of a period by itself, and the largest delay is a third of one.
 _DELAYS = (0.0, 0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
-_VALLEYS = 2  # of a broad resonance: the lowest need not be that of a narrow one
-_PLACES = 9  # over all frequencies, where a descent ended at a limit
-# ζ, each a third of the one before, for what rings on from before a cut; steps in ln Ω
-# of a fifth of it, as gain and phase at the cut leave a fifth of the resonance's width.
+_VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a narrow one
+_PLACES = 9  # starts over all frequencies, if a descent ended at a limit
+# ζ, each a third of the previous one, for the vibration that continues from before a
+# cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
+# of the resonance's width.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 3
-_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 forgets in 180 periods
-_WORTH = 4.0  # times the least power that is left: no vibration of this log
-_ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
+_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 decays in 180 periods
+# multiple of the smallest remaining power: beyond it there is no such vibration in this
+# log
+_WORTH = 4.0
+_ITERATIONS = 200  # an undamped link on a damped log converges by a third per step
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +121,8 @@ class Search:
 
     @property
     def _range(self) -> tuple[float, float]:
-        """Least and largest ln Ω: a little beyond what the log can show, so that a
-        resonance at its end is no limit.
+        """Smallest and largest ln Ω, slightly beyond what the log can show, so that a
+        resonance at the end is not at a limit.
         """
         low, high = self.window.frequency_limits
         return math.log(low) - 0.5, math.log(high) + 0.3
@@ -132,7 +135,7 @@ class Search:
     def kernel_of(self, window: Window) -> FitProblem:
         """The same kernel for another stretch of the log."""
         lowest = math.exp(self._range[0])
-        # A hair more than a fit may use (`_DELAY_LIMITS`).
+        # Slightly more than a fit may use (`_DELAY_LIMITS`).
         longest = max(0.36 * 2 * math.pi / lowest, abs(self.fixed.get("delay", 0.0)))
         span = self.window.samples * self.window.period
         return window.kernel(lowest, longest_delay=min(longest, span))
@@ -142,8 +145,8 @@ class Search:
     def _links(
         self, places: NDArray[np.float64], order: float, part: float
     ) -> NDArray[np.float64]:
-        """Undamped links (K, 5) at places of ln Ω, each with a part of its period as
-        the delay.
+        """Undamped links (K, 5) at given ln Ω, each with a fraction of its period as
+        delay.
         """
         rows = np.zeros((len(places), 5))
         rows[:, 0], rows[:, 1] = self.fixed.get("order", order), places
@@ -159,8 +162,8 @@ class Search:
 
     @cached_property
     def _scanned(self) -> NDArray[np.float64]:
-        """Undamped links to begin at (K, 5): the valleys of a scan over frequencies and
-        delays, or the guess where it is better, and what rings behind a cut.
+        """Undamped links as starts (K, 5): the valleys of a scan over frequencies and
+        delays, or the guess if it is better, and the vibrations after a cut.
         """
         low, high = self._range
         grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
@@ -168,8 +171,8 @@ class Search:
         valleys = grid[lowest_valleys(costs, _VALLEYS)]
         near = _SCAN_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
         narrow = self._links((valleys[:, None] + near).ravel(), _FINE_ORDER, 0.0)
-        # A delay of a quarter of the vibration turns the torque into a velocity: the
-        # scan without it then finds the right frequency with the wrong phase, or
+        # A delay of a quarter of the vibration period turns the torque into a velocity:
+        # the scan without it then finds the right frequency with the wrong phase, or
         # another frequency.
         late = [self._links(valleys, _SCAN_ORDER, part) for part in _DELAYS[1:]]
         rows = np.concatenate([narrow, *late])
@@ -188,13 +191,13 @@ class Search:
         return np.concatenate(starts)
 
     def _sharp(self) -> list[Shape]:
-        """Places to begin at on a cut log, where a lightly damped link swings by all
-        that went before: the scan's broad resonances have forgotten it by then.
+        """Starts for a cut log, in which a lightly damped link still swings from all
+        earlier motion, while the broad resonances of the scan have decayed.
         """
         low, high = (math.log(x) for x in self.window.frequency_limits)
         delay = self.fixed.get("delay", 0.0)
-        # What such links remember; of a longer history every place would cost
-        # milliseconds.
+        # The samples that such links remember; with a longer history every start would
+        # take milliseconds.
         near = replace(
             self.window, angle=self.window.angle[-(self.window.samples + _REMEMBERED) :]
         )
@@ -211,13 +214,13 @@ class Search:
         return found
 
     def _ringing(self) -> tuple[NDArray[np.float64], float]:
-        """Frequencies (K,) [rad/s] of the vibration behind a cut, and how far they lie
-        apart: those that explain the log with any state of the link at the cut.
+        """Frequencies (K,) [rad/s] of the vibration after a cut and their spacing:
+        those that explain the log with any state of the link at the cut.
         """
         own = self.window
         inside = replace(own, angle=own.angle[-own.samples :])
         low, high = own.frequency_limits
-        # Within the log two vibrations are told apart by half a turn.
+        # Within the log, two vibrations can be separated if they differ by half a turn.
         spacing = math.pi / (2 * own.samples * own.period)
         kernel = inside.kernel(low, longest_delay=0.0)
         time = own.period * np.arange(own.samples)
@@ -257,12 +260,12 @@ class Search:
         if name not in self.solutions:
             found = self._lowest([self._descended(name, x) for x in self._starts(name)])
             if name == FRACTIONAL:
-                # The other structures start from it, and in its valley.
+                # The other structures start from it, in its valley.
                 found = self._lowest([found, *self._from_elsewhere(found)])
             if "delay" not in self.fixed:
                 found = self._between_samples(found)
-            # The best one need not be the last one: what was tried after it was work,
-            # too.
+            # The best one need not be the last one; the work on later attempts counts
+            # as well.
             self.solutions[name] = replace(found, evaluations=self._evaluations)
         return self.solutions[name]
 
@@ -278,15 +281,16 @@ class Search:
         return best
 
     def _from_elsewhere(self, found: Solution) -> Iterator[Solution]:
-        """Descents from other delays, as on a smooth move λ and the delay trade; and
-        from all over the frequencies where a fit ended at a limit of λ, ω₀ or the delay.
+        """Descents from other delays, since λ and the delay compensate each other on a
+        smooth move; and from all frequencies if a fit ended at a limit of λ, ω₀ or the
+        delay.
         """
         name, place = found.structure, found.shape[1:2]
         wave = 2 * math.pi * math.exp(-place[0])
         if "delay" not in self.fixed:
             for part in _DELAYS:
                 row = self._links(place, found.shape[0], part)[0]
-                # Else its descent would end where this one did.
+                # Otherwise its descent would end at the same point.
                 if abs(row[4] - found.shape[4]) > _DELAYS[1] / 2 * wave:
                     yield self._descended(name, row)
         if {0, 1} & {*found.at_bound} or (4 in found.at_bound and found.shape[4] != 0):
@@ -297,8 +301,8 @@ class Search:
     def _descended(
         self, name: str, row: Shape, delays: tuple[float, float] | None = None
     ) -> Solution:
-        """Where the kernel's descent from a row ends, with the delay in a range; of
-        infinite cost where there is no response.
+        """The end of the kernel's descent from a row, with the delay in a range; with
+        infinite cost if there is no response.
         """
         shortest, longest = delays or self._delays(
             row, may_lead=not self.window.is_rough
@@ -308,8 +312,8 @@ class Search:
         # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
         upper = np.array([ORDER_LIMITS[1], high, 0.9, ALPHA_LIMITS[1], longest])
         if "damping_order" in structure(name).free:
-            # As an undamped link with λ near 1 it vibrates far below its poles'
-            # modulus, and hardly at all.
+            # An undamped link with λ near 1 vibrates far below the modulus of its
+            # poles, and hardly at all.
             lower[1], upper[2] = lower[1] - 3.0, 50.0
         free = list(self.free(name))
         start = row.copy()
@@ -340,14 +344,15 @@ class Search:
         )
 
     def _between_samples(self, found: Solution) -> Solution:
-        """The best of a fit and of those from the sampling intervals about its delay.
+        """The best of a fit and of the fits in the sampling intervals about its delay.
 
         A held input jumps, and so does the torque: as a function of the delay the cost
         jumps wherever a sample passes a jump, and is smooth only from a sample
-        (included) back to the one before. A straight line averages the noise of two
-        samples, most of it half-way between them, so that a rough angle rewards every
-        half sample of delay. Within a sample such a gain says nothing on which channel
-        is later: of a rough angle the delay is below zero only beyond that.
+        (included) back to the previous one. Linear interpolation averages the noise of
+        two samples, most effectively half-way between them, so a rough angle favours
+        every half sample of delay. Such a gain within a sample does not show which
+        channel is delayed: for a rough angle a delay is negative only beyond one
+        sample.
         """
         period, name = self.window.period, found.structure
         held, ends = self.window.hold == "zero", [found]
@@ -389,30 +394,30 @@ class Search:
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
     def _starts(self, name: str) -> Iterator[Shape]:
-        """Points to start from; only the undamped fractional link, which fits any
-        ring-down, needs a scan.
+        """Starts; only the undamped fractional link, which fits any ring-down, needs a
+        scan.
         """
         free = set(structure(name).free)
         if name == FRACTIONAL:
             yield from self._scanned
             return
         fractional = self.solve(FRACTIONAL).shape
-        # The pole of s^λ + ω₀² lies at the angle π/λ: its damping ratio is −cos(π/λ).
+        # The pole of s^λ + ω₀² has the argument π/λ: its damping ratio is −cos(π/λ).
         ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
         if "damping_order" in free:
             yield from self._damped(name, fractional, ratio)
         elif "order" in free:
             yield from (self.solve(special).shape for special in special_cases(name))
         elif "damping" in free:
-            # The undamped link of order λ decays as one with ζ = −cos(π/λ): a start
-            # beside the optimum.
+            # The undamped link of order λ decays like one with ζ = −cos(π/λ): a start
+            # close to the optimum.
             yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
         else:
             yield from self._undamped(fractional)
 
     def _undamped(self, near: Shape) -> Iterator[Shape]:
-        # Without damping the phase must fit over the whole log: a dip of the cost every
-        # π/T, each is tried.
+        # Without damping the phase must fit over the whole log: the cost has a minimum
+        # every π/T, and each one is tried.
         spacing = min(
             math.pi / (self.window.samples * self.window.period * math.exp(near[1])),
             0.1,

@@ -1,14 +1,13 @@
-"""The coordinates a fit moves in, how they become a link's parameters, and the log as
-the kernel sees it.
+"""The coordinates of a fit, their conversion to the parameters of a link, and the log
+in the form of the kernel.
 
 A shape is (λ, ln Ω, ζ, α, τ): order of inertia, logarithm of the resonance [rad/s],
 damping ratio there, order of the damping, delay [s]. With S = sin(απ/2), C = cos(απ/2)
 
     μ = 2ζ Ω^(λ−α) / S,    ω₀² = Ω^λ (1 − 2ζ C/S).
 
-In (ω₀, μ, α) a fit of fractional damping runs along a valley, since α, μ and ω₀ shift
-one resonance and one width between three numbers; in (Ω, ζ, α) the valley is the α
-axis.
+In (ω₀, μ, α) a fit of fractional damping moves along a valley, since these three
+numbers describe one resonance and one width; in (Ω, ζ, α) the valley is the α axis.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ Shape = NDArray[np.float64]
 Vector = NDArray[np.float64]
 Hold = Literal["auto", "zero", "first"]
 
-# The coordinate that moves each parameter; a structure's row in fraclink._arm.link says
-# which are free.
+# The coordinate that belongs to each parameter; the row of a structure in
+# fraclink._arm.link states which are free.
 COORDINATE: dict[str, int] = {
     "order": 0,
     "natural_frequency": 1,
@@ -40,25 +39,26 @@ COORDINATE: dict[str, int] = {
     "delay": 4,
 }
 NAMES = ("natural_frequency", "order", "damping", "damping_order", "delay")
-# At λ = 1 the vibration pole lies on the branch cut and there is no vibration left to
+# At λ = 1 the vibration pole lies on the branch cut, and there is no vibration to
 # identify.
 ORDER_LIMITS = (1.01, 2.0)
-# Beyond, s^α is stiffness (0) or inertia (2). The lower limit is that close so that a
-# fractional link with λ = 2 − α lies inside up to λ = 1.9999.
+# Beyond these limits s^α is a stiffness (0) or an inertia (2). The lower limit is so
+# small that a fractional link with λ = 2 − α is included up to λ = 1.9999.
 ALPHA_LIMITS = (1e-4, 1.9)
 
-# Samples before a cut that move the link, or three lengths of the log where that is
-# more. The bound is one of cost, as none of physics is short enough: of a link of ζ =
-# 0.02 cut to its last 2 s of 32 s the delay is 15 ms off if three lengths move it. A
-# fit of 2000 samples takes 1.2 s of CPU behind 50 000 samples and 3.4 s behind 200 000.
+# Samples before a cut that move the link, or three lengths of the log if that is more.
+# The limit is one of cost, since physics gives none that is short enough: for a link of
+# ζ = 0.02 cut to its last 2 s of 32 s, the delay is 15 ms off with a history of three
+# lengths. A fit of 2000 samples takes 1.2 s of CPU time with 50 000 earlier samples and
+# 3.4 s with 200 000.
 HISTORY = 200_000
 
-# The trapezoid rule in ln(rate) errs like exp(−π²/step): 3e-9 at 0.5, enough to find
-# parameters to 1e-8.
+# The error of the trapezoidal rule in ln(rate) is exp(−π²/step): 3e-9 at 0.5,
+# sufficient for parameters to 1e-8.
 _STEP = 0.5
-_DEPTH = 12.2  # rates down to Ω·e^−12.2: what lies below weighs less than 1e-9
-_REACH = 16.0  # rates above 16/Ts are gone within a sample (e^−16)
-_TAIL = 6.0  # and above 16/Ts·e^6 nothing is left of them
+_DEPTH = 12.2  # rates down to Ω·e^−12.2; lower ones weigh less than 1e-9
+_REACH = 16.0  # rates above 16/Ts decay within a sample (e^−16)
+_TAIL = 6.0  # and those above 16/Ts·e^6 are negligible
 _MODES_MAX = 64
 
 
@@ -110,7 +110,7 @@ def link_parameters(shapes: NDArray[np.float64]) -> tuple[Vector, Vector]:
     """
     # At s = jΩ and λ = 2 the denominator s² + μ s^α + ω₀² has the imaginary part μ Ω^α
     # S, where a viscous link has 2ζΩ², and no real part: ω₀² = Ω² − μ Ω^α C. For
-    # another λ it is the same with Ω^λ for Ω².
+    # another λ, Ω^λ takes the place of Ω².
     order, log_resonance, ratio, other, _ = shapes.T
     sine, cosine = np.sin(other * math.pi / 2), np.cos(other * math.pi / 2)
     whole = np.exp(order * log_resonance)
@@ -142,8 +142,8 @@ def model_of(shape: Shape, stiffness: float, payload: float | None) -> LinkModel
     """The link model of a shape."""
     damping, square = damping_and_square(shape)
     order, other = float(shape[0]), float(shape[3])
-    # 1e-9 of the stiffness is below what any double-precision fit resolves: then the
-    # damping is all there is.
+    # 1e-9 of the stiffness is below the resolution of any double-precision fit: then
+    # only damping is left.
     square = (
         0.0 if damping > 0 and square < 1e-9 * math.exp(order * shape[1]) else square
     )
@@ -226,8 +226,8 @@ def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
         np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:])
     )
     calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
-    # A twentieth of the whole range is a jump; an encoder that counts once in a while
-    # rests on both sides, too.
+    # A jump is a twentieth of the whole range; an encoder that counts rarely is also at
+    # rest on both sides.
     jumps = calm & (steps[1:-1] > 0.05 * np.ptp(motor_angle))
     return "zero" if steps[1:-1][jumps].sum() > 0.5 * steps.sum() > 0 else "first"
 
@@ -258,7 +258,7 @@ class Window:
         """Resonances [rad/s] that the log can show: a period and a half in it or in the
         motion known before it, six samples in a period.
         """
-        # What moved before a cut swings on behind it, and shows there how slowly.
+        # Motion from before a cut continues after it, and shows slower resonances.
         return 3 * math.pi / (self.angle.size * self.period), math.pi / (
             3 * self.period
         )
@@ -288,7 +288,7 @@ class Window:
         """
         start = math.log(resonance) - _DEPTH
         modes = math.ceil((math.log(_REACH / self.period) - start) / _STEP)
-        # Sixty rates reach e^30 above the slowest: only a period of twenty million
+        # Sixty rates cover e^30 above the slowest; only a period of twenty million
         # samples would need more.
         modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / _STEP)
         # Two of the kernel's blocks of eight beyond the longest delay, and as much

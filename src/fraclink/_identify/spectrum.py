@@ -13,7 +13,8 @@ from fracsys.checks import Array, Between, Fraction, checked
 
 __all__ = ["frequency_response"]
 
-_EXCITED = 0.05  # of the largest input line: below, a line's ratio is mostly noise
+# fraction of the largest input line, below which the ratio of a line is mostly noise
+_EXCITED = 0.05
 
 Signal = Annotated[NDArray[np.float64], Array(1)]
 
@@ -51,7 +52,7 @@ def frequency_response(
     ([2.0], [0.0625])
     """
     u, y = np.asarray(signal), np.asarray(output)
-    # Sixteen: eight lines, of which one mode takes six.
+    # Sixteen samples give eight lines, of which one mode needs six.
     if u.shape != y.shape or u.size < 16:
         raise LogError(
             "output",
@@ -60,7 +61,7 @@ def frequency_response(
             allowed=">= 16 samples of each",
             remedy="cut both to the same whole periods",
         )
-    # Without the constant: an offset of the gauge is no response to anything.
+    # Without the constant: an offset of the gauge is not a response.
     into, out = np.fft.rfft(u)[1:], np.fft.rfft(y)[1:]
     lines = np.abs(into) >= threshold * np.max(np.abs(into))
     frequency = 2 * np.pi * np.arange(1, into.size + 1) / (u.size * period)

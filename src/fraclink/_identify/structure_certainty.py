@@ -1,6 +1,4 @@
-"""How sure a structure's parameters are, and what a reader of its fit should know:
-findings W35x.
-"""
+"""Uncertainty of the parameters of a structure, and the findings W35x about its fit."""
 
 from __future__ import annotations
 
@@ -34,11 +32,12 @@ __all__ = ["Certainty", "certainty_of", "in_order", "structure_findings"]
 
 Reals = NDArray[np.float64]
 
-_AT_BOUND = 1e-7  # of the range, in the coordinate
-_SHARE = 0.1  # of a direction that the data do not see: parameters that take part in it
-# Relative half-width of an interval of a coefficient, and half-width of an order's,
-# beyond which the data are not said to determine it: a factor of two, and the
-# difference between two structures people would tell apart.
+_AT_BOUND = 1e-7  # share of the range of the coordinate
+# share in an undetermined direction beyond which a parameter belongs to it
+_SHARE = 0.1
+# Relative half-width of the interval of a coefficient, and half-width of that of an
+# order, beyond which the data do not determine it: a factor of two, and the difference
+# between two structures that people would distinguish.
 _COEFFICIENT_MOST = 0.5
 _ORDER_MOST = 0.25
 
@@ -71,7 +70,7 @@ def certainty_of(
     stuck = tuple(
         name for name in every.names if _is_at_bound(every, name, best.values[name])
     )
-    # What is stuck stays there, as the other parameters have it.
+    # A parameter at a limit is held there for the others.
     known = {**every.fixed, **{name: best.values[name] for name in stuck}}
     problem = replace(every, fixed=known)
     free, data = problem.names, problem.data
@@ -86,8 +85,8 @@ def certainty_of(
     wide = white
     perfect = best.cost <= PERFECT * problem.power
     if not perfect:
-        # Colour may also narrow an estimate, but the sandwich is too noisy to be
-        # believed there.
+        # Colour may also reduce the error of an estimate, but the sandwich covariance
+        # is too noisy to be trusted there.
         wide = np.maximum(
             np.diag(
                 sandwich(
@@ -114,8 +113,8 @@ def certainty_of(
         for k, name in enumerate(free)
         if name not in blind
     }
-    # What the standard error says is unknown no profile makes known, and its valley is
-    # long to follow.
+    # A profile cannot determine a parameter that is undetermined by its standard error,
+    # and its valley takes long to follow.
     wanted = [
         k
         for k, name in enumerate(free)
@@ -155,18 +154,19 @@ def certainty_of(
 
 def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
     low, high = problem.box_of(name)
-    # Of the range in the coordinate: of 1e-12 to 1e12 that is a factor of 1 + 5e-6.
+    # Share of the range of the coordinate: for 1e-12 to 1e12 it is a factor of 1 +
+    # 5e-6.
     near, place = _AT_BOUND * (high - low), float(problem.coordinate(name, value))
     return place <= low + near or place >= high - near
 
 
 def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Parameters of the directions in which nothing that was measured changes."""
+    """Parameters in the directions along which the measured output does not change."""
     size = np.sqrt(np.einsum("qr,qr->q", jacobian, jacobian))
     none = {name for name, own in zip(names, size, strict=False) if own == 0.0}
     scaled = jacobian / np.where(size > 0, size, 1.0)[:, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.T)
-    # Differences are right to 1e-6, and squared in the normal matrix.
+    # Differences are accurate to 1e-6, which is squared in the normal matrix.
     unseen = vectors[:, values < 1e-11 * len(values)]
     shared = np.abs(unseen).max(axis=1, initial=0.0) > _SHARE
     return tuple(name for k, name in enumerate(names) if name in none or shared[k])
@@ -175,14 +175,14 @@ def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
 def _is_known(
     problem: StructureProblem, name: str, value: float, interval: Interval
 ) -> bool:
-    """Whether an interval says something: closed, and narrower than what people would
-    call an order apart.
+    """Whether an interval is informative: closed, and narrow enough (see
+    `_COEFFICIENT_MOST`).
     """
     role = problem.structure.roles[name]
     if interval.high_open or (interval.low_open and role != "delay"):
         return False
-    # A delay of zero is the usual answer, and its interval begins at that limit: only
-    # its open end counts against it.
+    # A delay of zero is the usual result, and its interval begins at that limit: only
+    # the upper end has to be closed.
     half = (interval.high - interval.low) / 2
     if role == "order":
         return half <= _ORDER_MOST
@@ -192,7 +192,7 @@ def _is_known(
 def _straight_interval(
     problem: StructureProblem, name: str, centre: float, reach: float, value: float
 ) -> Interval:
-    """The interval of a cost that is a parabola in the coordinate."""
+    """The interval for a cost that is a parabola in the coordinate."""
     low, high = problem.box_of(name)
     below, above = max(centre - reach, low), min(centre + reach, high)
     ends = Interval(below, above, below <= low, above >= high)
@@ -207,7 +207,7 @@ def _in_values(
         float(problem.value(name, end, math.copysign(1.0, value)))
         for end in (ends.low, ends.high)
     )
-    if low > high:  # of a negative coefficient the larger size is the lower end
+    if low > high:  # for a negative coefficient the larger magnitude is the lower end
         return Interval(high, low, ends.high_open, ends.low_open)
     return Interval(low, high, ends.low_open, ends.high_open)
 
@@ -249,19 +249,24 @@ def _exchangeable(
     return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))
 
 
-# of the squared output: half of it in amplitude, as the gate of a frequency response
+# share of the squared output: half of it in amplitude, as for the gate of a frequency
+# response
 _UNEXPLAINED = 0.25
-_CORRELATED = (
-    0.99  # beyond, a parameter is known seven times better where the other one is given
-)
-_WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone leaves
-# Of the squared output: 0.1 % in amplitude, the class of good force transducers; and
-# the part of a residual that may be noise where all else is smooth, as of a simulation:
-# no sensor is that quiet.
+# correlation beyond which a parameter would be known seven times better if the other
+# one were given
+_CORRELATED = 0.99
+# ratio of held-out to fitted error, when both exceed what noise alone leaves
+_WORSE = 4.0
+# Shares of the squared output: 0.1 % in amplitude, the class of good force transducers;
+# and the largest share of noise in a residual that is otherwise smooth, as from a
+# simulation: no sensor is that quiet.
 _RESOLUTION, _SMOOTH = 1e-6, 0.01
-_ALIKE = 0.5  # of the power of what lines leave with their neighbours, of noise 0
+# share of the power of lines that they have in common with their neighbours; 0 for
+# noise
+_ALIKE = 0.5
 _FAR = 700.0  # the largest logarithm of a double
-# a corner may lie outside of the excited band by that factor: its slope reaches in
+# factor by which a corner may lie outside the excited band, since its slope extends
+# into it
 _BEYOND = 3.0
 
 
@@ -358,19 +363,19 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
 
 
 def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
-    """A residual that is no noise: what was measured holds more than the structure."""
+    """A residual that is not noise: the measurement contains more than the structure."""
     if fit.nmse < _RESOLUTION:
         return
     residual = fit.measured - fit.predicted
     if isinstance(data, Lines):
-        # A resonance that is missed moves neighbouring lines alike; noise does not.
+        # A missed resonance shifts neighbouring lines in the same way; noise does not.
         left = residual[: fit.fitted] + 1j * residual[fit.fitted :]
         alike = float(np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real)
         smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
     else:
         rest = residual[: fit.fitted]
-        # The second difference of white noise has √6 times its size; the median leaves
-        # out the samples at which the input jumps, 1.48 times it is the standard
+        # The second difference of white noise has √6 times its size. The median ignores
+        # the samples at which the input jumps; 1.48 times the median is the standard
         # deviation.
         noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(rest, 2))))
         size = float(np.std(rest))
@@ -391,16 +396,16 @@ def _of_rivals(
     rivals: Sequence[Place],
     data: RecordStart | Lines,
 ) -> Iterator[Finding]:
-    """Other parameters that fit as well as the data can tell, and are not the same.
+    """Other parameters that fit equally well within the accuracy of the data.
 
-    An interval follows one valley of the cost; another valley is as good by the same
+    An interval covers one valley of the cost; another valley may be as good by the same
     measure.
     """
     least = fit.nmse
     for rival in rivals:
         ratio = rival.cost / max(_cost(fit, data), 1e-300)
-        # n ln(cost/least) is the likelihood ratio of Gaussian noise, as the intervals
-        # are cut by.
+        # n ln(cost/least) is the likelihood ratio for Gaussian noise, which also
+        # defines the intervals.
         told = data.measured.size * math.log(max(ratio, 1.0))
         apart = [
             name
@@ -408,8 +413,8 @@ def _of_rivals(
             if not interval.contains(rival.values[name])
             and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
         ]
-        # Where the fit is perfect every rival is as perfect: two names for one
-        # function, which are no two answers.
+        # If the fit is perfect, every rival is perfect too: these are two parameter
+        # sets for the same function.
         if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
             values = {name: rival.values[name] for name in apart}
             yield Finding(
@@ -430,7 +435,7 @@ def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
 def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
     low, high = data.band
     G = fit.transfer_function
-    # A term that vanished has no corner; orders that nearly agree put it beyond any
+    # A vanished term has no corner frequency; nearly equal orders move it beyond any
     # number.
     terms = () if fit.at_bound else (G.numerator, G.denominator)
     logs = [corner for part in terms for corner in log_corners(part)]

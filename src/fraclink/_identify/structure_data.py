@@ -1,4 +1,4 @@
-"""What a structure is fitted to: the samples of a recording, blocks of them, or the
+"""The data of a structure's fit: the samples of a recording, blocks of samples, or the
 lines of a frequency response.
 """
 
@@ -26,8 +26,8 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Limits = tuple[float, float]
 
-# As `shape.HISTORY`, and shorter: every candidate is a response to all of it, and a
-# search behind 50 000 samples takes half a second.
+# Like `shape.HISTORY`, but shorter: every candidate is a response to all of it, and a
+# search with 50 000 earlier samples takes half a second.
 _HISTORY = 50_000
 
 
@@ -148,15 +148,16 @@ def _of_many(
     return np.asarray(np.broadcast_to(found, (count, points.size)))
 
 
-# of the transform: a resonance of ζ = 0.05 is met by three of them in a band of three
-# decades
+# points of the transform: in a band of three decades, three of them lie within a
+# resonance of ζ = 0.05
 _POINTS = 160
-_DECAY = 5.0  # e^-5 of what a record does not show is left in its transform
-# σ·span of a transform back: less lets a slow end wrap around, more drowns it in what
-# is lost beyond the lines
+_DECAY = 5.0  # e^-5 of the response beyond the record remains in its transform
+# σ·span of the inverse transform: with less, a slow end wraps around; with more, the
+# response is lost in the truncation beyond the lines
 _BACK = 4.0
-_EXCITED = 1e-3  # of the largest line: below, the input does not excite
-_BLOCKS = 1000  # of a screen: orders, corners and delays show in its lowest 500 lines
+_EXCITED = 1e-3  # fraction of the largest line, below which the input does not excite
+# blocks of a screen: orders, corners and delays show in its lowest 500 lines
+_BLOCKS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +174,7 @@ class RecordStart:
     period: float
     hold: Literal["zero", "first"]
     earlier: Reals = field(default_factory=lambda: np.zeros(0))
-    # Slopes by differences of exact responses: no row is off by what a transform loses.
+    # Slopes from differences of exact responses, free of the errors of a transform.
     exact: bool = False
 
     @classmethod
@@ -188,13 +189,13 @@ class RecordStart:
             np.zeros(0) if earlier is None else np.asarray(earlier, dtype=np.float64)
         )
         kept = last_of(before, own.size, _HISTORY)
-        # Not from where a longer history began: the input would jump from there to
-        # here, as no motor did. The output from here on is another by a constant at
-        # most, and `offset` is that of a rest here.
+        # Not from the beginning of a longer history: the input would jump from there to
+        # here, which no motor did. From here on the output differs at most by a
+        # constant, and `offset` refers to a rest here.
         rest = float(kept[0]) if kept.size else record.input_at_rest
         whole = np.concatenate([kept, own])
-        # A constant input is a step at the first sample, which no neighbour tells from
-        # a straight line.
+        # A constant input is a step at the first sample, which the next samples do not
+        # distinguish from a straight line.
         steps = hold == "auto" and np.ptp(whole) == 0
         return cls(
             own[:count] - rest,
@@ -246,7 +247,7 @@ class RecordStart:
                 exact = time_response(
                     function, self.whole_input, self.period, hold=self.hold
                 ).output
-            # Improper, a delay below zero, a response beyond doubles.
+            # Improper, a negative delay, or a response beyond the range of doubles.
             except (FieldError, NotConvergedError):
                 exact = np.full(self.whole_input.size, np.nan)
             rows.append(exact[self.earlier.size :])
@@ -263,38 +264,38 @@ class RecordStart:
         count, period = self.output.size, self.period
         damping = _DECAY / (count * period)
         damped = np.exp(-damping * period * np.arange(count))
-        # Up to |s| Ts = 1 the line between two samples is the signal to 8 %.
+        # Up to |s| Ts = 1, linear interpolation between samples is accurate to 8 %.
         highest = min(int(count / (2 * math.pi)), count // 2)
-        # Evenly in the logarithm, as orders and corners show there: a linear grid would
-        # spend nine tenths of its lines on the last decade.
+        # Spaced logarithmically, since orders and corners show on that scale; a linear
+        # grid would spend nine tenths of its lines on the last decade.
         spread = np.geomspace(1.0, max(highest, 2), _POINTS).round().astype(int)
         lines = np.unique(np.concatenate([[0], spread]))
         points = damping + 2j * math.pi * lines / (count * period)
-        # From where the cut found it; one that rests behind the cut rings as from a
-        # step there.
+        # Relative to the value at the cut; a record at rest after the cut rings as
+        # after a step there.
         cut = self.earlier.size > 0 and np.ptp(self.input) > 0
         moved = self.input - self.input[0] if cut else self.input
         transforms = [
             np.fft.rfft(damped * values)[lines] for values in (moved, self.output)
         ]
         width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
-        # The real point stands for half a line's width: its other half is the mirror
-        # image at negative ω.
+        # The real point stands for half the width of a line; its other half is the
+        # mirror image at negative ω.
         width[0] = max(width[0] / 2, 0.5)
         into = held_transform(transforms[0], points, period, self.hold, float(moved[0]))
         out = held_transform(
             transforms[1], points, period, "first", float(self.output[0])
         )
         state = np.stack([np.ones_like(points), points]) if self.earlier.size else None
-        # Each point stands for the lines around it: evenly in ln ω, yet counted as the
-        # whole record would count.
+        # Each point represents the lines around it: spaced evenly in ln ω, but counted
+        # like the whole record.
         return Spectrum(points, into, out, np.sqrt(width), 1.0 / points, state)
 
     @property
     def band(self) -> Limits:
         """Lowest and highest frequency [rad/s] at which the input has power."""
-        # Of the differences: a step excites all frequencies alike, and would seem to
-        # excite the lowest alone.
+        # Of the differences: a step excites all frequencies equally, but would appear
+        # to excite only the lowest.
         moved = self.whole_input
         power = np.abs(np.fft.rfft(np.diff(moved, prepend=0.0)))[1:]
         frequency = (
@@ -314,7 +315,7 @@ def held_transform(
     if hold == "zero":
         # expm1: at the lowest lines x is 1e-5, where 1 − e^(−x) would lose five digits.
         return np.asarray(samples * -np.expm1(-x) / s)
-    # The triangle around the first sample is cut in two: nothing comes before it.
+    # The triangle around the first sample is cut in half, because nothing precedes it.
     before = first * (np.expm1(x) - x) / (s * x)
     return np.asarray(samples * period * (np.sinh(x / 2) / (x / 2)) ** 2 - before)
 
@@ -353,13 +354,13 @@ class Blocks:
 
     @cached_property
     def _lines(self) -> tuple[Complexes, Complexes, int]:
-        """Points s, the transform of the held input there, turned to the first block's
-        middle, and the size of the transform back.
+        """Points s, the transform of the held input there, referred to the middle of
+        the first block, and the size of the inverse transform.
         """
         own, moved = self.data, self.data.whole_input
         span, period = moved.size, own.period
-        # Twice the samples: what comes behind the end does not wrap around to the
-        # beginning.
+        # Twice the samples, so that the response beyond the end does not wrap around to
+        # the beginning.
         blocks = int(next_fast_len(-(-2 * span // self.width), real=True))
         size = self.width * blocks
         lines = np.arange(size // 2 + 1)
@@ -370,16 +371,15 @@ class Blocks:
         into = held_transform(
             rfft(damped, size), points, period, own.hold, float(moved[0])
         )
-        # Over the period: that of the output's samples, but for G.
+        # Divided by the period: the transform of the output's samples, except for the
+        # factor G.
         turned = into / period * np.exp(2j * math.pi * self._middle / size * lines)
         kept = slice(blocks // 2)
         return points[kept], np.asarray(turned[kept]), blocks
 
     @property
     def _middle(self) -> float:
-        """Of the first block, in samples: its mean is there, and not at its first
-        sample.
-        """
+        """The middle of the first block, in samples, to which its mean belongs."""
         return self.data.earlier.size + 0.5 * (self.width - 1)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
@@ -387,7 +387,7 @@ class Blocks:
         points, into, blocks = self._lines
         with np.errstate(all="ignore"):
             found = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
-        # The damping that made the transform converge is taken off again.
+        # Undo the damping that made the transform converge.
         times = self._middle + self.width * np.arange(self.measured.size)
         grown = np.exp(_BACK / self.data.whole_input.size * times)
         return np.asarray(

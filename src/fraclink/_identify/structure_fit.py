@@ -1,5 +1,5 @@
-"""The result of a structure's fit: its parameters, how sure they are, and the function
-they make.
+"""The result of a structure's fit: its parameters with their uncertainty, and the
+resulting transfer function.
 """
 
 from __future__ import annotations
@@ -121,15 +121,15 @@ class StructureFit(Saved):
     sha256: str = ""
 
     __made_by__ = "fraclink.identify_structure(data, expression)"
-    # Label and unit of parameters that have others than their name and none.
+    # Label and unit of parameters for which they differ from the name and none.
     _labels: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     def __post_init__(self) -> None:
         for name in ("parameters", "limits", "intervals", "standard_errors"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("place", "measured", "predicted"):
-            # Copies that cannot be written: a fit that is hashed, cached and drawn must
-            # not change behind them.
+            # Read-only copies: a fit that is hashed, cached and drawn must not change
+            # afterwards.
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -138,8 +138,8 @@ class StructureFit(Saved):
         """How well a parameter is known: its 95 % interval, or why it has none."""
         if name in self.fixed:
             return "given"
-        # Before the interval: at a bound the curvature says nothing, and an interval
-        # from it would be an invention.
+        # Before the interval: at a bound the curvature is meaningless, and so is an
+        # interval from it.
         if name in self.at_bound:
             return "at a bound of its range"
         interval = self.intervals.get(name)
@@ -170,7 +170,7 @@ class StructureFit(Saved):
             Row("heldout_nmse", "", self.heldout_nmse),
         )
         values = ", ".join(f"{n} = {number(v)}" for n, v in self.parameters.items())
-        # Of data without noise what is left is rounding, which differs by machine.
+        # For data without noise the residual is rounding, which depends on the machine.
         error, held = (
             None if share is None else quantity(round(share, 12), "%", 2)
             for share in (self.nmse, self.heldout_nmse)

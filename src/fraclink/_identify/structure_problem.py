@@ -26,15 +26,15 @@ Reals = NDArray[np.float64]
 Limits = tuple[float, float]
 Values = Mapping[str, float]
 
-# Below 0.02 a term is a constant over any band that can be measured; above 4 no
-# fractional model of a machine is known, and `bounds` admits one. Coefficients of
-# either sign in any unit: 24 decades, as a range in the logarithm costs nothing.
+# Below 0.02 a term is constant over any band that can be measured; above 4 no
+# fractional model of a machine is known (`bounds` allows more). Coefficients of either
+# sign in any unit: 24 decades, since a wide range of the logarithm costs nothing.
 ORDER_LIMITS = (0.02, 4.0)
 COEFFICIENT_LIMITS = (-1e12, 1e12)
-_LEAST = 1e-12  # size of a coefficient of either sign
-STEP = 1e-6  # of differences: exact responses are known to 1e-12 of their peak
-# Three points s in general position: two functions of one form that agree there agree
-# everywhere.
+_LEAST = 1e-12  # smallest magnitude of a coefficient of either sign
+STEP = 1e-6  # step of differences: exact responses are accurate to 1e-12 of their peak
+# Three points s in general position: two functions of the same form that agree there
+# agree everywhere.
 GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
 
 
@@ -68,8 +68,8 @@ class StructureProblem(Problem):
         once = self.structure.response(values, GENERAL_POINTS)
         for name in self.structure.of_role("coefficient"):
             if name in self.names:
-                # Tried in numbers and not read off the tree: k/(k·s + k) has none,
-                # however its text looks.
+                # Tested numerically instead of on the tree: k/(k·s + k) does not depend
+                # on k, whatever the form of its text.
                 twice = self.structure.response(
                     {**values, name: 2.0 * values[name]}, GENERAL_POINTS
                 )
@@ -126,8 +126,8 @@ class StructureProblem(Problem):
         found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
         for k, name in enumerate(self.names):
             low, high = self.box_of(name)
-            # 0.6, 0.77, 0.94 …: no two alike and no sum of two of them another.
-            # Positive, whatever the signs: a negative base has no real powers.
+            # 0.6, 0.77, 0.94 …: no two are equal, and no sum of two equals another.
+            # Positive in any case, since a negative base has no real powers.
             place = float(np.clip(0.6 + 0.17 * k, low, high))
             found[name] = np.array([[self.value(name, place)]])
         return found
@@ -204,8 +204,8 @@ class StructureProblem(Problem):
         """See `Problem`."""
         columns = self._columns(places)
         found, residual = self._projected(columns)
-        # From the residual itself: through a Gram matrix a perfect fit would lose half
-        # of its digits.
+        # From the residual itself: with a Gram matrix a perfect fit would lose half of
+        # its digits.
         slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
         return replace(found, slope=found.gain[:, None] * np.nan_to_num(slope))
 
@@ -229,7 +229,7 @@ class StructureProblem(Problem):
             base = tangent.response(self.structure, values)
         steps = [self._step(name, values[name]) for name in self.moving]
         slopes = self._differences(values, steps, base)
-        # The other way where the domain ends.
+        # In the other direction where the domain ends.
         if lost := [k for k, each in enumerate(slopes) if not np.isfinite(each).all()]:
             back = self._differences(values, [-step for step in steps], base)
             slopes[lost] = np.where(np.isfinite(slopes), slopes, back)[lost]
@@ -242,10 +242,10 @@ class StructureProblem(Problem):
         return columns
 
     def _step(self, name: str, value: Reals) -> Reals:
-        """Of a difference.
+        """Step of a difference.
 
-        A held input jumps at a sample: up to a delay that ends there the response is
-        smooth, behind it begins another piece. So a delay is made shorter.
+        A held input jumps at a sample: the response is smooth up to a delay that ends
+        there, and another piece begins beyond it. Delays are therefore decreased.
         """
         role = self.structure.roles[name]
         if role == "coefficient":

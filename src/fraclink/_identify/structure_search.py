@@ -1,10 +1,10 @@
 """The best parameters of a structure, without a start value.
 
 1. Orders and delays are drawn over their ranges; coefficients follow by linear least
-   squares where they can, and are drawn besides (see `structure_starts`).
-2. The best draws descend together on the screen: a recording in a thousand blocks, a
-   candidate some microseconds.
-3. The best of these descend on the samples, each candidate by its exact response.
+squares where possible, and are drawn as well (see `structure_starts`). 2. The best
+draws descend together on the screen: a recording in a thousand blocks, a candidate some
+microseconds. 3. The best of these descend on the samples, each candidate by its exact
+response.
 """
 
 from __future__ import annotations
@@ -27,11 +27,10 @@ __all__ = ["Place", "best_places", "place_of"]
 Reals = NDArray[np.float64]
 
 _DESCENTS = 16
-_FIRST_STEPS = 10  # tell a promising descent from a lost one
+_FIRST_STEPS = 10  # enough to tell a promising descent from a lost one
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
-_TRIED = 4  # places that are followed to their end
-# costs closer than that are those of one function, found twice or with its parameters
-# exchanged
+_TRIED = 4  # number of descents followed to their end
+# closer costs belong to the same function, found twice or with its parameters exchanged
 _SAME = 1e-6
 
 
@@ -55,8 +54,8 @@ def best_places(
     screen = replace(problem, data=data.screen)
     costs = screen.costs(places)
     evaluations, kept = len(places), []
-    # Positive coefficients apart: most functions with a negative one are unstable,
-    # which a transform does not see, and would crowd them out.
+    # Positive coefficients separately: most functions with a negative one are unstable,
+    # which a transform does not show, and they would crowd out the others.
     positive = np.all(places[:, len(problem.moving) :] > 0, axis=1)
     for group in (positive, ~positive):
         rows = places[group & np.isfinite(costs)]
@@ -69,11 +68,11 @@ def best_places(
         kept += [*last.places, *first.places[order[_TRIED:]]]
         evaluations += first.evaluations + last.evaluations
     if start is not None:
-        # Beside the others and not in their place: a wrong start costs one descent and
-        # hides nothing.
+        # In addition to the others: a wrong start only costs one descent.
         begin = {name: start.get(name, 1.0) for name in problem.names}
         kept += [*problem.clip(problem.places_of(begin))]
-    # A transform does not know an unstable function from a stable one; its samples do.
+    # A transform does not distinguish unstable functions from stable ones; the samples
+    # do.
     rows = np.reshape(kept, (len(kept), len(problem.low)))
     costs = problem.costs(rows)
     near = np.argsort(costs)[:_TRIED]
@@ -89,7 +88,7 @@ def best_places(
     lowest, *others = _distinct(problem, first)
     ends = [descend(problem, first.places[[lowest]])]
     if isinstance(data, RecordStart):
-        # The last steps by exact slopes: a transform's are off by up to 1 %.
+        # The last steps with exact slopes: those of a transform are up to 1 % off.
         exact = replace(problem, data=replace(data, exact=True))
         ends += [descend(exact, ends[0].places)]
         ends += [
@@ -119,10 +118,10 @@ def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
 
 
 def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
-    """Rows of ends of descents, best first, without repetitions.
+    """Indices of the ends of descents, best first, without repetitions.
 
-    Where one function has several sets of parameters, as (s^a + c s^b + w)/k has after
-    a division by c, the one is taken whose orders fall in the order of the text.
+    If a function has several sets of parameters, like (s^a + c s^b + w)/k after a
+    division by c, the set whose orders decrease in the order of the text is taken.
     """
     roles = problem.structure.roles
     orders = [k for k, name in enumerate(problem.moving) if roles[name] == "order"]

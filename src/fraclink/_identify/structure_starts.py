@@ -1,8 +1,8 @@
-"""Where the search for a structure begins: draws of orders and delays, coefficients by
+"""Starts of the search for a structure: draws of orders and delays, coefficients by
 linear least squares.
 
 Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56: the equation N U = D Y
-is straight in the coefficients, and divided by the last D its error is that of the
+is linear in the coefficients, and divided by the previous D its error is that of the
 output.
 """
 
@@ -24,8 +24,8 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _DRAWS = 180
-_USUAL_ORDERS = (0.1, 2.5)  # of draws: a descent finds the rest of the range by itself
-_ROUNDS = 5  # of Sanathanan and Koerner
+_USUAL_ORDERS = (0.1, 2.5)  # range of the draws: a descent covers the rest by itself
+_ROUNDS = 5  # iterations of Sanathanan and Koerner
 
 
 def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Reals]:
@@ -35,8 +35,8 @@ def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Rea
     are near some of the time under any.
     """
     names, roles = problem.names, problem.structure.roles
-    # Evenly spread and the same in every run: of 60 draws at random some orders would
-    # be found by some seeds only.
+    # Evenly spread and the same in every run: with 60 random draws some orders would be
+    # found with some seeds only.
     starts = {
         name: _drawn(problem, spectrum, name, column)
         for name, column in zip(names, _halton(_DRAWS, len(names)).T, strict=True)
@@ -47,8 +47,8 @@ def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Rea
     least = starts | _least_squares_coefficients(
         problem, spectrum, starts, coefficients
     )
-    # Least squares do not know that a machine is stable: what came out negative is
-    # tried as large with the other sign, too.
+    # Least squares do not enforce stability: a negative result is also tried with the
+    # opposite sign.
     turned = least | {
         name: math.copysign(1.0, problem.limits[name][1]) * np.abs(least[name])
         for name in coefficients
@@ -71,7 +71,7 @@ def _drawn(
     size = np.abs(spectrum.points)
     slowest, fastest = float(size.min()), float(size.max())
     if role == "delay":
-        # Small ones matter most, and none at all is the most usual.
+        # Small delays matter most, and no delay at all is the most usual case.
         longest = min(high, 1.0 / slowest)
         shortest = longest * slowest / fastest
         scaled = longest * (fastest / slowest) ** (uniform - 1.0) - shortest
@@ -79,10 +79,10 @@ def _drawn(
     if name == problem.gain:
         return np.ones(uniform.size)
     if low > 0.0:
-        # Somebody knows where it lies; evenly in the logarithm, as its coordinate is.
+        # A range was given; spaced logarithmically, like the coordinate.
         return np.asarray(low * (high / low) ** uniform)
-    # ω^(−4 … 4) for a frequency of the band: coefficients are powers of one, whatever
-    # the structure.
+    # ω^(−4 … 4) for a frequency of the band: coefficients are powers of a frequency,
+    # whatever the structure.
     frequency = slowest * (fastest / slowest) ** ((uniform * 7.0) % 1.0)
     sign = np.where((uniform * 31.0) % 1.0 < 0.25, -1.0, 1.0) if low < 0.0 else 1.0
     return np.clip(sign * frequency ** (8.0 * uniform - 4.0), low, high)
@@ -97,16 +97,17 @@ def _least_squares_coefficients(
     """Coefficients of every draw by iterated least squares of N U = D Y, shape (M,)
     each.
 
-    In a coefficient that stands alone before its term the equation is straight, and one
-    step from anywhere is its solution; the others' steps are Gauss and Newton's.
+    The equation is linear in a coefficient that stands alone before its term, so one
+    step gives its solution; the steps of the others are Gauss-Newton steps.
     """
     values = {name: np.array([[value]]) for name, value in problem.fixed.items()}
     values |= {name: column[:, None] for name, column in draws.items()}
     columns, divisor = _equation(problem, spectrum, values, names)
     row = np.broadcast_to(spectrum.weight, divisor.shape)
     for _ in range(_ROUNDS):
-        # The first round weighs by one: what Levy did alone, which favours high
-        # frequencies; from the second on the last denominator takes that away.
+        # In the first round all weights are 1, as in Levy's method, which favours high
+        # frequencies; from the second round on, division by the previous denominator
+        # removes this.
         own = [row * column for column in columns]
         if spectrum.of_constant is not None and math.isnan(problem.offset):
             # N U + c D/s − D Y: an offset in the output passes the same denominator.
@@ -155,12 +156,12 @@ def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
     wanted = np.nan_to_num(np.concatenate([right.real, right.imag], axis=1))
     size = np.sqrt(np.einsum("mnk,mnk->mn", real, real))
     size = np.where((size > 0) & np.isfinite(size), size, 1.0)
-    # QR and not the normal matrix: columns of nearly equal orders are nearly parallel,
-    # and its square would lose twice the digits.
+    # QR instead of the normal matrix: columns of nearly equal orders are nearly
+    # parallel, and its condition is squared.
     q, r = np.linalg.qr(np.nan_to_num(real / size[:, :, None]).transpose(0, 2, 1))
     diagonal = np.einsum("mnn->mn", r)
-    # Two columns that are one (orders that were drawn alike): the pivot is held away
-    # from zero, and the start is merely a bad one.
+    # Two equal columns (orders drawn alike): the pivot is kept away from zero, and the
+    # start is merely a bad one.
     small = np.abs(diagonal) < 1e-10
     r[:, range(r.shape[1]), range(r.shape[1])] = np.where(small, 1e-10, diagonal)
     across = np.einsum("mkn,mk->mn", q, wanted)
@@ -168,7 +169,7 @@ def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
 
 
 def _halton(count: int, size: int) -> Reals:
-    """Points that fill the unit cube evenly, the same in every run, shape (count,
+    """Points spread evenly over the unit cube, the same in every run, shape (count,
     size).
     """
     primes = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)

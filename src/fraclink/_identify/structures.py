@@ -39,10 +39,12 @@ Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
 Values = Mapping[str, float]
 Bounds = Mapping[str, tuple[float, float]]
 
-_LEAST_EACH = 5  # measured numbers for each free parameter
-_EVERY = 4  # of a frequency response every fourth line is predicted from the others
-_LONGEST_DELAY = 0.5  # of a record: a later output is hardly seen
-# delay in radians at the highest line: beyond, lines are too far apart to unwrap it
+_LEAST_EACH = 5  # measured numbers per free parameter, at least
+_EVERY = 4  # every fourth line of a frequency response is predicted from the others
+# share of a record: an output with a longer delay is hardly visible
+_LONGEST_DELAY = 0.5
+# delay in radians at the highest line: beyond it the lines are too far apart to unwrap
+# the phase
 _TURNS = 20.0
 
 
@@ -122,7 +124,7 @@ def identify_structure(
     offset = known.pop("offset", math.nan)
     if isinstance(data, FrequencyResponse):
         samples: RecordStart | Lines = _lines_of(data, weighting)
-        # A constant in the output is no line of a response: there is none to fit.
+        # A constant in the output is not a line of a response.
         longest, offset = _TURNS / data.band[1], 0.0
         whole, fitted = samples, data.frequency.size
     else:
@@ -139,14 +141,15 @@ def identify_structure(
     _check_start(problem, start, samples.measured.size)
     places, evaluations = best_places(problem, samples, start)
     best, *rivals = (in_order(problem, place) for place in places)
-    # All on the fitted part; what was held out is predicted once and steers nothing.
+    # Everything on the fitted part; the held-out part is predicted once and influences
+    # nothing.
     certain = certainty_of(problem, best, details=details)
     single = {name: np.array([[value]]) for name, value in best.values.items()}
     predicted = best.offset * whole.constant + whole.response(structure, single)[0]
     power = samples.measured - best.offset * samples.constant
     timed = isinstance(whole, RecordStart)
-    # Real parts first, then imaginary ones, each with the weight of its line: divided
-    # out for the drawing.
+    # Real parts first, then imaginary parts, each with the weight of its line, which is
+    # divided out for plots.
     unweighted = np.tile(whole.weight, 2) if isinstance(whole, Lines) else 1.0
     fit = StructureFit(
         expression=structure.text,
@@ -184,12 +187,12 @@ def _fitted(record: Recording, heldout: float | None) -> int:
     if heldout is not None:
         return total - round(heldout * total)
     if np.ptp(record.input) == 0:
-        return total  # one step: its end says what its beginning cannot
+        return total  # a single step: its end cannot be predicted from its beginning
     return fitted_samples(Experiment(record.period, record.input, record.output))
 
 
 def _check_motion(samples: RecordStart) -> None:
-    # Not the input's range: a step at the first sample never changes and excites
+    # Not the range of the input: a step at the first sample never changes and excites
     # everything.
     for name, still in (
         ("input", not np.any(samples.whole_input)),
@@ -225,7 +228,7 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
         )
     else:
         # A relative weight of such a line would be infinite, and with an absolute one
-        # its phase still means nothing.
+        # its phase is still meaningless.
         if not np.all(np.abs(h) > 0):
             raise FieldError(
                 "response",
@@ -235,15 +238,15 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
                 remedy="leave that line out",
             )
         weight = 1.0 / np.abs(h) if chosen == "relative" else np.ones(h.size)
-    # Scaled to a sum of squares of one: the error is then a share, as the gates and the
-    # search's own limits take it.
+    # Scaled to a sum of squares of 1: the error is then a share, as used by the gates
+    # and limits of the search.
     return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
 
 
 def _check_used(
     data: Any, known: Values, hold: Hold, heldout: float | None, weighting: str | None
 ) -> None:
-    """Raise FieldError for an option that says nothing of these data: it would be
+    """Raise FieldError for an option that does not apply to these data and would be
     ignored.
     """
     swept = isinstance(data, FrequencyResponse)
@@ -270,8 +273,8 @@ def _check_used(
 def _check_names(
     structure: Expression, fixed: Values, bounds: Bounds, start: Values
 ) -> None:
-    # `offset` is the output's constant and in no formula: it may be fixed, and has
-    # neither range nor start.
+    # `offset` is the constant of the output and occurs in no formula: it may be fixed,
+    # but has neither range nor start.
     for field, given in (
         ("fixed", {**fixed}),
         ("bounds", {**bounds}),
@@ -312,8 +315,8 @@ def _problem(
         "coefficient": COEFFICIENT_LIMITS,
     }
     limits = {name: usual[role] for name, role in structure.roles.items()}
-    # Wider than any use, and so narrow that s^order stays a double over six decades of
-    # frequency.
+    # Wider than any use, and narrow enough for s^order to stay a double over six
+    # decades of frequency.
     widest = {"order": 20.0, "delay": 1e6, "coefficient": 1e15}
     for name, pair in bounds.items():
         role = structure.roles[name]
@@ -355,8 +358,8 @@ def _problem(
 def _check_start(
     problem: StructureProblem, start: Values | None, measured: int
 ) -> None:
-    # Five numbers each: a fit of noise then leaves four fifths of its square, which a
-    # gate refuses.
+    # Five numbers each: a fit of noise then leaves four fifths of its sum of squares,
+    # which a gate rejects.
     least = _LEAST_EACH * len(problem.names)
     if measured < least:
         raise FieldError(
@@ -389,12 +392,12 @@ def _heldout(
     count: int,
     predicted: Reals,
 ) -> float | None:
-    """Error over what the parameters have not seen."""
+    """Error over the data not used for the parameters."""
     if isinstance(whole, RecordStart):
         if count == whole.output.size:
             return None
-        # Over (output − offset)², as the fitted part's: a gauge that is off by a volt
-        # explains nothing by being constant.
+        # Relative to (output − offset)² as for the fitted part, so that a constant
+        # error of the gauge explains nothing.
         error, power = (
             whole.output[count:] - predicted[count:],
             whole.output[count:] - best.offset,
@@ -408,18 +411,18 @@ def _heldout(
 
 
 def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float | None:
-    """Error over every fourth line, predicted by a fit to the others that begins at the
+    """Error over every fourth line, predicted by a fit to the others that starts at the
     best parameters.
     """
-    # Every fourth and not the last quarter: a gap in the middle is bridged by a right
-    # model, a missing end is extrapolated by none.
+    # Every fourth line instead of the last quarter: a right model bridges a gap in the
+    # middle, but none extrapolates a missing end.
     held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
     # Real and imaginary part of each line: two numbers.
     if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(problem.names):
         return None
     rest, seen = lines.part(held), lines.part(~held)
-    # From the best parameters: another search could end in another valley, and the
-    # error would be that of the search.
+    # From the best parameters: a new search could end in another valley, and the error
+    # would be that of the search.
     others = dataclasses.replace(problem, data=seen)
     end = descend(others, others.places_of(best.values))
     values = place_of(others, end, 0).values

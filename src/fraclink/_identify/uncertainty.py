@@ -1,4 +1,4 @@
-"""How sure a fit is: covariances under coloured residuals, profile-likelihood
+"""Uncertainty of a fit: covariances under coloured residuals, profile-likelihood
 intervals, criteria.
 """
 
@@ -64,7 +64,7 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     through[len(own) :, size:] = np.eye(linear)
     regressors, residual = problem.linearised()
     inverse, singular = inverted(regressors @ regressors.T)
-    # n − p: the fit has taken p of the residual's degrees of freedom.
+    # n − p: the fit uses p of the residual's degrees of freedom.
     variance = solution.cost / max(residual.size - len(regressors), 1)
     white = variance * through @ inverse @ through.T
     spread, lag, effective = variance * inverse, 1, float(len(regressors))
@@ -105,8 +105,9 @@ def sandwich(
     lag = correlation_lag(residual)
     coefficients, power, freedom = noise_behind(regressors, residual)
     meat = coloured_covariance(regressors, coefficients, power)
-    # Misfit that depends on the motion is no independent noise, nor is one that is
-    # stronger at some lines than at others; there the products of both tell more.
+    # A misfit that depends on the motion is not independent noise, nor is noise that is
+    # stronger at some lines than at others; there the products of both give more
+    # information.
     lags = 0 if are_lines else min(max(5 * lag, 10), residual.size // 5)
     products = long_run_covariance(regressors * residual, lags)
     wider = np.sqrt(
@@ -125,16 +126,17 @@ def effective_parameters(
     """
     if not variance > 0:
         return float(inverse.shape[0])
-    # Of the residual as it is: what is given back to the noise is an estimate for each
-    # structure by itself, and on a log whose residual is friction it made 1217
-    # parameters of one structure and 388 of its rival.
+    # For the residual as it is: the correction for the noise removed by the fit is
+    # estimated for each structure separately, and for a log with friction in its
+    # residual it gave 1217 effective parameters for one structure and 388 for its
+    # rival.
     own = coloured_covariance(regressors, *autoregression(residual))
     return float(np.trace(inverse @ own)) / variance
 
 
 def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
-    # Where parameters trade against each other the terms cancel: what is left below
-    # their rounding may be negative, and depends on the machine.
+    # Where parameters compensate each other the terms cancel: a remainder below their
+    # rounding may be negative, and depends on the machine.
     terms = np.diag(np.abs(inverse) @ np.abs(meat) @ np.abs(inverse))
     float64 = np.finfo(np.float64)
     floor = np.maximum(float64.eps * terms, float64.tiny)
@@ -158,14 +160,14 @@ def link_intervals(
         problem,
         problem.place,
         solution.cost,
-        # ω₀² is straight up to the edge ω₀ = 0, and ω₀ is not.
+        # ω₀² is linear up to the edge ω₀ = 0, and ω₀ is not.
         partial(problem.parameters, names=names, squared=True),
         np.array([inflation.get(name, 1.0) for name in names]),
     )
     found = dict(zip(names, ends, strict=True))
     if squares := found.get("natural_frequency"):
         low, high = (math.sqrt(max(x, 0.0)) for x in (squares.low, squares.high))
-        # At its limit an end is open; the square is known to rounding, 1e-8.
+        # At its limit an end is open; the square is accurate to rounding, 1e-8.
         low_open = squares.low_open or low <= 1e-4 * high
         found["natural_frequency"] = Interval(low, high, low_open, squares.high_open)
     return found
@@ -173,12 +175,12 @@ def link_intervals(
 
 # --- criteria: which structure? --------------------------------------------------------------------------
 
-# what an autoregression leaves of a misfit lasts a few samples; more lags only add
-# noise
+# After an autoregression a misfit is correlated over a few samples; more lags only add
+# noise.
 _SCORE_LAGS = 5
-# Of the output's power: what 16 bits resolve. A log that is met closer is a simulation,
-# whose residual is the interpolation between its samples; it says nothing about the
-# structure.
+# Share of the output's power that 16 bits resolve. A log that is fitted more closely is
+# a simulation, whose residual is the interpolation between its samples and says nothing
+# about the structure.
 _RESOLUTION = 1e-10
 
 
@@ -207,8 +209,8 @@ def structure_criteria(
     that only what both say is taken for shown.
     """
     solutions = {name: search.solve(name) for name in STRUCTURES}
-    # What the richest leaves is noise if any structure's residual is: a poorer one
-    # would have its own misfit whitened away.
+    # If the residual of any structure is noise, it is that of the richest one; with a
+    # poorer one, its misfit would be whitened away.
     richest = max(STRUCTURES, key=lambda name: len(structure(name).free))
     filtered = autoregression(
         LinkProblem.of(search, solutions[richest], inside=True).linearised()[1]
@@ -228,7 +230,7 @@ def structure_criteria(
     floor = _RESOLUTION * float(np.var(search.window.output))
     return {
         name: (
-            # A parameter at its limit counts, as it was free to leave it.
+            # A parameter at its limit counts, since it was free to leave it.
             samples * _log(max(solution.cost / samples, floor))
             + 2.0
             * (errors[name].effective + len(solution.at_bound) + solution.on_edge),
@@ -246,12 +248,9 @@ def _log(value: float) -> float:
 def _innovations(
     search: Search, solution: Solution, coefficients: Vector
 ) -> tuple[Matrix, Vector]:
-    """Regressors and residual behind the filter that makes the noise white, after one
-    Gauss–Newton step.
-    """
+    """Regressors and residual after the whitening filter, with one Gauss–Newton step."""
     regressors, residual = LinkProblem.of(search, solution, inside=True).linearised()
-    # scipy.signal has a filter for this, and takes as long to import as the fit to
-    # compute.
+    # scipy.signal has such a filter, but its import takes as long as the fit.
     whitened = [
         np.convolve(row, coefficients, "valid")[1:] for row in (*regressors, residual)
     ]
@@ -259,6 +258,6 @@ def _innovations(
     size = np.linalg.norm(rows[:-1], axis=1)
     columns = rows[:-1] / np.where(size > 0, size, 1.0)[:, None]
     # One step is enough: the fit without the filter is within a few standard errors of
-    # the fit behind it, where the prediction is straight.
+    # the filtered one, where the prediction is linear.
     step = lstsq(columns.T, rows[-1], cond=1e-9)[0]
     return columns, np.asarray(rows[-1] - step @ columns)

@@ -1,5 +1,5 @@
-"""A fit held against logs that it has not seen: its error on each, and what each log
-says of the link by itself.
+"""Validation of a fit on logs that it has not seen: its error on each, and a separate
+fit to each log.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from fracsys.checks.equality import compared
 __all__ = ["LogValidation", "Validation", "Value", "validate"]
 
 Floats = NDArray[np.float64]
-# Of the prediction's largest power: Hann's window leaks less than this, and a frequency
-# with less of the motion says nothing of the link.
+# Fraction of the largest power of the prediction: the leakage of the Hann window is
+# smaller, and a frequency with less motion says nothing about the link.
 _LEAST_POWER = 1e-4
 
 
@@ -88,7 +88,7 @@ class LogValidation:
         return float(self.frequencies[self.share.argmax()])
 
 
-# Figures of the link, and the unit in which people read them.
+# Figures of the link and their display units.
 _UNITS = {
     "resonance": "rad/s",
     "order": "",
@@ -234,14 +234,14 @@ def _at_payload(model: LinkModel, payload: float | None) -> LinkModel:
 
 
 def _figures(fit: Fit, model: LinkModel) -> dict[str, Value]:
-    """The figures of a fit that another log of the same arm should show alike."""
+    """The figures of a fit that should be equal in another log of the same arm."""
 
     def interval(field: str, value: float) -> Value:
         low, high = model.interval(field) or (math.nan, math.nan)
         return Value(value, low, high)
 
-    # ω₀ is in s^(−λ/2), which differs with λ: what two logs share is the resonance. Its
-    # own interval is shorter than that of ω₀, with which λ trades.
+    # ω₀ is in s^(−λ/2), a unit that depends on λ: two logs share the resonance. Its
+    # interval is narrower than that of ω₀, which is correlated with λ.
     frequency = interval("natural_frequency", model.natural_frequency)
     ends = (
         abs(replace(model, natural_frequency=end, intervals=()).pole)

@@ -1,5 +1,5 @@
-"""Welch's method: transforms of half-overlapping segments, and what they say of a log
-and its fit.
+"""Welch's method: transforms of half-overlapping segments, applied to a log and its
+fit.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ __all__ = ["WelchResponse", "mean_power", "segments", "welch_response"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# The average of so many segments' lengths of half-overlapping ones has a standard error
-# of a quarter, which is enough to see where over frequency a model errs, and a
-# coherence of 0.3 is no accident.
+# The average over this many lengths of half-overlapping segments has a standard error
+# of a quarter: enough to see at which frequencies a model is wrong, and a coherence of
+# 0.3 is not accidental.
 _SEGMENTS = 8
 
 
@@ -79,8 +79,8 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
         (log.motor_angle, log.output, np.asarray(fit.predicted)), log.period
     )
     power = mean_power(u)
-    # A thousandth in amplitude: below, the ratio is the gauge's noise over an
-    # encoder's.
+    # A thousandth in amplitude: below it the ratio is that of gauge noise to encoder
+    # noise.
     moved = power > 1e-6 * power.max()
     cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
     heard = np.maximum(power * mean_power(y), 1e-300)

@@ -321,8 +321,8 @@ def random_steps(
 
 def _random_levels(size: float, bit: float, bits: int) -> Real:
     """A binary sequence of ± size that does not repeat."""
-    # The shortest register that has as many: each begins with as many equal bits as it
-    # has stages.
+    # The shortest register with enough bits: a sequence begins with as many equal bits
+    # as the register has stages.
     stages: tuple[Literal[4, 5, 6, 7, 9], ...] = (4, 5, 6, 7, 9)
     register = next(count for count in stages if bits < 2**count)
     return prbs(size, bit, bits=bits, register=register).coefficients[:-1, 0]
@@ -355,7 +355,8 @@ def calm(
     window, vibration = (
         math.ceil(span / guard.period) for span in (_CALM, 2.0 * math.pi / resonance)
     )
-    # A damping ratio of 0.3 leaves 0.4 % after three; what is left longer is friction's.
+    # A damping ratio of 0.3 leaves 0.4 % after three periods; a longer motion is due to
+    # friction.
     first, end = guard.count + window, guard.count + max(3 * vibration, window)
     while guard.count < end:
         if (
