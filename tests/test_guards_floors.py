@@ -195,7 +195,7 @@ CEILINGS = {
     "lab": 1930,
     "logs": 680,
     "studio": 1298,
-    "trials": 1486,
+    "trials": 1483,
     "view": 1723,
 }
 

@@ -53,8 +53,8 @@ FILE = "campaign.json"
 PART_RUNS = 1000
 LARGEST = 10**9  # runs; one year on one core must be a typing error
 REST = 3.0  # [s] after the longest move: twenty vibration periods
-DURATION = 4.0  # [s]
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
+DURATION = max(SHAPES) + REST
 # A normal draw is truncated at ±4σ, 6e-5 of the draws, so that no motor has a negative
 # inertia.
 TAILS = 4.0

@@ -32,7 +32,6 @@ __all__ = ["Check", "Evidence", "check_named", "shared_checks"]
 # whatever requirement it misses. Set for a flipped bit (F29); it is also the limit
 # wherever no law can do better.
 SAFE = 0.3
-ANY = 10**6  # periods: used where the catalogue states no number
 OTHER_MODE = "periods in another mode than allowed"
 # bits of law.h
 FLAGS = {"encoder": 1, "gauge": 2, "reference": 4, "missed": 8, "repeated": 16}
@@ -328,7 +327,7 @@ def off_at_once(e: Evidence, *periods: float) -> Check:
     """The watchdog has already stopped the drive; the law must know by itself that it
     was away, and say so at its first call.
     """
-    reaction = reacts(e, "off", ANY, "missed periods")
+    reaction = reacts(e, "off", math.inf, "missed periods")
     calls = e.reacted - e.pick(*periods) if reaction.passed else math.inf
     return Check.at_most("calls of the law until off", calls, 1)
 
@@ -385,7 +384,7 @@ def swap_reaction(e: Evidence) -> Check:
     the angle of a good encoder: in the first quarter of a second of a move no law can
     tell. What is left is the harm, for which the limit is that of a flipped bit.
     """
-    off = reacts(e, "off", ANY, "encoder", "motor away from its model")
+    off = reacts(e, "off", math.inf, "encoder", "motor away from its model")
     if off.passed or e.detail == "for ever":
         return off
     name = "peak tip error while either reading is credible [rad]"
@@ -406,7 +405,7 @@ def payload_peak(e: Evidence, *factors: float) -> Check:
 def hit_reaction(e: Evidence) -> Check:
     if e.case.severity < 3:
         return settled(e, 1.0)
-    check = reacts(e, "hold", ANY, "link overloaded")
+    check = reacts(e, "hold", math.inf, "link overloaded")
     felt, limit = float(np.abs(e.faulty.torque).max()), e.law.limits.torque_trip
     name = f"{check.name}; torque reached {felt:.3g} of {limit:.3g} N·m"
     return Check.at_most(name, check.measured, check.limit)

@@ -26,7 +26,6 @@ from fracsys.checks import Between, Payload, Seed, checked, length
 __all__ = ["Standing", "Tournament", "compare"]
 
 PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
-AFTER = 5.0  # [s] of every run after the reference has come to rest
 # [N·m], [s]. Five times the noise of the paper's gauge: an apparent deflection of 32
 # mrad, more than the 2 % band in which a move of 1 rad settles.
 OFFSET, OFFSET_TIME = 0.05, 0.2
@@ -293,7 +292,6 @@ def _standing(
             followed,
             arm=twin,
             payload=payload,
-            duration=move.duration + AFTER,
             events=events,
             seed=seed,
         )
