@@ -42,8 +42,8 @@ Item = TypeVar("Item")
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
-# Unit that is stated: as people read it, its size in SI units, and the decimal places
-# of units in which every column has the same.
+# Stated unit -> displayed unit, its size in SI units, and the number of decimal places
+# if it is the same in every column.
 _UNITS: dict[str, tuple[str, float, int | None]] = {
     "rad": ("°", math.pi / 180.0, 1),
     "kg": ("g", 1e-3, None),
@@ -67,11 +67,11 @@ def number(value: float | None, digits: int = 4) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    # of −0.0 the sum is 0.0: nobody reads a sign of nothing
+    # adding 0.0 turns −0.0 into 0.0, since the sign of zero has no meaning
     text = f"{value + 0.0:.{digits}g}"
     mantissa, _, exponent = text.partition("e")
-    # Python turns to powers of ten only below 1e-4; 0.0006871 and 0.006871 in one
-    # column are misread.
+    # Python uses powers of ten only below 1e-4; 0.0006871 and 0.006871 in one column
+    # are easily misread.
     if 0 < abs(value) < 1e-3 and not exponent:
         mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     mantissa = mantissa.replace("-", "−")
@@ -83,7 +83,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def _fixed(value: float, places: int) -> str:
-    """A value with a fixed number of places; what rounds to nothing has no sign."""
+    """A value with a fixed number of places; a value that rounds to zero has no sign."""
     text = f"{value:.{places}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
 
@@ -94,10 +94,10 @@ def uncertain(value: float, error: float) -> str:
     >>> uncertain(1.918734, 0.000213), uncertain(116.0, 145.0)
     ('1.91873 ± 0.00021', 'undetermined')
     """
-    # Digits of a value that may as well have the other sign would be read as knowledge.
+    # Digits of a value whose sign is uncertain would suggest false accuracy.
     if error >= abs(value):
         return "undetermined"
-    # Two digits of the error: one would round 0.14 to 0.1, three claim what no
+    # Two digits of the error: one would round 0.14 to 0.1, and three are more than any
     # covariance knows.
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 9 or abs(value) >= 1e6:
@@ -115,7 +115,7 @@ def size_of(unit: str) -> float:
 
 
 def _in_unit(value: float | None, unit: str, digits: int) -> tuple[str, str]:
-    """A value in SI units as people read it, and the unit in which it then is."""
+    """A value given in SI units in its display unit, and that unit."""
     word, size, places = _UNITS.get(unit, (unit, 1.0, None))
     if value is None or places is None or not math.isfinite(value):
         return number(None if value is None else value / size, digits), word
@@ -216,7 +216,7 @@ class Row:
         if self.error is not None and 0.0 < self.error < math.inf:
             text = uncertain(value / size, self.error / size)
             known = unit and text != "undetermined"
-            # A line may end before the sign, never behind it.
+            # A line may break before the sign, but not after it.
             return text.replace("± ", "±\N{NO-BREAK SPACE}") + (
                 f" {word}" if known else ""
             )
@@ -281,8 +281,9 @@ class Finding:
     remedy: str = ""
 
     def __post_init__(self) -> None:
-        # A copy behind a proxy: a finding travels with its experiment and is hashed, so
-        # that nobody may change its numbers, not even by the dict it was made from.
+        # A read-only copy: a finding travels with its experiment and is hashed, so
+        # nobody may change its numbers, even through the dict from which it was
+        # created.
         object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
 
     def __str__(self) -> str:
@@ -374,7 +375,7 @@ def state_of(passed: bool) -> str:
 
 
 def _template(name: str) -> Callable[[Any], Any] | None:
-    # By name and not imported above: this module lies floors below `view`, which a copy
+    # Imported by name at call time: this module lies layers below `view`, which a copy
     # of the core does not have.
     if find_spec("fraclink.view") is None:
         return None
@@ -403,7 +404,7 @@ def marked(text: str) -> str:
     return f"{_MARKS[text]} {text}" if text in _MARKS else text
 
 
-_LONGEST = 110  # characters of a repr: a list of results stays readable
+_LONGEST = 110  # characters of a repr, so that a list of results stays readable
 
 
 def _repr(result: Any) -> str:

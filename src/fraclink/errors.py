@@ -44,7 +44,7 @@ __all__ = [
     "UnstableError",
 ]
 
-# One base for both packages: it catches everything that either raises on purpose.
+# A single base for both packages: it catches everything that either raises on purpose.
 FraclinkError = FracsysError
 
 
@@ -85,7 +85,7 @@ class InfeasibleError(FraclinkError, ValueError):
 
 
 def _argument(name: str, value: float) -> str:
-    """As it is typed into the same call: an angle in degrees, six digits."""
+    """The value as typed into the same call: an angle in degrees, six digits."""
     if name == "phase_margin":
         return f"{name}=fl.deg({math.degrees(value):.6g})"
     return f"{name}={value:.6g}"

@@ -43,8 +43,7 @@ class Findings(Listed[Finding]):
     def overview(self) -> Overview:
         """How many there are of each severity, and what they say."""
         found = [finding.severity for finding in self]
-        # A warning is no failure, but a result with one is not yet shown to be right:
-        # the word between.
+        # A warning is no failure, but a result with one is not yet shown to be right.
         state = "not shown" if "warning" in found else "passed"
         counts = [
             f"{found.count(word)} {word}{'s' if found.count(word) > 1 and word != 'info' else ''}"
@@ -71,15 +70,15 @@ def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return the findings with errors before warnings, and these before the others,
     else in their order.
     """
-    # sorted() is stable: within a severity findings stay in the order in which a person
-    # would ask.
+    # sorted() is stable: within a severity, findings stay in the order in which a
+    # person would check them.
     order = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(findings, key=lambda finding: order[finding.severity]))
 
 
 State = Literal["passed", "failed", "not shown", "not run"]
-# What was refuted is worse than what could not be shown, and this worse than what
-# nobody asked for: a verdict of parts is none better than any of them.
+# A refuted part is worse than one that could not be shown, which is worse than one that
+# nobody requested: a verdict is never better than its worst part.
 _WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
 
 
@@ -179,7 +178,7 @@ class Verdict:
     @property
     def reasons(self) -> tuple[str, ...]:
         """The reasons of all scopes, each once."""
-        # dict keeps the order, which a set would not.
+        # A dict keeps the order, unlike a set.
         return tuple(
             dict.fromkeys(
                 reason for scope in self.scopes.values() for reason in scope.reasons

@@ -15,8 +15,8 @@ from fraclink._cli.console import emit, guarded
 
 __all__ = ["application", "run"]
 
-# Section -> command -> its module, and what it does in the few words of a line. A module
-# of commands brings the library with it: the lists do not load them.
+# Section -> command -> its module and a one-line description. A module of commands
+# imports the library; the lists do not load them.
 _SECTIONS: dict[str, dict[str, tuple[str, str]]] = {
     "From a log to a board": {
         "start": (
@@ -64,7 +64,7 @@ _MORE = [
 
 
 class _Group(TyperGroup):
-    """A group of commands in their own order, which is that of the work."""
+    """A group of commands in the order of a usual session."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names of the commands in their order."""
@@ -72,7 +72,7 @@ class _Group(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; its module is imported here and not before."""
-        # Only of the program itself: a group's commands came with its module, and
+        # Only for the program itself: the commands of a group came with its module, and
         # `export c` must not look for a stage of that name.
         if ctx.parent is None and cmd_name in _LISTED and cmd_name not in self.commands:
             app = import_module(f"fraclink._cli.{_LISTED[cmd_name][0]}").app
@@ -83,8 +83,8 @@ class _Group(TyperGroup):
         """As click has it; a name that is not there is looked for among all commands
         ("did you mean").
         """
-        # Slow, and only on the way to an error: click looks for near names among what
-        # is loaded.
+        # Slow, and only on the way to an error: click looks for similar names among the
+        # loaded commands.
         if ctx.parent is None and args and args[0] not in _LISTED:
             for name in _LISTED:
                 self.get_command(ctx, name)
@@ -162,8 +162,8 @@ def application() -> typer.Typer:
         name="fraclink",
         cls=_Group,
         epilog=_EPILOG,
-        # rich's tracebacks show local variables: keys and paths of the user's would
-        # land in a report of a defect.
+        # Tracebacks of rich show local variables: the user's keys and paths would
+        # appear in a bug report.
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -175,7 +175,7 @@ def application() -> typer.Typer:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line with `arguments` and return the exit code."""
     given = list(arguments) or ["--help"]
-    # Words and not an option: it stands where the name of a command does.
+    # An argument instead of an option, since it takes the place of a command.
     everything = given == ["help", "all"]
     if given[0] == "help":
         given = [*given[1:], "--help"]
@@ -187,13 +187,13 @@ def run(arguments: Sequence[str]) -> int:
         streams = sys.stdout, sys.stderr
         try:
             # Not standalone: click would print errors in its own words and end the
-            # process, also of a test.
+            # process, even that of a test.
             result = application()(
                 args=given, standalone_mode=False, prog_name="fraclink"
             )
         except SystemExit as end:
-            # Where a pipe's reader left typer exits with 1, which is a verdict, and
-            # wraps both streams.
+            # If the reader of a pipe leaves, typer exits with 1, which would be a
+            # verdict, and wraps both streams.
             if not isinstance(end.__context__, BrokenPipeError):
                 raise
             sys.stdout, sys.stderr = streams

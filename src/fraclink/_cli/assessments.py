@@ -123,7 +123,7 @@ def assess(
     """
     made = Design.load(design_file)
     low, high = made.payloads
-    # Both ends and what lies between on the scale of ω₀ ∝ 1/√m.
+    # Both ends, and the middle on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
     link = made.rig.link
     if link_mass is not None:
@@ -217,8 +217,8 @@ def tune_pid(
         "--output-limit": made.output_limit,
         "--measurement-limit": made.measurement_limit,
     }
-    # A law needs a period and limits that the plant's formula does not hold: a tuning
-    # without them is whole, and cannot be shipped yet.
+    # A law needs a period and limits, which the formula of the plant does not contain:
+    # a tuning without them is complete, but cannot ship yet.
     missing = ", ".join(name for name, value in needed.items() if not value)
     export = f"fraclink export c {out} --out firmware"
     again = f"the same with {missing}, then {export}"
@@ -228,7 +228,7 @@ def tune_pid(
 
 
 def _plant(text: str) -> FractionalTransferFunction:
-    """The plant of a file, or of a formula in which every value is a number."""
+    """The plant from a file, or from a formula in which every value is a number."""
     if text.endswith(".json"):
         return StructureFit.load(text).transfer_function
     expression = parse_expression(text)

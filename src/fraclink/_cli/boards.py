@@ -72,16 +72,17 @@ def connection_of(
 ) -> lab.Serial | lab.Udp:
     """Return the way to an arm that the options of a command name."""
     # From a file and never from the command line, which `ps` and the shell's history
-    # show to others. Bytes as they are: a line end belongs to the key at both ends.
+    # reveal. The bytes are used as they are: a line break belongs to the key at both
+    # ends.
     key = None if key_file is None else key_file.read_bytes()
     return lab.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
 
 def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
-    """The law of a design, with the design; or that of a fractional PID, which has
-    none.
+    """The law of a design with the design, or the law of a fractional PID, which has no
+    design.
     """
-    # What the file says it is decides, not its name: a design may be called pid.json.
+    # The content of the file decides, not its name: a design may be called pid.json.
     if kind_of(path) == "pid-tuning":
         return PidTuning.load(path).law(), None
     made = Design.load(path)
@@ -89,13 +90,13 @@ def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
 
 
 def _law(made: Design, *, motor: bool) -> Law:
-    # Without the motor loop the robot has its own servo, and no placement of poles
-    # reaches it.
+    # Without the motor loop the robot uses its own servo, which no pole placement
+    # affects.
     return made.law() if motor else discretize(made.controller, made.rig.period)
 
 
 def _listed(paths: Iterable[Path], following: str = "") -> Answer:
-    """The files of an export, one a line."""
+    """The files of an export, one per line."""
     names = [str(path) for path in paths]
     return Answer(
         text="\n".join(names),
@@ -135,7 +136,7 @@ def c(
         certificate = None
         if prove:
             begin("certifying the loop")
-            # A fractional PID has no arm over whose payloads a loop could be certified.
+            # A fractional PID has no arm, and thus no payloads for a certificate.
             certificate = _certificate(made, shipped) if made else None
             begin("proving the files, half a minute")
         paths = export_c(
@@ -162,8 +163,8 @@ def c(
 
 
 def _certificate(made: Design, law: Law) -> Certificate | None:
-    """The certificate of the loop that `law` closes; None, which leaves the claim open,
-    without the extra.
+    """The certificate of the loop with `law`; None without the optional package, which
+    leaves the claim open.
     """
     try:
         return certify(made, law=law)
@@ -195,8 +196,8 @@ def fmu(
         _of_file(design_file, motor=True)[0],
         out,
         precision=precision,
-        # cc where nothing is said: an FMU without a library for this machine runs
-        # nowhere at first.
+        # The default is cc: an FMU without a library for this machine would run
+        # nowhere.
         compilers=() if source else compiler or ("cc",),
         force=force,
     )
@@ -261,8 +262,8 @@ def replay(
     needed = "a log for a law, or --run of a campaign"
     log_file = required("log_file", log_file, needed, "give one")
     log: Experiment | Recording
-    # An arm's log needs a rig for its columns; a PID's has two columns that nobody
-    # knows the names of.
+    # The log of an arm needs a rig for its columns; that of a PID has two columns with
+    # unknown names.
     if input is None and output is None:
         log = load_log(log_file, load_rig(rig), column)
     else:
@@ -340,8 +341,8 @@ def run_realtime(
     awake = lab.measure_wake_ups(law.period, priority=options["priority"])
     tell(str(awake))
     awake.check()
-    # The record has its place kept by the loop itself; a log that cannot be written is
-    # found as early.
+    # The loop itself reserves the space for the record; a log that cannot be written is
+    # detected just as early.
     if log is not None:
         output_path(log, force=True)
     run = lab.run_realtime(
@@ -353,8 +354,8 @@ def run_realtime(
         **options,
     )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
-    # The record went to a second place: the arm has moved, and its data must not be
-    # lost to a full disk.
+    # The record was saved elsewhere: the arm has moved, and its data must not be lost
+    # because of a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
     written: tuple[Path, ...] = (Path(run.saved),)
     logged = True
@@ -362,7 +363,7 @@ def run_realtime(
         try:
             run.experiment().save(log)
             written += (log,)
-        except LogError as error:  # the record of the run is kept in any case
+        except LogError as error:  # the record of the run is saved in any case
             logged, remarks = False, (*remarks, f"no log: {error}")
     return Answer(
         run,
@@ -374,8 +375,8 @@ def run_realtime(
 
 
 def _excitation(amplitude: float) -> Reference:
-    # As `fraclink record` excites the twin: bits of 0.24 s have their power where an
-    # arm's first mode is.
+    # The excitation of `fraclink record` for the twin: bits of 0.24 s have their power
+    # at the first mode of an arm.
     return prbs(amplitude, 0.24, bits=81, register=9, start=0.5)
 
 
@@ -416,8 +417,8 @@ def serve_arm(
     connection = connection_of(io, unsafe_remote, key_file)
     made = load_design(design_file)
     arm = Twin.from_rig(made.rig, payload=payload)
-    # Before it serves, as the command may run for hours and nobody reads what comes
-    # after.
+    # Before serving, since the command may run for hours and later output would not be
+    # read.
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
@@ -433,8 +434,8 @@ def serve_arm(
             once=once,
             begin=tell,
         )
-        # Every signal asks for the end, which has come: one that comes now has only the
-        # file to wait for.
+        # Every signal requests the end, which has come: a further signal only has to
+        # wait for the file.
         obeyed.set()
         written = () if out is None else (saved(served, out),)
     return Answer(

@@ -73,7 +73,8 @@ def montecarlo(
     $ fraclink campaign montecarlo --design design.json --runs 10000 --out mc
     """
     made = Design.load(design)
-    # Both set the law's payload, and which one acted would not be seen in the summary.
+    # Both set the payload of the law, and the summary would not show which one was
+    # used.
     if estimate:
         refuse_beside("--estimate", "the payload it estimates", told=told or None)
     asked = Campaign.of(
@@ -83,14 +84,14 @@ def montecarlo(
         runs=runs,
         seed=seed,
         told=told,
-        # The range in which the estimator looks: the design's, as on the board.
+        # The range of the estimator is that of the design, as on the board.
         estimated=made.payloads if estimate else None,
         reference=None if reference is None else read_reference(reference),
     )
     with steps(runs) as begin:
 
         def watch(progress: Progress) -> None:
-            # What a resumed campaign finds finished is not in its rate of failures.
+            # The failure rate excludes runs that a resumed campaign finds finished.
             share = progress.failed / max(progress.done - progress.before, 1)
             begin(f"{100 * share:.1f} % failed", progress.done)
 
@@ -178,7 +179,7 @@ def faults(
     """
     bench = _bench(rig, design, gear, link_mass)
     arm = {"rig": rig, "design": design, "gear": gear, "link_mass": link_mass}
-    # Kept in the table: a replay a year later must find the same arm.
+    # Stored in the table: a replay a year later must find the same arm.
     about = {name: str(value) for name, value in arm.items() if value is not None}
     about["command"] = f"fraclink campaign faults{as_stated(arm)}"
     planned = cases(
@@ -189,9 +190,8 @@ def faults(
         phases=[cast(Phase, word) for word in phase] if phase else PHASES,
         seeds=seed or (1, 2, 3),
     )
-    out.mkdir(
-        parents=True, exist_ok=True
-    )  # a folder that cannot be written is found out before the work
+    # fails early if the folder cannot be written
+    out.mkdir(parents=True, exist_ok=True)
     with steps(len({case.fault for case in planned})) as begin:
         result = run_faults(bench, planned, progress=begin, about=about)
     save(result, out / "faults.json", force=True)
@@ -200,7 +200,7 @@ def faults(
         for outcome in result.failures:
             begin(outcome.case.name)
             draw_outcome(bench, outcome, out / "figures" / f"{outcome.case.name}.svg")
-    # One run alone is what somebody looks at closely.
+    # A single run is meant to be inspected closely.
     if len(planned) == 1:
         observe(bench, planned[0]).faulty.save(out / "run.npz")
     worst = next((row.example.case.name for row in result.rows() if row.example), None)
@@ -216,7 +216,7 @@ def faults(
 
 
 def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
-    """Run one case of a finished campaign on faults again, on the same arm and with the
+    """Run one case of a finished fault campaign again, on the same arm and with the
     same law.
     """
     table = load(folder / "faults.json", FaultTable)
@@ -231,8 +231,8 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
         )
     case = runs[name]
     bench = _bench_of(table, folder)
-    # By its digest: a design that was made anew under the same name would show another
-    # law's behaviour as that of the fault.
+    # By its digest: a new design under the same name would show the behaviour of
+    # another law as that of the fault.
     tested = table.about.get("law_sha256", bench.law.digest)
     if bench.law.digest != tested:
         raise FieldError(
@@ -251,8 +251,8 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
 
 
 def _bench_of(table: FaultTable, folder: Path) -> Bench:
-    """The bench of a finished campaign; the studio's, which had no command, tests its
-    folder's design.
+    """The bench of a finished campaign; one from the studio, without a command, tests
+    the design of its folder.
     """
     about = table.about
     design = about.get("design", "" if "rig" in about else folder / "design.json")
@@ -271,7 +271,7 @@ def _bench(
     else:
         made = load_design(design_file)
     stated = made.rig if rig is None else load_rig(rig)
-    # A rig without a model has no damping for the twin: then the design's own stands
-    # in.
+    # A rig without a model gives the twin no damping: then the rig of the design is
+    # used.
     arm = made.rig if stated.model is None else stated
     return Bench.of(made, arm if gear is None else geared(arm, gear), link_mass=mass)

@@ -122,7 +122,7 @@ def declared(function: Callable[..., Any]) -> dict[str, Parameter]:
 
 
 def _parameter_texts(function: Callable[..., Any]) -> dict[str, str]:
-    """The first sentence that a numpydoc docstring says of each parameter."""
+    """The first sentence on each parameter in a numpydoc docstring."""
     _, _, section = (inspect.getdoc(function) or "").partition("Parameters\n----------")
     section = section.partition("\n----")[0]
     texts: dict[str, str] = {}
@@ -140,16 +140,16 @@ def _parameter_texts(function: Callable[..., Any]) -> dict[str, str]:
 
 
 def _mark(parameter: Parameter, kind: type) -> Any:
-    """The first mark of that class beside the type of a parameter, or None."""
+    """The first mark of that class in the annotation of a parameter, or None."""
     marks = getattr(parameter.hint, "__metadata__", ())
     return next((mark for mark in marks if isinstance(mark, kind)), None)
 
 
 def _option(parameter: Parameter) -> inspect.Parameter:
-    """What typer reads: the plain type of a parameter, and its help with the range."""
+    """The parameter in typer's form: its plain type, and its help with the range."""
     annotations = SimpleNamespace(__annotations__={"option": parameter.hint})
     kind = get_type_hints(annotations)["option"]
-    # A copy, as the mark belongs to a type that several commands share.
+    # A copy, since several commands share the mark through a common type.
     info = copy.copy(_mark(parameter, ParameterInfo) or typer.Option())
     text, expected = _mark(parameter, str) or "", parameter.rule.expected
     info.help = text.rstrip(".")
@@ -158,8 +158,8 @@ def _option(parameter: Parameter) -> inspect.Parameter:
     info.help += "; may be repeated." if repeated else "."
     if isinstance(info, OptionInfo) and not info.param_decls:
         word = parameter.name.replace("_", "-")
-        # A flag that is on must have a word that turns it off; one that is off needs
-        # none.
+        # A flag that is on by default needs a word to turn it off; one that is off
+        # needs none.
         off = f"/--no-{word}" if parameter.default is True else ""
         info.param_decls = (f"--{word}{off}",)
     return inspect.Parameter(
@@ -174,7 +174,7 @@ def _flags(
     json: Annotated[bool, "Print the result as one JSON object"] = False,
     force: Annotated[bool, "Overwrite files that are already there"] = False,
 ) -> None:
-    """What commands have beside their own options."""
+    """The options common to all commands."""
 
 
 def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[..., int]]:
@@ -188,23 +188,22 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:
     options = declared(function)
-    # Where the command checks its files itself it hears of --force.
+    # A command that checks its files itself receives --force.
     own_force = options.pop("force", None)
     writes = {name: mark for name in options if (mark := _mark(options[name], Writes))}
     flags = parameters(_flags)
     if not writes and not own_force:
-        del flags["force"]  # which would promise something
+        del flags["force"]  # it would have no effect here
 
     @functools.wraps(function)
     def run(*, json: bool = False, force: bool = False, **given: Any) -> int:
-        # Ranges before files before work: a typing error must not cost the minute that
-        # the work takes.
+        # Ranges first, then files, then the computation: a typing error must not cost a
+        # minute of work.
         for name, each in options.items():
             given[name] = each.rule.check(name, given[name])
         for name, mark in writes.items():
             if given[name] is not None:
-                # Before the work and not when it is written: what cannot be kept is not
-                # computed.
+                # Before the work: a result that cannot be saved is not computed.
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
         with unread_allowed():
@@ -212,29 +211,29 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
         if answer.opened and not webbrowser.open(answer.opened.resolve().as_uri()):
             tell(f"no browser was found; open {answer.opened} yourself")
         # Doubts are errors of the input: a result that rests on them shows nothing,
-        # however well it came out.
+        # however good it is.
         return PASSED if answer.passed and not answer.doubts else FAILED
 
     shown = [_option(each) for each in (*options.values(), *flags.values())]
     run.__annotations__ = {p.name: p.annotation for p in shown} | {"return": int}
     run.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
-    del run.__wrapped__  # typer would read the annotations of what is wrapped
+    del run.__wrapped__  # typer would read the annotations of the wrapped function
     return run
 
 
 def _show_json(answer: Answer) -> None:
     values = {} if answer.result is None else to_json(answer.result)
     if answer.doubts:
-        # The input's doubts first: they are why the rest is to be distrusted.
+        # Doubts about the input first: they are the reason to distrust the rest.
         values["findings"] = [*map(plain, answer.doubts), *values.get("findings", ())]
     paths = [str(path) for path in answer.written]
-    # One file is a string, as most commands write one; scripts read `out` without an
-    # index.
+    # A single file is a string, since most commands write one, and scripts read `out`
+    # without an index.
     out: dict[str, Any] = (
         {"out": paths if len(paths) > 1 else paths[0]} if paths else {}
     )
-    # What the command adds by itself has the last word, such as "out": null of a proof
-    # that failed.
+    # The values added by the command take precedence, such as "out": null for a failed
+    # proof.
     emit_json(values | out | answer.values)
 
 

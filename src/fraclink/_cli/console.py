@@ -1,4 +1,4 @@
-"""What the command line prints, where, and with which exit code; never a traceback.
+"""Output of the command line, its streams and exit codes; never a traceback.
 
 Results go to standard output, everything else to standard error, so that a pipe carries
 results only. Names that come from files are stripped of terminal escapes before they
@@ -57,22 +57,20 @@ __all__ += ["width"]
 Answer = TypeVar("Answer")
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
-# a defect of fraclink itself, kept apart from the three verdicts (sysexits'
-# EX_SOFTWARE)
+# A defect of fraclink itself, distinct from the three verdicts (EX_SOFTWARE of
+# sysexits).
 DEFECT = 70
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
-UNREAD = (
-    141  # 128 + SIGPIPE, as of any program whose reader left before it had said all
-)
+UNREAD = 141  # 128 + SIGPIPE, as for any program whose reader left early
 
-_NO_ROOM = "failed to map segment from shared object"  # of the dynamic loader
+_NO_ROOM = "failed to map segment from shared object"  # message of the dynamic loader
 
-# typer carries its own copy of click; its base of usage errors is reached through a
-# public name.
+# typer contains its own copy of click; the base class of its usage errors is reached
+# through a public name.
 _USAGE: Any = typer.BadParameter.__mro__[2]
 
-# Words keep their signs where there are no colours: pipes, NO_COLOR, readers of
-# screens.
+# Words carry signs as well, for outputs without colours: pipes, NO_COLOR, screen
+# readers.
 _COLOURS = (
     ("✓ passed|✓", "32"),
     ("✗ (?:failed|missed)|^error|✗", "31"),
@@ -80,7 +78,7 @@ _COLOURS = (
     (
         r"(?<=\(got ).+?(?=\)(?:;|\. |\.?$))",
         "1",
-    ),  # the value that an error complains about
+    ),  # the value about which an error complains
 )
 
 
@@ -99,9 +97,9 @@ def width() -> int:
 
 
 def _plain(stream: TextIO) -> bool:
-    """Whether nothing but text goes to `stream`."""
-    # no-color.org: the variable counts when it is set, whatever it holds, and before
-    # FORCE_COLOR.
+    """Whether `stream` gets plain text only."""
+    # no-color.org: the variable counts if it is set to any value, and takes precedence
+    # over FORCE_COLOR.
     return "NO_COLOR" in os.environ or not (
         stream.isatty() or "FORCE_COLOR" in os.environ
     )
@@ -122,16 +120,15 @@ def emit(text: str) -> None:
 
 def emit_json(value: Mapping[str, object]) -> None:
     """Print a result for programs: one JSON object, numbers that read back exactly."""
-    # ASCII, for pipes whose locale is not UTF-8; NaN is no JSON, and readers differ in
-    # what they make of it.
+    # ASCII, for pipes whose locale is not UTF-8; NaN is not JSON, and readers treat it
+    # differently.
     sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=True) + "\n")
 
 
 def tell(text: str) -> None:
     """Print a remark on standard error."""
     if sys.stderr.isatty():
-        # Only where somebody reads: a log file or `grep` wants one line for each
-        # remark.
+        # Only for a terminal: a log file or `grep` needs one line per remark.
         text = folded(text, width())
     sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
 
@@ -205,7 +202,8 @@ def steps(total: int) -> Iterator[Callable[..., None]]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        # One more than the parts: the bar is full when the last one ends.
+        # One more than the number of parts, so that the bar is full when the last one
+        # ends.
         bar = progress.add_task("", total=total + 1)
 
         def begin(name: str, done: int | None = None) -> None:
@@ -225,7 +223,7 @@ def _line(text: str) -> str:
 
 
 def _describe(error: BaseException) -> dict[str, object]:
-    """The parts of an error that a program can act on."""
+    """The parts of an error that a program can evaluate."""
     if isinstance(error, FieldError):
         names = ("field", "value", "problem", "allowed", "remedy")
         return {name: clean(getattr(error, name)) for name in names}
@@ -247,11 +245,11 @@ def _answer(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
     words = _words(error)
     if isinstance(error, _USAGE):
-        # Where the right words of the command are listed.
+        # The command whose help lists the correct words.
         command = "fraclink" if error.ctx is None else error.ctx.command_path
         return BAD_INPUT, f"error: {words.rstrip('.')} (see `{command} --help`)"
-    # Before FraclinkError, of which both are kinds: bad input is 2, and a missing
-    # package is no verdict on an arm.
+    # Before FraclinkError, the base of both: bad input is 2, and a missing package is
+    # no verdict on an arm.
     if isinstance(error, FieldError | MissingExtraError):
         return BAD_INPUT, f"error: {words}"
     if isinstance(error, InfeasibleError) and error.nearest:
@@ -264,7 +262,8 @@ def _answer(error: BaseException) -> tuple[int, str]:
         # A full disk or a loader names no file.
         name = error.filename if error.filename is not None else "file"
         return BAD_INPUT, f"error: {name}: {error.strerror or words}"
-    # A shared library that finds no room is an ImportError, and its package is there.
+    # A shared library without room in memory raises ImportError although its package
+    # exists.
     if isinstance(error, MemoryError) or _NO_ROOM in words:
         return BAD_INPUT, (
             f"error: memory: not enough for this command ({words or 'an array'}); expected 1 GB of address space."
@@ -311,8 +310,8 @@ def unread_allowed() -> Iterator[None]:
 
 
 def _let_go() -> None:
-    """Send to nobody what a reader who left did not take: the interpreter flushes it
-    again at its end.
+    """Discard output that a departed reader did not take, since the interpreter flushes
+    it again at exit.
     """
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -331,24 +330,24 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         sys.stdout.flush()
         return verdict
     except BrokenPipeError:
-        # The reader of a pipe left (`| head`): no error here, but stdout must not be
-        # flushed again. Nor is it a verdict: one that had been reached stands, and none
-        # is passed where it had not.
+        # The reader of a pipe left (`| head`): this is no error, but stdout must not be
+        # flushed again. It is no verdict either: a verdict already reached stands,
+        # otherwise there is none.
         _let_go()
         return verdict
     except (Exception, KeyboardInterrupt) as error:
         (code, line), parts = _answer(error), _describe(error)
-        # For whoever reports a defect; everybody else reads one line.
+        # For bug reports; all other users read one line.
         if os.environ.get("FRACLINK_TRACEBACK") == "1" and not isinstance(
             error, _USAGE
         ):
             raise
         lines = [line]
-        # A rig file lists all its faults at once: a line for each.
+        # A rig file reports all its faults together, one line each.
         if faults := getattr(error, "faults", ()):
             lines = [f"error: {fault}" for fault in faults]
             parts = parts | {"faults": [_describe(fault) for fault in faults]}
-    # Each by itself: who reads the one stream may be there when nobody reads the other.
+    # Separately: one stream may have a reader although the other has none.
     with unread_allowed():
         for line in lines:
             tell(_line(line))

@@ -55,10 +55,9 @@ from fraclink.view._report import write_campaign_report, write_report
 
 app = group()
 
-# What a person may have put there before the first run, and what a run leaves: of all
-# the files of a study these are the ones whose loss would cost something. The moves and
-# the models of other structures (run-*.npz, model-*.json) come again from these, and
-# are replaced.
+# Files that the user may have created before the first run, and the results of a run:
+# these files of a study would be a loss. The moves and the models of other structures
+# (run-*.npz, model-*.json) can be derived from them and are replaced.
 _STUDY = (
     "model.json",
     "design.json",
@@ -98,8 +97,7 @@ def run(
     """
     known = load_rig(rig)
     with steps(6 + certify) as begin:
-        # Named before it is done: a reader that waits for a slow disk must be seen to
-        # wait.
+        # Announced before it begins, so that a wait for a slow disk is visible.
         begin("reading the log")
         study = run_study(
             known,
@@ -116,8 +114,8 @@ def run(
         place = write_report(study, out / "report.html")
     export = f"fraclink export c {out / 'design.json'} --out firmware"
     following = export if study.law else ""
-    # The arms that fail come before the export: a worst case that can be replayed is
-    # the next thing to look at.
+    # Failing arms come before the export: the first thing to look at is a worst case
+    # that can be replayed.
     if study.arms and study.arms.failure.count:
         following = f"fraclink replay {out / 'arms'} --run {study.arms.failed[0]}"
     return Answer(
@@ -155,8 +153,8 @@ def design(
     link, doubts = load_link_model(model, known)
     margin = in_radians(phase_margin_deg)
     made, assumptions = design_for(known, link, phase_margin=margin, box=box, **request)
-    # Doubts of the fit travel with the design: requirements that are met for a model of
-    # nothing do not pass.
+    # Doubts about the fit are passed on to the design: requirements met for a doubtful
+    # model do not pass.
     made = made.doubted(doubts).with_law()
     made.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
@@ -212,7 +210,8 @@ def simulate(
     if not twin:
         refuse_beside("--on model", "a link without mass", link_mass=link_mass)
     if estimate:
-        # A payload of 0 is none, so that --told 0 beside --estimate is no contradiction.
+        # A payload of 0 means none, so that --told 0 together with --estimate is no
+        # contradiction.
         refuse_beside(
             "--estimate", "the payload that the law estimates", told=told or None
         )
@@ -271,8 +270,7 @@ def certify(
         )
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
-        # No file: a certificate that failed must not lie where the next stage looks for
-        # one.
+        # No file: a failed certificate must not lie where the next stage looks for one.
         return Answer(
             certificate, passed=False, values={"out": None}, following=following
         )

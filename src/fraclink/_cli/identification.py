@@ -86,11 +86,11 @@ def _link(
         # A rig with blanks has no limits, no stiffness and no length.
         known, stiffness = whole(stated), None
         begin("examining the log")
-        # A model fits a reversed gauge as well as a right one.
+        # A model fits a reversed gauge as well as a correct one.
         doubts = errors_of(diagnose(experiment, known))
         begin(f"fitting {structure or 'every structure'}")
-        # A deflection log cannot show the stiffness: of Γ = c (θm − θt) every c fits as
-        # well. A torque log measures it.
+        # A deflection log does not determine the stiffness: in Γ = c (θm − θt) every c
+        # fits equally well. A torque log does.
         if known is not None and experiment.output_kind == "deflection":
             stiffness = known.link.stiffness
         fit = identification.identify(
@@ -102,7 +102,7 @@ def _link(
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(known, fit.model))))
     following = f"fraclink design --rig {rig} --model {place}"
     if fit.model.payload is None:
-        # `design` would take ω₀ from the rig.
+        # Otherwise `design` would take ω₀ from the rig.
         following = "repeat with --force and --payload, the log's payload [kg]: `design` needs it"
     return Answer(fit, fit.passed, doubts=doubts, written=(place,), following=following)
 
@@ -148,8 +148,8 @@ def _motor(
         remedy = "give --rig, or --column for time, motor_angle and voltage"
         rig = required("rig", rig, "a rig, or the columns", remedy)
     known = None if rig is None else load_rig(rig)
-    # --column describes a log on its own: mixed with the rig's mapping, two columns
-    # would claim one role.
+    # --column describes the whole log: mixed with the rig's mapping, two columns could
+    # have the same role.
     columns = drive_columns(column) if column else None
     experiment = read_log(log_path(logs[0]), rig=known, columns=columns)
     if experiment.voltage is None:
@@ -166,8 +166,8 @@ def _motor(
         experiment.motor_angle,
         period=experiment.period,
         torque=torque,
-        # Only where no torque shows the inertia: stated and measured, the two would
-        # contradict each other in silence.
+        # Only if no torque determines the inertia: a stated and a measured value could
+        # contradict each other unnoticed.
         inertia=known.motor.inertia if torque is None and known is not None else None,
     )
     return Answer(fit, fit.passed)
@@ -212,7 +212,7 @@ def _driven(
     """Link and motor, of a frequency response from the amplifier's voltage."""
     rig, place = _rig(rig), output_path(out or "model.json", force=force)
     known = load_rig(rig)
-    # The function itself refuses any other output.
+    # The function itself rejects any other output.
     fit = identification.identify_driven_link(
         _response(tables[0], column),
         output=cast(Any, output or "motor_angle"),
@@ -282,7 +282,7 @@ def _transfer_function(
         )
         if ring_down:
             refuse_beside("--ring-down", "an output alone", input=input)
-            # Its output stands for the input until the next line takes it away.
+            # The output takes the place of the input until the next line removes it.
             input = output
         channels = named_channels(input, output)
         period = in_seconds(period_ms)
@@ -310,8 +310,8 @@ def _named(option: str, texts: list[str] | None) -> dict[str, str]:
     named: dict[str, str] = {}
     for text in texts or ():
         name, mark, value = (part.strip() for part in text.partition("="))
-        # Of two values for one name the last one would win: a typing error would move a
-        # fit without a word.
+        # Of two values for one name the last one would apply, and a typing error would
+        # change a fit unnoticed.
         if not mark or name in named:
             raise FieldError(
                 option,
@@ -380,7 +380,7 @@ def identify(
     kind = _kind(data, structure)
     fit = _FITS[kind]
     acting = [name for name in declared(fit) if name in options]
-    # Any other is refused: who gives it believes that it counts.
+    # Any other option is rejected, since the user expects it to have an effect.
     refuse_beside(
         _WORDS.get(kind, f"--structure {structure}"),
         ", ".join(f"--{name.replace('_', '-')}" for name in acting),
@@ -391,7 +391,8 @@ def identify(
 
 def _kind(data: list[str], structure: str | None) -> str:
     """What is fitted, a key of `_FITS`."""
-    # Only a transfer function has an s of its own: the names of the links have none.
+    # Only the text of a transfer function contains a separate s; the names of the links
+    # do not.
     kind = "transfer function" if re.search(r"\bs\b", structure or "") else structure
     if kind not in _FITS:
         return "several links" if len(data) > 1 else "link"

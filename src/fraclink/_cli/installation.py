@@ -13,7 +13,7 @@ from fraclink._display import Overview, Row, Table
 
 app = group()
 
-# Distribution, the extra that installs it, and what it is for.
+# Distribution, the extra that installs it, and its purpose.
 _EXTRAS = (
     ("matplotlib", "report", "figures and reports"),
     ("jinja2", "report", "reports"),
@@ -50,14 +50,13 @@ def doctor() -> Answer:
     $ fraclink doctor
     """
     extras = {name: _installed(name) for name, _, _ in _EXTRAS}
-    # `cc` alone, as replay and FMU call it: another compiler that is there does not
-    # help them.
+    # Only `cc`, the compiler that replay and FMU call; another one would not help them.
     compiler = shutil.which("cc")
     rows = [
         _part("Python", platform.python_version(), "", ""),
         _part("numpy", _installed("numpy"), "", ""),
-        # By distribution and not by import: an import of all would take seconds, and
-        # one that is broken would end the check that is to find it.
+        # By distribution instead of import: importing all of them would take seconds,
+        # and a broken package would end the check that is meant to find it.
         *(
             _part(name, extras[name], f"pip install 'fraclink[{extra}]'", use)
             for name, extra, use in _EXTRAS

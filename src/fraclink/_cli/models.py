@@ -56,8 +56,8 @@ def diagnose(
     """
     known = load_rig_for_logs(rig)
     findings = examine(load_log(log, known, column, **reading), whole(known))
-    # Warnings do not fail a log: a model can be fitted to it, and the fit has gates of
-    # its own.
+    # Warnings do not fail a log: a model can be fitted to it, and the fit has its own
+    # gates.
     failed = bool(errors_of(findings))
     following = (
         ""

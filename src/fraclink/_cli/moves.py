@@ -54,7 +54,7 @@ def shape(
     """
     if payload is not None:
         refuse_beside("--payload", "one payload", payloads=request["payloads"])
-        # A range of one: the same shaping, without a compromise.
+        # A range of one payload: the same shaping, without a compromise.
         request["payloads"] = (payload, payload)
     if follow is not None:
         refuse_beside("--follow", "the angles of the file", amplitude=amplitude)
@@ -63,7 +63,8 @@ def shape(
         begin("shaping the move")
         wanted: float | FollowedPath = 1.0 if amplitude is None else amplitude
         if follow is not None:
-            # A file holds one of these two: no other reference has points to follow.
+            # A file contains one of these two: other references have no points to
+            # follow.
             wanted = cast(FollowedPath, read_reference(follow))
         move = shape_move(made, wanted, **request)
     move.save(out)
@@ -72,7 +73,7 @@ def shape(
         written += (
             export_reference(move.reference, table, period=move.period, force=True),
         )
-    # A move that counts on the payload must be measured with it.
+    # A move shaped for a known payload must be simulated with it.
     told = " --told" if request["told"] else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{told} --out moves"
     doubts = doubts_of_move(made, *move.worst_case.payloads)

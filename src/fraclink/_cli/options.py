@@ -1,4 +1,4 @@
-"""Options that several commands share, and how they become values of the library."""
+"""Options shared by several commands, and their conversion to values of the library."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from fraclink.findings import Finding, errors_of
 from fracsys import checks as ranges
 
 T = TypeVar("T")
-BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
+BUNDLED_LOG = "prbs_30g"  # simulated by the twin, as its header states
 
 LogName = Annotated[
     str, typer.Argument(metavar="LOG"), "The log; `demo` is the bundled one"
@@ -60,7 +60,7 @@ BoxFlag = Annotated[
     "Keep every requirement over all that fit and rig leave open of the arm, not at the model alone",
 ]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
-# None where it is not given, so that it can be refused beside what takes its place
+# None if not given, so that it can be rejected together with an option that replaces it
 Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
 MOVE_TIME = ranges.Between(1e-9, 1e9, "s")
 MoveTime = Annotated[float | None, MOVE_TIME, "Time of the move; default: 1"]
@@ -97,7 +97,7 @@ def as_stated(options: Mapping[str, Any]) -> str:
     """The options that were given, as words of the next command, each behind a space."""
     words: list[str] = []
     for name, value in options.items():
-        # Of an option that may be repeated each value has its flag.
+        # For an option that may be repeated, each value has its own flag.
         for each in value if isinstance(value, list) else [value]:
             if each is not None and each is not False:
                 words.append(f"--{name.replace('_', '-')}")
@@ -106,7 +106,7 @@ def as_stated(options: Mapping[str, Any]) -> str:
 
 
 def _as_written(value: object) -> str:
-    # Six digits, as people give them: the words are pasted and compared by eye.
+    # Six digits, as people write them: the command is pasted and compared by eye.
     return (
         f"{value:g}"
         if isinstance(value, float)
@@ -135,8 +135,9 @@ def load_rig(name: str, *, link_mass: float | None = None) -> Rig:
 
 
 def _is_path(name: str) -> bool:
-    # What looks like a path is one even if it is not there: "no such file" helps more
-    # than a list of bundled rigs. A plain name that is a file is one, too.
+    # A name that looks like a path is one even if the file does not exist: "no such
+    # file" helps more than a list of bundled rigs. A plain name of an existing file is
+    # a path too.
     return name.endswith(".toml") or "/" in name or "\\" in name or Path(name).is_file()
 
 
@@ -165,10 +166,10 @@ def load_link_model(
     if path is None:
         return None, ()
     found: Any = load(path, (Fit, Design, LinkModel))
-    # A bare model, as from a spectrum, has no gates that could have failed.
+    # A bare model, as from a spectrum, has no gates that could fail.
     if isinstance(found, LinkModel):
         return found, ()
-    # A design carries the model it was made for: who kept only design.json can go on.
+    # A design contains its model: a user who only kept design.json can go on.
     model = found.model if isinstance(found, Design) else found.loop_model(rig)
     return model, errors_of(found.findings)
 
@@ -187,8 +188,8 @@ def load_design(path: Path, *, gear: float | None = None) -> Design:
     before the motor.
     """
     made = Design.load(path)
-    # The twin takes its damping from the rig's model, and a design of a fit may stand
-    # on a rig file without one.
+    # The twin takes its damping from the model of the rig, and a design from a fit may
+    # have a rig without one.
     rig = replace(made.rig, model=made.rig.model or made.model)
     return replace(made, rig=rig if gear is None else geared(rig, gear))
 
@@ -204,7 +205,7 @@ def reference_of(
     [s].
     """
     if path is not None:
-        # Refused rather than dropped: a user who gives a size believes that it counts.
+        # Rejected instead of ignored: the user expects a given size to have an effect.
         refuse_beside(
             "--reference",
             "the move of the file",
@@ -245,7 +246,8 @@ def load_log(
     **options: Any,
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
-    # The columns stand for the rig: --column replaces its [log] as a whole.
+    # The columns replace those of the rig: --column replaces its [log] table as a
+    # whole.
     columns = parse_columns(column) if column else rig.log
     return read_log(log_path(name), columns=columns, **options)
 
@@ -258,8 +260,8 @@ def load_logs(
     **options: Any,
 ) -> list[Experiment]:
     """Return several logs, each with its payload."""
-    # In the order of the logs: a mass that went to another log would tie ω₀ to the
-    # wrong payload and look like physics.
+    # In the order of the logs: a mass assigned to the wrong log would tie ω₀ to the
+    # wrong payload unnoticed.
     if payloads and len(payloads) != len(names):
         raise FieldError(
             "payload",

@@ -63,12 +63,12 @@ def start(
         period=in_seconds(period_ms),
         payload=payload,
         **filling,
-        # A script cannot answer: it gets the error with the option that decides
-        # instead.
+        # A script cannot answer: it gets the error with the option that settles the
+        # question.
         ask=_ask if interactive() else None,
     )
     written = found.save(out, force=force)
-    # Also of a fit that failed: the picture shows why.
+    # Also for a failed fit: the picture shows the reason.
     fit_figure(found.experiment, found.fit).save(out / _PICTURE)
     return Answer(
         found,
@@ -84,20 +84,20 @@ def _following(found: Start, log: str, out: Path) -> str:
         return f"fraclink diagnose {shlex.quote(log)} --rig {rig}"
     fill = f"fill in the {found.blanks} blanks of {rig}, then"
     if found.fit.model.payload is None:
-        # No number of the rig file says with which payload this log was made; without
-        # it `design` could not use the ω₀ that was found.
+        # The rig file does not state the payload of this log; without it `design` could
+        # not use the identified ω₀.
         again = f"fraclink identify {shlex.quote(log)} --rig {rig} --payload KG --out {model} --force"
         return f"{fill} {again}, with the payload of this log for KG"
     return f"{fill} fraclink design --rig {rig} --model {model}"
 
 
 def _ask(question: Question) -> str:
-    """Ask on the terminal until the answer is understood: the columns by name, of a
-    unit examples.
+    """Ask on the terminal until the answer is valid: columns by name, units with
+    examples.
     """
     tell(question.text)
-    # No numbers before them: 1 before "36.8 deg" would read as one of several choices,
-    # and "2" as the column #2.
+    # Without numbers: 1 before "36.8 deg" would look like one of several choices, and
+    # "2" like the column #2.
     choices = ", ".join(question.choices)
     column = question.part == "column"
     tell(
@@ -107,7 +107,7 @@ def _ask(question: Question) -> str:
     )
 
     def understood(text: str) -> str:
-        # What cannot be read is asked for again, not found out at the end.
+        # An invalid answer is requested again immediately.
         question.statement(text)
         return text
 

@@ -46,8 +46,8 @@ def studio(
     """
     try:
         from fraclink.studio._serving import serve
-    # Of the extra's own packages only: a module of fraclink that is missing is a
-    # defect, and must look like one.
+    # Only for the packages of the extra: a missing module of fraclink is a defect, and
+    # must be reported as one.
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "anyio", "h11", "click", "idna"):
             raise
@@ -74,8 +74,8 @@ def studio(
 
 
 def _opened(place: Path | None, rig: str | None, out: Path) -> Session:
-    # Everything numerical is loaded here, a second of work, while the browser loads the
-    # page.
+    # Everything numerical is loaded here, one second of work, while the browser loads
+    # the page.
     from fraclink._cli.options import load_rig
     from fraclink.studio._session import opened
 

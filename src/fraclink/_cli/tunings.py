@@ -29,7 +29,7 @@ __all__ = ["tune", "watch"]
 
 app = group()
 
-# What each limit is asked for with, in the unit of its option.
+# The question for each limit, in the unit of its option.
 _LIMITS = {
     "angle_deg": "How far may the motor turn to each side of where the arm stands now [°]?",
     "speed": "How fast may it turn at the gear's output [rad/s]?",
@@ -109,8 +109,8 @@ def tune(
         }
         given = {k: before[k] if x is None else x for k, x in given.items()}
         payloads, stated = payloads or known.payloads, stated or known.rig
-    # Before the limits are asked for: nobody answers five questions to learn that a
-    # file is in the way.
+    # Before the limits are requested: nobody should answer five questions to learn that
+    # a file is in the way.
     elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
@@ -118,8 +118,7 @@ def tune(
     carried = values.pop("payload")
     limits = MotionLimits(
         angle=math.radians(values["angle_deg"]),
-        # no defaults for these: what an arm may do is for whoever stands beside it to
-        # say
+        # no defaults for these: the person at the arm decides what it may do
         **{name: values[name] for name in ("speed", "torque", "voltage")},
     )
     plan = TuningPlan(
@@ -130,7 +129,7 @@ def tune(
         stated,
     )
     connection = connection_of(io, unsafe_remote, key_file)
-    # On standard error, so that it is read although the result goes to a pipe.
+    # On standard error, so that it is read even if the result goes to a pipe.
     tell(plan.text)
     if resume:
         tell(
@@ -138,7 +137,8 @@ def tune(
         )
     if not yes and not _confirmed():
         return Answer(text="nothing was moved", passed=False)
-    # Every stage is told as it begins: a motor that turns must not come as a surprise.
+    # Every stage is announced when it begins: a turning motor must not come as a
+    # surprise.
     found = tune_arm(connection, plan, out=out, resume=resume, force=force, begin=tell)
     written = tuple(out / name for name in FILES if (out / name).is_file())
     return Answer(
@@ -158,14 +158,14 @@ def _following(found: Tuning, io: str, out: Path) -> str:
         )
     if found.stopped:
         return f"fraclink tune --io {io} --out {out} --force"
-    # A law whose first moves are not what was promised is not one to go on with, proof
-    # or not.
+    # A law whose first moves missed the promise is not to be used further, with or
+    # without a proof.
     return f"fraclink diagnose {out / 'log.npz'}"
 
 
 def _asked(name: str, value: float | None) -> float:
-    """The value, or the answer to its question; FieldError where there is nobody to
-    ask.
+    """The value, or the answer to its question; FieldError without an interactive
+    terminal.
     """
     if value is not None:
         return value
@@ -191,7 +191,7 @@ def _confirmed() -> bool:
             allowed="an answer, or --yes",
             remedy="give --yes where nobody can be asked",
         )
-    # A bare Enter is a no: what moves a machine needs a word.
+    # A bare Enter means no: moving a machine requires a word.
     answer = ask("Go ahead?", str.lower, default="no", option="--yes")
     return answer in ("y", "yes")
 
@@ -212,10 +212,10 @@ def watch(
 
     $ fraclink watch realtime.npz --tuned tuned
     """
-    # The folder as `tune` names it, or the file as a shell completes it.
+    # The folder as printed by `tune`, or the file as completed by a shell.
     place = tuned / FILES[0] if tuned.is_dir() else tuned
     found = load(checked_path("record", record))
-    # A run's lost samples are filled in up to 1 %, as of any log.
+    # Up to 1 % of lost samples of a run are interpolated, as for any log.
     log = found.experiment() if isinstance(found, RealtimeRun) else found
     if not isinstance(log, Experiment):
         raise FieldError(

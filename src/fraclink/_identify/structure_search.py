@@ -1,10 +1,10 @@
 """The best parameters of a structure, without a start value.
 
 1. Orders and delays are drawn over their ranges; coefficients follow by linear least
-squares where possible, and are drawn as well (see `structure_starts`). 2. The best
-draws descend together on the screen: a recording in a thousand blocks, a candidate some
-microseconds. 3. The best of these descend on the samples, each candidate by its exact
-response.
+   squares where possible, and are drawn as well (see `structure_starts`).
+2. The best draws descend together on the screen: a recording in a thousand blocks, at
+   a few microseconds per candidate.
+3. The best of these descend on the samples, each candidate by its exact response.
 """
 
 from __future__ import annotations

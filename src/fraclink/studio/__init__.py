@@ -1,3 +1,3 @@
-"""The studio: a page on this machine that shows a study while it is changed. Python
-computes and decides.
+"""The studio: a page on this machine that shows a study while it is being changed. All
+computations and decisions are made in Python.
 """

@@ -1,5 +1,5 @@
-"""One page's socket: requests in, answers out; of what is dragged only the newest is
-answered.
+"""The socket of a page: requests in, answers out; while a handle is dragged, only the
+newest request is answered.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from fraclink.studio._work import JOBS, WORK_VERBS, Job
 
 __all__ = ["Conversation"]
 
-# Answered in order, in a thread: session and what the page gave -> answer.
+# Answered in order, in a thread: session and the values from the page -> answer.
 Verb = Callable[[Session, Mapping[str, Any]], Reply]
-# requests of a page that are not done; a page that sends more is no page of ours
+# requests of a page in progress; a page that sends more is not ours
 _WAITING = 64
-# [s] without a preview after which a hand rests: longer than the slowest of them
+# [s] without a preview, after which the user has stopped dragging: longer than the
+# slowest preview
 _REST = 0.5
 
 
@@ -118,15 +119,15 @@ class Conversation:
             "map": self._map,
         }
         self._awake = {verb: asyncio.Event() for verb in self._lanes}
-        self._moved = 0.0  # when the last preview was answered
+        self._moved = 0.0  # time of the last preview
         self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
         self._sending = asyncio.Lock()
         self._job: Job | None = None
 
     async def run(self) -> None:
         """Answer until the page goes; what it left under way is stopped."""
-        # One task for each kind that is dragged and one for all that must keep its
-        # order: a slow exact design must not hold up the previews of the next drag.
+        # One task for each kind of drag, and one for everything that must keep its
+        # order: a slow exact design must not delay the previews of the next drag.
         tasks = [asyncio.create_task(self._dragged(verb)) for verb in self._awake]
         tasks.append(asyncio.create_task(self._in_order()))
         try:
@@ -150,22 +151,24 @@ class Conversation:
             await self._sent(refusal(error).packed(0, "message"))
             return
         if message.verb in self._awake:
-            # The older one is forgotten here: a hand asks sixty times a second, and
-            # only where it is now is worth an answer.
+            # The older request is dropped here: a drag sends sixty per second, and only
+            # the current position needs an answer.
             older = self._newest.get(message.verb)
             waits = self._awake[message.verb].is_set()
             self._newest[message.verb] = message
             self._awake[message.verb].set()
-            if older is not None and waits:  # a page would wait for its answer for ever
+            # otherwise the page would wait for its answer for ever
+            if older is not None and waits:
                 await self._answered(older, _superseded())
-        # Past the queue: it is meant for what runs there, and would wait for its end.
+        # Bypasses the queue: it refers to the running job, and would otherwise wait for
+        # its end.
         elif message.verb == "cancel":
             if self._job is not None:
                 self._job.cancel()
             await self._answered(message, Reply({"ok": True}))
         elif message.verb in _VERBS or message.verb in JOBS:
             if self._orderly.full():
-                # 1008: policy violation. Without a bound a page gone wild fills the
+                # 1008: policy violation. Without a limit, a faulty page could fill the
                 # memory of a machine that may be running an arm.
                 await self.socket.close(1008)
             else:
@@ -178,14 +181,12 @@ class Conversation:
             await self._answered(message, refusal(unknown))
 
     async def _dragged(self, verb: str) -> None:
-        """Answer the newest request of this kind; those that it overtook are never
-        computed.
-        """
+        """Answer the newest request of this kind; superseded ones are never computed."""
         while True:
             await self._awake[verb].wait()
             self._awake[verb].clear()
-            # Read behind the clearing of the event: a request that comes between the
-            # two wakes it again, and none is lost.
+            # Read after the event is cleared: a request that arrives in between sets it
+            # again, and none is lost.
             message = self._newest[verb]
             work = self._lanes[verb]
             await self._answered(
@@ -201,8 +202,8 @@ class Conversation:
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:
-            # Asked by the thread that designs, between its stages: half a second of
-            # work is given up for a newer request.
+            # Checked by the designing thread between its stages: half a second of work
+            # is abandoned for a newer request.
             return self._newest["exact"] is not message
 
         return self.session.exact(
@@ -211,7 +212,8 @@ class Conversation:
 
     def _map(self, message: Message) -> Reply:
         def going() -> None:
-            # Both would share one interpreter: the map waits until the hand rests.
+            # Both share one interpreter: the map waits until the user has stopped
+            # dragging.
             while time.monotonic() - self._moved < _REST:
                 time.sleep(_REST)
             if self._newest["map"] is not message:
@@ -234,12 +236,12 @@ class Conversation:
         return _VERBS[message.verb](self.session, message.given)
 
     async def _worked(self, message: Message) -> None:
-        """Run a job in a process of its own and pass its progress on."""
+        """Run a job in a separate process and pass its progress on."""
         self._job = Job(self.session, message.verb, message.given)
 
         def tell(progress: Mapping[str, Any]) -> None:
             head = {**progress, "ok": True, "of": message.verb}
-            # The job runs in a thread; only the loop may write to the socket.
+            # The job runs in a thread; only the event loop may write to the socket.
             future = self._sent(Reply(head).packed(message.seq, "progress"))
             asyncio.run_coroutine_threadsafe(future, loop)
 
@@ -252,13 +254,14 @@ class Conversation:
     async def _answered(self, message: Message, answer: Reply) -> None:
         try:
             data = answer.packed(message.seq, message.verb)
-        # A NaN, say: it must not end the task that answers all of this kind.
+        # An error such as NaN in an answer must not end the task that answers all
+        # requests of this kind.
         except Exception:  # noqa: BLE001
             data = _defect().packed(message.seq, message.verb)
         await self._sent(data)
 
     async def _sent(self, data: bytes) -> None:
-        # Answers of three tasks: two sends at once would mix their frames.
+        # Three tasks send answers: two at the same time would mix their frames.
         async with self._sending:
             with contextlib.suppress(
                 RuntimeError, WebSocketDisconnect
@@ -267,8 +270,8 @@ class Conversation:
 
 
 def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
-    """The answer of `work`; a refusal is an answer, and a defect of ours does not end
-    the page.
+    """The answer of `work`; an error is an answer too, and a defect of fraclink does
+    not end the page.
     """
     try:
         return work(message)
@@ -276,7 +279,7 @@ def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
         return _superseded()
     except FraclinkError as error:
         return refusal(error)
-    except Exception:  # whatever it is, the study in memory must survive it  # noqa: BLE001
+    except Exception:  # the study in memory must survive any error  # noqa: BLE001
         return _defect()
 
 

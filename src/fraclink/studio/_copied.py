@@ -1,5 +1,5 @@
-"""What the user did by hand in a step, as a command and as Python: the same result
-without the studio.
+"""The user's actions in a step as a command and as Python code, which give the same
+result without the studio.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def copies(session: Session) -> Copies:
     )
     loaded = f"design = fl.load({design!r})"
     made, known = session.study.design, session.study.rig
-    # With the heaviest, which moves slowest; 40 g is that of the bundled rig.
+    # With the heaviest payload, which moves slowest; 40 g is that of the bundled rig.
     payload = made.payloads[1] if made else known.payloads.high if known else 0.04
     found = {
         "log": (log.words("inspect"), log.lines("print(fl.inspect_log({log}))", rig=False)),
@@ -66,7 +66,7 @@ def _lines(*lines: str) -> str:
 
 
 class _Log:
-    """How a command and Python name the log of a session, and what was said of its
+    """The name of a session's log in a command and in Python, and the statements of its
     columns.
     """
 
@@ -79,19 +79,19 @@ class _Log:
             )
         elif source.is_relative_to(
             session.draft
-        ):  # sent by the page, which does not know where it lay
+        ):  # uploaded by the page, which does not know its original place
             self.word = source.name
         else:
-            # The command line calls the bundled log demo; its path lies in this
-            # machine's installation.
+            # The command line calls the bundled log demo; its path belongs to this
+            # installation.
             self.word = "demo" if source == bundled_log("prbs_30g") else str(source)
 
     def words(self, verb: str, rig: str = "", *more: str) -> str:
         """The command `verb` on the log, with what was stated of its columns where a
         rig is named.
         """
-        # `inspect` lists what is in a file whatever it is taken for: it has no such
-        # options.
+        # `inspect` lists the content of a file regardless of its interpretation: it has
+        # no such options.
         stated: Sequence[str] = self.session.columns if rig else ()
         words = ["fraclink", verb, self.word, *(["--rig", rig] if rig else [])]
         for column in stated:
@@ -137,16 +137,15 @@ class _Log:
         given = f", {structure!r}" if structure else ""
         given += "" if heldout is None else f", heldout={heldout:g}"
         known = self.session.study.experiment
-        # A deflection is an angle over an angle, in which c cancels: it must be stated.
-        if (
-            known is not None and known.output_kind == "deflection"
-        ):  # it cannot show the stiffness
+        # A deflection is a ratio of angles, in which c cancels: it must be stated.
+        # such a log does not determine the stiffness
+        if known is not None and known.output_kind == "deflection":
             given += ", stiffness=rig.link.stiffness"
         return self.lines("log = {read}", f"fit = fl.identify(log{given})")
 
 
 def _python_columns(texts: Sequence[str]) -> str:
-    """The call that makes the columns that `texts` state."""
+    """The call that creates the columns stated by `texts`."""
     columns = parse_columns(texts)
 
     def channel(role: str) -> str:
@@ -166,8 +165,8 @@ def _python_rig(rig: str) -> str:
 
 
 def _rig_name(session: Session) -> str:
-    """How a command names the rig: a bundled one by its name, any other by the file
-    that Keep writes.
+    """The name of the rig in a command: a bundled one by its name, any other by the
+    file that Keep writes.
     """
     study: Study = session.study
     rig = study.rig
@@ -183,20 +182,20 @@ def _model(session: Session) -> Path | None:
 
 
 def _completed(session: Session) -> dict[str, Any]:
-    """The state with the rig's completions: `fraclink.design` of Python completes
-    nothing.
+    """The state with the rig's defaults, which `fraclink.design` in Python does not
+    apply.
     """
     study, request = session.study, dict(session.state)
     made = study.design
     if made is None:
         return request
     known = study.rig.design if study.rig else None
-    # What was completed is read from the design and not worked out again: two ways to
-    # complete would differ some day.
+    # Defaults are read from the design instead of being determined again, so that the
+    # two cannot differ.
     request["payloads"] = made.payloads
     request["gain_crossover"] = made.gain_crossover
-    # Where Ms was asked for the margin is a result; stated as well, it would be a
-    # second request.
+    # If Ms was requested, the margin is a result; stated as well, it would be a second
+    # request.
     if request["max_sensitivity"] is None or request["phase_margin_deg"] is not None:
         request["phase_margin_deg"] = request["phase_margin_deg"] or round(
             math.degrees(made.phase_margin), 9
@@ -218,8 +217,8 @@ def as_command(
         if value is None or value is False:
             continue
         words.append(f"--{name.replace('_', '-')}")
-        # A flag has no word behind it.
-        if value is not True:  # a flag has no word behind it
+        # A flag has no value.
+        if value is not True:
             words += map(_plain, value if isinstance(value, tuple) else (value,))
     return shlex.join([*words, "--out", str(out)])
 

@@ -1,5 +1,5 @@
-"""Undo that survives a crash: one line of JSON for every state that a hand let go of,
-beside the study.
+"""Undo that survives a crash: one line of JSON for every released state, next to the
+study.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from fraclink.studio._protocol import LONGEST
 __all__ = ["History"]
 
 _NAME = "studio.jsonl"
-# At a state for every second that a hand lets go, nearly three hours. lines that are
-# read back; nobody takes back more, and a file from elsewhere may be long
+# Largest number of lines read back: nearly three hours with one state per second.
+# Nobody undoes more, and a file from elsewhere may be long.
 _MOST = 10_000
 
 
@@ -39,9 +39,8 @@ class History:
     path: Path
     states: list[dict[str, Any]]
     at: int = -1
-    kept: set[int] = field(
-        default_factory=set
-    )  # those that Keep wrote to the study's files
+    # states that Keep wrote to the files of the study
+    kept: set[int] = field(default_factory=set)
 
     @staticmethod
     def of(folder: Path) -> History:
@@ -91,22 +90,22 @@ class History:
 
     def _write(self, entry: dict[str, Any]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        # Appended and closed at once: a kill loses the line that was being written, and
-        # no other.
+        # Appended and closed at once: an interruption only loses the line being
+        # written.
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, allow_nan=False) + "\n")
         self._apply(entry)
 
-    # The same for a line that is read and for one that is written: a history read back
-    # is the one that was left.
+    # The same method for reading and writing, so that a history read back equals the
+    # one that was left.
     def _apply(self, entry: Mapping[str, Any]) -> None:
-        # A file edited by hand may name a state far behind the last: it becomes the
+        # A file edited by hand may refer to a state far beyond the last: it becomes the
         # next one.
         at = min(int(entry["at"]), len(self.states))
         if "state" in entry:
             self.states = [*self.states[:at], dict(entry["state"])]
-            # What is undone and then replaced is gone with its mark: another state has
-            # its number now.
+            # When an undone state is replaced its mark is removed, since another state
+            # now has its number.
             self.kept = {k for k in self.kept if k < at}
         self.at = min(at, len(self.states) - 1)
         if entry.get("kept") is True:
@@ -114,9 +113,9 @@ class History:
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:
-    """The entry of a line; None where it is not one."""
-    # No request that long is taken from a page either; a file of one endless line is
-    # not parsed.
+    """The entry of a line; None if it is not valid."""
+    # As for requests of a page, longer ones are not accepted; a file with one endless
+    # line is not parsed.
     if len(line) > LONGEST:
         return None
     try:

@@ -1,5 +1,5 @@
-"""Steps 1 to 3: a log's channels, which column is what, and the fits, as answers for
-the page.
+"""Steps 1 to 3: the channels of a log, the roles of its columns, and the fits, as
+answers for the page.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from fraclink.view._text import grid_of
 __all__ = ["LOG_VERBS", "fit_answer"]
 
 Real = NDArray[np.float64]
-_POINTS = 2400  # of a curve over time: two for each pixel of a wide screen
+_POINTS = 2400  # points of a curve over time: two for each pixel of a wide screen
 _SPARKS = 240
 _TEXTS = 16  # statements of columns
 
@@ -55,10 +55,10 @@ def thinned(values: Real, points: int = _POINTS) -> Real:
     """
     if values.size <= points:
         return values
-    # Two points a stretch, its smallest and its largest value in their order: what a
-    # picture of so many pixels shows anyway.
+    # Two points per stretch, the smallest and the largest value in their order: a
+    # picture of that many pixels shows no more.
     size = -(-values.size // (points // 2))
-    # Filled up with the last value, which adds no extreme of its own.
+    # Padded with the last value, which adds no extreme.
     padded = np.concatenate([values, np.full(-values.size % size, values[-1])]).reshape(
         -1, size
     )
@@ -69,10 +69,11 @@ def thinned(values: Real, points: int = _POINTS) -> Real:
 
 
 def _finite(values: Real) -> Real:
-    """The signal with its gaps closed by the value before: a picture has no room for a
+    """The signal with gaps replaced by the previous value, since a picture cannot show
     NaN.
     """
-    # Loggers write 1e38 or so for a missing value; as float32 that is nearly infinite.
+    # Loggers write values such as 1e38 for missing ones; as float32 these are nearly
+    # infinite.
     good = np.isfinite(values) & (np.abs(values) < 1e30)
     if not good.any():
         return np.zeros_like(values)
@@ -117,8 +118,7 @@ def _listing(session: Session) -> Reply:
         f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS)
         for k, values in enumerate(table.values)
     }
-    # A listing proposes, it does not read; a guess that is wrong is dragged away by
-    # hand.
+    # A listing only suggests roles; the user corrects a wrong guess by dragging.
     guessed = match(session.source)
     roles = {} if guessed.columns is None else guessed.columns.channels()
     places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
@@ -154,9 +154,7 @@ def _listing(session: Session) -> Reply:
 
 
 def _facts(channel: ChannelSummary, role: str | None) -> str:
-    """What is known of a channel, in a line: its role, its range, its clock and its
-    gaps.
-    """
+    """The facts about a channel in one line: its role, range, clock and gaps."""
     facts = [role] if role else []
     facts.append(f"{number(channel.minimum)} … {number(channel.maximum)}")
     facts += [f"every {number(channel.period)}"] if channel.period else []
@@ -165,7 +163,7 @@ def _facts(channel: ChannelSummary, role: str | None) -> str:
 
 
 def _scaled(values: Real) -> Real:
-    """A signal between 0 and 1, as a sparkline has no axis."""
+    """A signal scaled to 0 … 1, since a sparkline has no axis."""
     low, high = (
         float(values.min(initial=math.inf)),
         float(values.max(initial=-math.inf)),
@@ -197,7 +195,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         guessed = match(session.source, column=texts)
         columns = guessed.columns
         if columns is None:
-            # What is left, such as a unit, is no guess: a wrong one would be a wrong
+            # The rest, such as a unit, is not guessed: a wrong guess would give a wrong
             # controller.
             asked = " ".join(question.text for question in guessed.questions)
             raise FieldError(
@@ -209,17 +207,18 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
             )
     rig = session.study.rig
     keep = _stretch(given.get("keep"))
-    # Without statements those of the rig file, as the command line takes them.
+    # Without statements those of the rig file apply, as on the command line.
     log = read_log(
         session.source, columns=columns or rig.log, payload=payload, keep=keep
     )
     session.columns = () if columns is None else _statements(columns)
     session.payload, session.stretch, session.heldout = payload, keep, None
     session.whole = log
-    if keep is not None:  # the picture shows what lies beside it, if that can be read
+    # the picture shows the surroundings of the stretch, if they can be read
+    if keep is not None:
         try:
-            # resample: the clock may be uneven beside the stretch; for a picture that
-            # does not matter.
+            # resample: outside the stretch the clock may be uneven, which does not
+            # matter for a picture.
             session.whole = read_log(
                 session.source, columns=columns or rig.log, resample=True
             )
@@ -234,8 +233,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _statements(columns: LogColumns) -> tuple[str, ...]:
-    """The columns as the command line takes them; what was left to a guess is stated,
-    too.
+    """The columns in the form of the command line, with guesses stated explicitly.
 
     >>> from fraclink._arm.log_columns import parse_columns
     >>> _statements(parse_columns(["time=t [s]", "motor_angle=-n * 0.25 [deg]", "torque=g [Nm]"]))
@@ -249,9 +247,7 @@ def _statements(columns: LogColumns) -> tuple[str, ...]:
 
 
 def _stretch(given: object) -> tuple[float, float] | None:
-    """The stretch of the log that the page marked [s]; which are possible is for
-    `read_log` to say.
-    """
+    """The stretch of the log marked in the page [s]; `read_log` checks its limits."""
     if given is None:
         return None
     if (
@@ -270,11 +266,11 @@ def _stretch(given: object) -> tuple[float, float] | None:
 
 
 def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
-    """The log in SI units: what is known of it, its findings, and two curves."""
+    """The log in SI units: its facts, its findings, and two curves."""
     log = session.study.experiment
     if log is None:
         return {"experiment": None}, {}
-    # The log's own and those of its examination overlap: each is told once.
+    # The findings of the log and of its diagnosis overlap: each is shown once.
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
     shown = session.whole or log
     head = {
@@ -289,17 +285,15 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
 
 
 def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Take another rig, bundled or the file that was sent; what was computed for the
-    old one is gone.
-    """
+    """Use another rig, bundled or uploaded; results for the old one are discarded."""
     name = given.get("name")
     if name == "upload" and session.upload is not None:
         rig = Rig.load(session.upload)
     else:
         rig = Rig.named(str(name)[:80])
     log = session.study.experiment
-    # The log stays, in SI units it knows no rig; everything that was computed for the
-    # old one goes.
+    # The log remains, since it is in SI units and independent of the rig; all results
+    # for the old rig are discarded.
     session.become(
         Study(rig=rig, assumptions=rig.assumptions)
         if log is None
@@ -334,8 +328,7 @@ def _models(session: Session, given: Mapping[str, Any]) -> Reply:
                 allowed=", ".join(session.study.fits) or "a fit",
                 remedy="fit the log first",
             )
-        # The design was made for the other model, and must not stand beside this one as
-        # if it were its own.
+        # The design was made for the other model and must not be shown with this one.
         session.become(bare(replace(session.study, fit=fit)))
     return fit_answer(session)
 
@@ -379,8 +372,8 @@ def fit_answer(session: Session) -> Reply:
     return Reply(head, curves)
 
 
-# Plot of the page, curve in it, its style, and which of the answer's curves hold its
-# places and its values; without places it is drawn over time.
+# Plot of the page, curve in it, its style, and the curves of the answer with its
+# abscissae and its values; without abscissae it is drawn over time.
 _DRAWN = (
     ("fitted", "measured", "measured", None, "measured"),
     ("fitted", "predicted", "predicted", None, "predicted"),
@@ -394,7 +387,9 @@ _DRAWN = (
 
 
 def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
-    """The ends of both axes of every plot of step 3, where the page does not know them."""
+    """The ends of both axes of those plots of step 3 that the page cannot determine
+    itself.
+    """
 
     def ends(name: str, least: float = -math.inf) -> dict[str, float]:
         return {
@@ -404,7 +399,7 @@ def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
 
     high = 1.08 * max(float(np.abs(curves["measured"]).max()), 1e-9)
     over_time = [{"low": 0.0, "high": duration}, {"low": -high, "high": high}]
-    # 70 dB: below lies the noise of a gauge of twelve bits.
+    # 70 dB: the noise of a gauge of twelve bits lies below.
     top = 5.0 + max(
         float(curves[name].max()) for name in ("response_log", "response_model")
     )
@@ -423,8 +418,7 @@ def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
     resonance.
     """
     seen, around = welch_response(log, fit), error_map(log, fit)
-    # 80 dB below the largest: a line at which nothing was heard would pull the axis
-    # down to −∞.
+    # 80 dB below the largest: a line without signal would extend the axis to −∞.
     low = 1e-4 * float(np.abs(seen.measured).max())
 
     def decibels(response: NDArray[np.complex128]) -> Real:
@@ -455,16 +449,16 @@ def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
 
 
 def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
-    """Amplitude spectra [dB of the output's largest] of what was measured and of what
-    the model left.
+    """Amplitude spectra [dB of the output's largest] of the measured output and of the
+    residual.
     """
     window = np.hanning(output.size)
     both = [
         np.abs(np.fft.rfft((x - x.mean()) * window))[1:] for x in (output, residual)
     ]
     frequency = np.arange(1, both[0].size + 1) / (output.size * period)
-    # 160 peaks on a logarithmic axis: of ten thousand lines, most of them in the last
-    # decade, a picture is a black band.
+    # 160 peaks on a logarithmic axis: ten thousand lines, most of them in the last
+    # decade, would make a black band.
     edges = np.geomspace(frequency[0], frequency[-1], 161)
     place = np.clip(np.searchsorted(edges, frequency) - 1, 0, edges.size - 2)
     most = max(float(both[0].max()), 1e-300)
@@ -474,8 +468,7 @@ def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
         np.maximum.at(peaks, place, values)
         known = peaks > 0.0
         level = 20 * np.log10(np.maximum(peaks / most, 1e-6))
-        # On the left a stretch may hold no line at all: it gets the straight line
-        # between its neighbours.
+        # On the left an interval may contain no line: it is interpolated linearly.
         found[name] = np.interp(
             np.arange(level.size), np.flatnonzero(known), level[known]
         )

@@ -1,5 +1,5 @@
-"""What goes over the socket: requests as small JSON objects, answers as a JSON head
-with curves behind it.
+"""Messages on the socket: requests as small JSON objects, answers as a JSON header
+followed by curves.
 
 A request for a design has the options of `fraclink design`, under their names and with
 their ranges.
@@ -64,15 +64,15 @@ class Reply:
             for name, curve in self.curves.items()
         }
         for name, array in arrays.items():
-            # The page draws what it gets without looking: a NaN would end its line
-            # somewhere and nobody would know why.
+            # The page draws its data without a check: a NaN would end a line for no
+            # visible reason.
             if not np.isfinite(array).all():
                 raise AssertionError(f"curve {name} is not finite")
         shapes = {name: list(array.shape) for name, array in arrays.items()}
         head = plain({**self.head, "seq": seq, "verb": verb, "curves": shapes})
         text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
-        # A Float32Array of the page must begin at a multiple of four bytes; the spaces
-        # are still JSON.
+        # A Float32Array in the page must begin at a multiple of four bytes; JSON allows
+        # the added spaces.
         text += b" " * (-len(text) % 4)
         return (
             struct.pack("<I", len(text))
@@ -98,7 +98,8 @@ def parsed(text: object) -> Message:
     if not isinstance(found, dict):
         raise _refused(type(found).__name__)
     seq, verb = found.pop("seq", None), found.pop("verb", None)
-    # 2^53: the last whole number of JavaScript. bool is an int of Python, hence `type`.
+    # 2^53: the largest safe integer of JavaScript. `type`, because bool is a subclass
+    # of int.
     counted = type(seq) is int and 0 <= seq < 2**53
     if not counted or not isinstance(verb, str) or len(verb) > _NAME:
         raise _refused(f"seq {str(seq)[:_NAME]}, verb {str(verb)[:_NAME]}")
@@ -145,8 +146,8 @@ _PYTHON_ONLY = (
     "placement",
     "settling_time",
 )
-# Every option has the range that the library states for it; the command line gives the
-# margin in degrees.
+# Every option has the range stated in the library; the command line takes the margin in
+# degrees.
 _HINTS: dict[str, Any] = {
     name: hint
     for name, hint in get_type_hints(Specification, include_extras=True).items()
@@ -184,8 +185,8 @@ def checked_request(given: object) -> dict[str, Any]:
             )
     found = {}
     for name, hint in _HINTS.items():
-        # JSON has no tuples, and a range is one; None stands for whatever the rule or
-        # the rig chooses.
+        # JSON has no tuples, and a range is one; None leaves the choice to the rule or
+        # the rig.
         value = given.get(name)
         if isinstance(value, list):
             value = tuple(value)

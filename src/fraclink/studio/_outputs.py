@@ -1,5 +1,5 @@
-"""Step 7: the files for a board, and the pages to hand on, written where the command
-line writes them.
+"""Step 7: the files for a board and the pages to be shared, written to the same places
+as by the command line.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from fraclink.view._words import power_on
 __all__ = ["OUTPUT_VERBS"]
 
 _PRECISIONS = ("single", "double")
-# Counted by benchmarks/bench_law.py on a Cortex-M4F, gcc -O2, a law of 6 + 2
-# modes in single precision: built for this design alone, and with room for every
-# design; and what a mode more costs.
+# Measured by benchmarks/bench_law.py on a Cortex-M4F, gcc -O2, for a law of 6 + 2 modes
+# in single precision: built for this design alone, and with room for every design; and
+# the cost of another mode.
 _COUNTED, _OF_MODES, _A_MODE = (409, 495), 8, 8
 
 
@@ -81,7 +81,9 @@ _TARGETS: dict[
 
 
 def _export(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Write one kind of output into the study's folder, never over a file unasked."""
+    """Write one kind of output into the folder of the study, without overwriting files
+    unless allowed.
+    """
     target, precision = str(given.get("target")), given.get("precision", "single")
     if target not in _TARGETS or precision not in _PRECISIONS:
         allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
@@ -106,7 +108,7 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
         path.relative_to(session.folder).as_posix(): path.stat().st_size
         for path in paths
     }
-    # Files of an earlier design stay in the folder, and are none of this export.
+    # Files of an earlier design stay in the folder, but do not belong to this export.
     session.written = session.written | names if session.current else names
     session.exported = made
     head = {"ok": True, "target": target, "written": names, "export_command": command}
@@ -114,8 +116,8 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _board(session: Session, given: Mapping[str, Any]) -> Reply:
-    """What a board needs for the law: memory, instructions, the self-test's hash; and
-    the first power-on.
+    """The needs of the law on a board: memory, instructions, the hash of the self-test;
+    and the first power-on.
     """
     precision, made, law = (
         given.get("precision", "single"),
@@ -128,8 +130,8 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
     flash, state = exact_sizes(law)
     room = _kernels.law_sizes(precision == "single")
     modes = law.order + len(law.feedforward.poles)
-    # Counted for 6 + 2 modes, and carried over: every further one is eight instructions
-    # a period.
+    # Measured for 6 + 2 modes and extrapolated: every further mode takes eight
+    # instructions per period.
     counts = [f"about {count + _A_MODE * (modes - _OF_MODES)}" for count in _COUNTED]
     rows = [
         ["memory of each arm (RAM)", f"{state} bytes", f"{room[1]} bytes"],
@@ -142,8 +144,8 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Pack what was written into one archive in the draft folder, for the page to
-    fetch.
+    """Pack the written files into one archive in the draft folder, for download by the
+    page.
     """
     if not session.written:
         raise FieldError(
@@ -154,7 +156,8 @@ def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
             remedy="export something first",
         )
     place = session.draft / "studio.zip"
-    # In the draft folder: an archive in the results would be packed into the next one.
+    # In the draft folder: an archive among the results would be packed into the next
+    # one.
     with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in session.written:
             archive.write(session.folder / name, name)

@@ -1,5 +1,5 @@
-"""Runs that Python makes for the arm in the page: a tip held, a payload lost in a move,
-a fault's case.
+"""Runs computed in Python for the arm in the page: a held tip, a payload lost in a
+move, a case of a fault.
 """
 
 from __future__ import annotations
@@ -22,16 +22,14 @@ from fraclink.view._arm_box import assumed_mass
 
 __all__ = ["PLAY_VERBS"]
 
-_LONGEST = 16.0  # [s] of a run: what the page's engine holds at 4 ms
-_AHEAD = (
-    0.3  # [s] by which the reference is looked at: to which side the tip wants to go
-)
+_LONGEST = 16.0  # [s] of a run: the capacity of the page's engine at 4 ms
+_AHEAD = 0.3  # [s] of look-ahead in the reference for the direction of the tip
 _NUMBERS = ("payload", "move", "time", "half", "duration", "noise", "offset", "delay")
 
 
 def _play(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Run the page's move on the twin, with a hand at the tip or a payload that is lost
-    on the way.
+    """Run the page's move on the twin, with a hand holding the tip or a payload lost
+    during the move.
     """
     made, law = session.study.design, session.study.law
     if made is None or law is None:
@@ -60,7 +58,7 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
         "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
         "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
     }  # fmt: skip
-    # Modes 0 and 1 are idle and run: above them the law has reacted.
+    # Modes 0 and 1 are idle and run: a higher one is a reaction of the law.
     after = "" if np.asarray(run.mode).max() <= 1 else " The law changed its mode."
     return _reply(f"On the twin: {said}.{after}", payload, math.degrees(move), curves)
 
@@ -75,15 +73,15 @@ def _events(
         begin, until, place = (
             _number(hold, name) for name in ("begin", "until", "angle")
         )
-        # A hand stops the arm on its way: the stop stands before it, on the side that
-        # the reference will have reached in 0.3 s; at the moment of the grip it may
-        # still be at the tip's place.
+        # A hand stops the arm in its motion: the obstacle stands on the side that the
+        # reference will have reached in 0.3 s, since at the moment of the grip it may
+        # still be at the position of the tip.
         side: Literal[1, -1] = (
             1
             if float(np.asarray(angle(np.array([begin + _AHEAD])))[0]) >= place
             else -1
         )
-        # Let go in the same frame it is a stop of no length, which is none; a
+        # If it is released in the same frame the obstacle has no duration; a
         # millisecond is a touch.
         events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
         said.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
@@ -97,9 +95,7 @@ def _events(
 
 
 def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Run one case of the fault campaign again, with the law and the noise that it was
-    judged by.
-    """
+    """Run one case of the fault campaign again, with the same law and noise."""
     made = session.study.design
     if made is None:
         raise _missing()
@@ -113,7 +109,7 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     )
     fault = fault_named(case.fault)
     bench = Bench.of(made, made.rig)
-    # With seed 1, as the campaign of this page judged it.
+    # Seed 1, as in the campaign of this page.
     run = observe(bench, case).faulty
     curves: dict[str, Any] = {
         "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
@@ -127,15 +123,15 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) -> Reply:
-    """The run; what is not finite, as a reading that a fault made so, is replaced by
-    the value before.
+    """The run, with non-finite values, such as readings changed by a fault, replaced by
+    the previous value.
     """
     clean = {}
     for name, values in curves.items():
         found = np.asarray(values, dtype=float).copy()
         good = np.isfinite(found) & (np.abs(found) < 1e6)
-        # What is not finite is what the fault did to a reading; the law held the value
-        # before, and so does the picture.
+        # A non-finite value is a reading changed by the fault; the law held the
+        # previous value, and so does the picture.
         last = np.maximum.accumulate(np.where(good, np.arange(found.size), 0))
         clean[name] = np.where(good, found, 0.0)[last]
     return Reply({"ok": True, "said": said, "payload": payload, "move": move}, clean)

@@ -1,5 +1,5 @@
-"""What a drag shows: a design, its loop and its margins, in a few milliseconds; no
-promise is made by it.
+"""The preview during a drag: a design, its loop and its margins in a few milliseconds,
+without a verdict.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ __all__ = ["Subject", "blocks_of", "fan_of", "map_of", "nearest", "preview"]
 Real = NDArray[np.float64]
 
 _POINTS, _PAYLOADS = 280, 49
-_LIGHTER, _HEAVIER = 0.4, 2.0  # of the rig's payload range: where a margin is drawn
+_LIGHTER, _HEAVIER = 0.4, 2.0  # range of the margin plot relative to the rig's payloads
 _DECIBELS = 20.0 / math.log(10.0)
-# Six intervals have 64 corners: at two payloads and 280 frequencies 36 000 numbers, for
-# what is drawn as a veil.
+# Limits of the fan: corners of the box, and every fourth frequency. Six intervals have
+# 64 corners, which at two payloads and 280 frequencies are 36 000 numbers for a shaded
+# area.
 _ARMS, _SKIPPED = (
     16,
     4,
-)  # of the fan: at most so many corners of the box, every fourth frequency
-# Cells of the map, 20 ms each: the margins of 10° to 100° in tens.
+)
+# Cells of the map, 20 ms each: margins from 10° to 100° in steps of ten.
 _CROSSOVERS, _MARGINS = 17, 10
-_FASTEST, _WIDEST = (
-    4.0,
-    100.0,
-)  # of the map: beyond the lightest link's ω₀ (as rad/s), and degrees of margin
+# limits of the map: multiple of the lightest link's ω₀ (in rad/s), and degrees of
+# margin
+_FASTEST, _WIDEST = (4.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     """
     try:
         request = checked_request(state)
-        # What is nearest to a refused request is looked for when the hand lets go.
+        # The nearest feasible request is only searched for when the handle is released.
         wanted = wanted_of(request) | {"nearest": False}
         made, assumed = design_for(subject.rig, subject.model, **wanted)
         shown = _shown(subject, made, assumed)
@@ -152,8 +152,8 @@ def nearest(subject: Subject, state: object) -> Reply:
 def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     low, high = made.payloads
     nominal = made.rig.payloads.nominal
-    # Three curves whatever the range: where the nominal payload is no third one, the
-    # middle of the range is.
+    # Always three curves: if the nominal payload is not a third one, the middle of the
+    # range is used.
     three = (low, nominal if low < nominal < high else 0.5 * (low + high), high)
     links = np.array([made.natural_frequency(mass) for mass in three])
     logs = made.loop.log(subject.frequencies, links[:, None])
@@ -177,11 +177,11 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         "said": described(made, subject.payloads, margin),
     }
     if subject.law is not None:
-        # The poles of the last exact law with residues fitted anew: a fiftieth of the
+        # The poles of the last exact law with newly fitted residues: a fiftieth of the
         # time of a new law.
         head |= _quick(subject.law, made)
     curves = {
-        # An undamped mode has a pole on the axis: clipped far outside of every plot, or
+        # An undamped mode has a pole on the axis: clipped far outside every plot, since
         # float32 would carry infinities.
         "gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
         "phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
@@ -204,9 +204,7 @@ def _controller(made: Design) -> dict[str, Any]:
 
 
 def _facts(made: Design) -> list[tuple[str, str]]:
-    """What a design is known by, as a page shows it, and lays beside that of another
-    one.
-    """
+    """The key figures of a design, as a page shows and compares them."""
     c = made.controller
     return [
         ("ω_c", f"{number(made.gain_crossover)} rad/s"),
@@ -225,7 +223,7 @@ def _budget(made: Design, payload: float) -> list[tuple[str, float]]:
             (share.element, math.degrees(share.phase))
             for share in phase_budget(made, payload)
         ]
-    except FieldError:  # without a gain crossover there is no phase to share out
+    except FieldError:  # without a gain crossover there is no phase budget
         return []
 
 
@@ -247,8 +245,8 @@ def blocks_of(law: Law) -> list[str]:
 def described(made: Design, payloads: Real, margin: Real) -> str:
     """Return what the plot of margins shows, in a sentence for those who do not see it."""
     low, high = made.payloads
-    # The plot's points are fixed while a hand drags the range: a narrow one may lie
-    # between two of them.
+    # The points of the plot are fixed while the range is dragged: a narrow range may
+    # lie between two of them.
     inside = (payloads >= low) & (payloads <= high)
     if not inside.any() or math.isnan(float(margin[inside].min())):
         return "No payload of the plot lies within the range designed for."
@@ -259,10 +257,11 @@ def described(made: Design, payloads: Real, margin: Real) -> str:
         if stable.size
         else ""
     )
-    # A twentieth of a degree below the smaller end counts: less is the points' spacing.
+    # A difference of more than 0.05° from the smaller end counts; less is due to the
+    # spacing of the points.
     least = math.degrees(float(margin[inside].min()))
-    # The points of the plot need not include the ends: said only where the middle is
-    # worse than both.
+    # The points of the plot need not include the ends: mentioned only if the margin
+    # between them is smaller than at both.
     middle = f", least {least:.1f}° between" if least < ends.min() - 0.05 else ""
     both = f"{ends[0]:.1f}° at {1e3 * low:.3g} g, {ends[1]:.1f}° at {1e3 * high:.3g} g"
     return f"Phase margin {both}{middle}{rest}."
@@ -280,7 +279,7 @@ def map_of(
     It takes seconds: `going` is called before each crossover, and may wait or raise.
     """
     request = checked_request(state)
-    # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the frequency [rad/s] that it belongs to.
+    # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the corresponding frequency [rad/s].
     slowest = float(subject.link_frequencies.min()) ** (2.0 / subject.model.order)
     fastest = float(subject.link_frequencies.max()) ** (2.0 / subject.model.order)
     crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)

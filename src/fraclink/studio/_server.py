@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Studio", "application"]
 
-# No inline script or style, no other host, no frame: what a hostile name in a log could
-# smuggle into the page does not run. WebAssembly must be compiled, hence
-# 'wasm-unsafe-eval'.
+# No inline script or style, no other host, no frame: a script smuggled in by a hostile
+# name in a log does not run. WebAssembly has to be compiled, hence 'wasm-unsafe-eval'.
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -54,11 +53,11 @@ _KINDS = {
     ".svg": "image/svg+xml",
 }
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
-UPLOAD_LIMIT = 200_000_000  # bytes: as much as the readers of logs take
-# A plain file name with an ending: no folder, no leading dot, nothing that a file
-# system or a shell takes for something else.
+UPLOAD_LIMIT = 200_000_000  # bytes; the limit of the log readers
+# A plain file name with an ending: no folder, no leading dot, and nothing with a
+# special meaning for a file system or a shell.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
-_PATIENCE = 10.0  # [s] for the token, which the page sends at once
+_PATIENCE = 10.0  # [s] for the token, which the page sends immediately
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -77,18 +76,20 @@ class Studio:
         self, opening: Callable[[], Session], *, hosts: Iterable[str] = ()
     ) -> None:
         self._session: Future[Session] = Future()
-        # A daemon: Ctrl-C while numpy is still loading ends the studio.
+        # A daemon thread, so that Ctrl-C ends the studio while numpy is still loading.
         Thread(target=self._open, args=(opening,), daemon=True).start()
         self.token = secrets.token_urlsafe(24)  # 192 bits
-        self.hosts = frozenset(hosts)  # empty: set when the port is known
+        self.hosts = frozenset(hosts)  # empty until the port is known
         self.pages = 0
         self.alone_since = time.monotonic()
 
     def _open(self, opening: Callable[[], Session]) -> None:
         try:
             session = opening()
-            import fraclink.studio._conversation  # what answers: before it is asked  # noqa: F401
-        except BaseException as error:  # handed to whoever waits for the session  # noqa: BLE001
+            # loaded in advance, before the first request
+            import fraclink.studio._conversation  # noqa: F401
+        # passed on to all that wait for the session
+        except BaseException as error:  # noqa: BLE001
             self._session.set_exception(error)
         else:
             self._session.set_result(session)
@@ -111,7 +112,7 @@ class Studio:
 
 
 class _Guard:
-    """Refuses another Host than this server's (DNS rebinding: 421) and sockets of other
+    """Rejects requests for another host (DNS rebinding: 421) and sockets of other
     origins (403).
     """
 
@@ -127,14 +128,14 @@ class _Guard:
             for key, value in scope["headers"]
         }
         origin = headers.get("origin")
-        # A browser names the origin of every socket and of every POST, and no script of
-        # another page can forge it; a GET of one's own has none.
+        # A browser states the origin of every socket and every POST, and no script of
+        # another page can forge it; a GET from the same origin has none.
         foreign = (
             origin is not None
             and origin.removeprefix("http://") not in self.studio.hosts
         )
-        # Another page may resolve its own name to 127.0.0.1 (DNS rebinding) and is then
-        # of one origin with it: the Host header still has its name.
+        # Another page may resolve its own name to 127.0.0.1 (DNS rebinding), which
+        # makes the origins equal; but the Host header still contains that name.
         if headers.get("host") not in self.studio.hosts:
             await _refuse(scope, receive, send, 421, "wrong host")
         elif foreign or (origin is None and scope["type"] == "websocket"):
@@ -154,8 +155,8 @@ async def _refuse(
 
 
 def _contents() -> dict[str, tuple[bytes, str]]:
-    """Every file that is served: path -> (content, kind). Nothing else can be asked
-    for.
+    """All files that are served: path -> (content, kind). Nothing else can be
+    requested.
     """
     found = {
         f"/{path.name}": (path.read_bytes(), _KINDS[Path(path.name).suffix])
@@ -174,11 +175,11 @@ def _contents() -> dict[str, tuple[bytes, str]]:
 
 
 def _arm_module() -> str:
-    """The scripts of the arm's page as one module: the same lines, with a door for
-    another law.
+    """The scripts of the arm's page as one module: the same code, with an entry point
+    for another law.
 
-    They write their settings to the page's address, and hear the whole document; both
-    are the studio's here.
+    In the arm's page they write their settings to the address and listen to the whole
+    document; here both belong to the studio.
     """
     before, after = (_PAGE / name for name in ("arm_before.txt", "arm_after.txt"))
     body = "".join(squeezed(name) for name in _SCRIPTS)
@@ -223,7 +224,7 @@ async def _nothing(request: Request, error: Exception) -> Response:
 
 
 async def _uploaded(studio: Studio, request: Request) -> Response:
-    """Write the body to the draft folder under the name that it has, or refuse it."""
+    """Write the body to the draft folder under its name, or reject it."""
 
     def refused(status: int, why: str) -> Response:
         return PlainTextResponse(why, status, headers=_HEADERS)
@@ -233,7 +234,7 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
     name = request.query_params.get("name", "")
     if not _NAME.fullmatch(name):
         return refused(400, "name: letters, digits, spaces, and an ending")
-    # A file system counts bytes; 255 of them is what the common ones take.
+    # A file system counts bytes; common ones allow 255.
     if len(os.fsencode(name)) > 255:
         return refused(400, "name: longer than 255 bytes; give the file a shorter one")
     place = studio.session.draft / "upload" / name
@@ -243,14 +244,15 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
         with place.open("wb") as file:
             async for part in request.stream():
                 size += len(part)
-                # Counted while it comes: a length in the header is only a claim.
+                # Counted while receiving, because the length in the header is only a
+                # claim.
                 if size > UPLOAD_LIMIT:
                     raise ValueError
                 file.write(part)
     except (ValueError, ClientDisconnect):
         place.unlink(missing_ok=True)
         return refused(413, f"at most {UPLOAD_LIMIT} bytes")
-    except OSError as error:  # a full disk, or a folder of that name
+    except OSError as error:  # a full disk, or a folder of the same name
         if place.is_file():
             place.unlink()
         return refused(507, f"not stored: {error.strerror}")
@@ -259,8 +261,8 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
 
 
 def _downloaded(studio: Studio, request: Request) -> Response:
-    """The archive that the verb `zip` packed; with the token only, as it holds the
-    user's files.
+    """The archive packed by the verb `zip`; only with the token, because it contains
+    the user's files.
     """
     place = studio.session.draft / "studio.zip"
     if not studio.knows(request.headers.get("x-studio-token")):
@@ -273,7 +275,7 @@ def _downloaded(studio: Studio, request: Request) -> Response:
 async def _talked(studio: Studio, socket: WebSocket) -> None:
     await socket.accept()
     try:
-        # The token comes as the first message and not in the address, which logs and
+        # The token is sent as the first message and not in the address, which logs and
         # histories keep.
         token = await asyncio.wait_for(socket.receive_text(), _PATIENCE)
     except (
@@ -289,12 +291,14 @@ async def _talked(studio: Studio, socket: WebSocket) -> None:
     async with _counted(studio):
         try:
             session = await asyncio.to_thread(lambda: studio.session)
-        except Exception:  # said in the terminal by `serve`, which ends now  # noqa: BLE001
+        # reported in the terminal by `serve`, which then ends
+        except Exception:  # noqa: BLE001
             await socket.close(1011)
             return
+        # loaded after the first paint, with the session
         from fraclink.studio._conversation import (
             Conversation,
-        )  # loaded behind the first paint, with the session
+        )
 
         await Conversation(session, socket).run()
 

@@ -1,4 +1,4 @@
-"""Start the studio, say where it is, and end it when nobody looks any more."""
+"""Start the studio, print its address, and end it when no page is open any more."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["serve"]
 
 _HOST = "127.0.0.1"
 _ALONE = 600.0  # [s] without a page, after which the studio ends
-_LOOK = 0.5  # [s] between two looks
+_LOOK = 0.5  # [s] between two checks
 _PING = 20.0  # [s]
 
 
@@ -62,22 +62,22 @@ def serve(
     address = f"http://{_HOST}:{port}/#{studio.token}"
     settings = uvicorn.Config(
         application(studio),
-        log_level="critical",  # its lines would name the addresses of pages
+        log_level="critical",  # its log lines would contain the addresses of pages
         access_log=False,
         server_header=False,
         ws=_sockets(),
-        # Four bytes a letter at most (UTF-8): longer than any request that `parsed`
-        # would take.
+        # At most four bytes per character (UTF-8): longer than any request accepted by
+        # `parsed`.
         ws_max_size=4 * LONGEST,
         ws_ping_interval=_PING,
-        ws_per_message_deflate=False,  # 14 kB a drag that never leave the machine
+        ws_per_message_deflate=False,  # 14 kB per drag that never leave the machine
         h11_max_incomplete_event_size=LONGEST,
         lifespan="off",
     )
     server = uvicorn.Server(settings)
     say(address)
-    # Said before the browser is opened: on a machine without one the line is all there
-    # is.
+    # Printed before the browser is opened: on a machine without one, this line is the
+    # only information.
     if open_page:
         webbrowser.open(address)
     with contextlib.suppress(KeyboardInterrupt):
@@ -88,8 +88,8 @@ def serve(
 
 
 def _sockets() -> Literal["wsproto", "websockets-sansio"]:
-    """What speaks the protocol of the socket: wsproto, a tenth of the size, or what is
-    there anyway.
+    """The implementation of the WebSocket protocol: wsproto, a tenth of the size, or
+    the one that is installed.
     """
     if find_spec("wsproto") is not None:
         return "wsproto"
@@ -111,8 +111,8 @@ async def _served(
 async def _watch(server: uvicorn.Server, studio: Studio) -> None:
     while True:
         await asyncio.sleep(_LOOK)
-        # A page that is reloaded is away for a second, a laptop that sleeps for longer:
-        # ten minutes are both.
+        # A reloaded page is away for a second, a sleeping laptop for longer: ten
+        # minutes cover both.
         if studio.failed or (
             not studio.pages and time.monotonic() - studio.alone_since > _ALONE
         ):
@@ -121,12 +121,13 @@ async def _watch(server: uvicorn.Server, studio: Studio) -> None:
 
 def _listening(port: int) -> socket.socket:
     listener = socket.socket()
-    # Or a studio that is started again on its port waits a minute for the last one's
-    # sockets.
+    # Without it, a studio restarted on its port would wait a minute for the old sockets
+    # to expire.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((_HOST, port))
-        # before the address is said: whoever opens it at once waits and is not refused
+        # before the address is printed, so that an immediate connection waits instead
+        # of being refused
         listener.listen()
     except OSError as error:
         listener.close()

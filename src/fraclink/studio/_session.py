@@ -1,4 +1,4 @@
-"""One open study: what the page shows of it, and what is kept of it."""
+"""An open study: the state shown in the page, and its saved state."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from fraclink.view._text import grid_of, sentence
 
 __all__ = ["Session", "SupersededError", "bare", "opened"]
 
-# Files of a study that no longer belong to it once the design is another one.
+# Files of a study that become invalid with another design.
 _OUTDATED = (
     "run-*g.npz",
     "twin-*g.npz",
@@ -72,42 +72,42 @@ class Session:
         source: Path | None = None,
     ) -> None:
         self.draft = Path(tempfile.mkdtemp(prefix="fraclink-studio-"))
-        # Also at the end of the interpreter and for a session that nobody closed: the
-        # draft holds a user's log.
+        # Also at interpreter exit, for a session that was not closed: the draft
+        # contains a user's log.
         self.close = weakref.finalize(
             self, shutil.rmtree, self.draft, ignore_errors=True
         )
         self.study, self.folder, self.source = study, folder, source
         self.upload: Path | None = None
-        # What a copied command repeats: statements of columns, payload [kg], stretch
-        # [s], share held out.
+        # Values that a copied command repeats: statements of columns, payload [kg],
+        # stretch [s], held-out share.
         self.columns: tuple[str, ...] = ()
         self.payload: float | None = None
         self.stretch: tuple[float, float] | None = None
-        self.whole: Experiment | None = (
-            None  # the log of which `stretch` was read: the page shows all of it
-        )
+        # the log from which `stretch` was cut: the page shows all of it
+        self.whole: Experiment | None = None
         self.heldout: float | None = None
-        # The exported files with their sizes [B], and the design that they were made of.
+        # The exported files with their sizes [B], and the design from which they were
+        # made.
         self.written: dict[str, int] = {}
         self.exported: Design | None = None
         self.lock = Lock()
         self._kept = _digests(folder) if kept else {}
         self.history = History.of(folder)
         self.subject = _subject_of(study)
-        # What the study's design was asked for: asked again, it stands as it is.
+        # The request of the study's design: if it is repeated, the design is kept.
         self.asked: dict[str, Any] | None
         self.state = self._first_state()
 
     def _first_state(self) -> dict[str, Any]:
-        """The state that a crash left behind, what the study's design was asked for, or
-        what the rig asks.
+        """The state left by a crash, the request of the study's design, or the request
+        in the rig.
         """
         self.asked = None
         try:
             if self.history.state is not None:
                 return checked_request(self.history.state)
-        except FieldError:  # a state of another release, or edited
+        except FieldError:  # a state of another release, or edited by hand
             self.history.states, self.history.at = [], -1
         made, rig = self.study.design, self.study.rig
         asked: dict[str, Any] = {}
@@ -158,25 +158,26 @@ class Session:
         made = designed(bare(before), **wanted_of(request))
         if newer():
             raise SupersededError
-        # Only then the moves: a request that is already outdated does without.
+        # The moves come last: a request that is already outdated does without them.
         made = moved(made)
         with self.lock:
-            # By identity: an equal log read again is another one, whose findings may
-            # differ.
+            # By identity: an equal log that was read again is another one, whose
+            # findings may differ.
+            # another log may have been read meanwhile
             inputs = (
                 "rig",
                 "experiment",
                 "fit",
-            )  # another log may have been read meanwhile
+            )
             if newer() or any(
                 getattr(self.study, name) is not getattr(before, name)
                 for name in inputs
             ):
                 raise SupersededError
-            # A hand that comes back to the same place has lost nothing: proof and
-            # campaign still hold.
+            # If a handle returns to the same position nothing is lost: proof and
+            # campaign still apply.
             same = before.design == made.design
-            if same:  # proof, arms and faults are of this very design
+            if same:  # proof, arms and faults belong to exactly this design
                 kept = ("certificate", "missing", "arms", "faults")
                 made = replace(made, **{name: getattr(before, name) for name in kept})
             self.state = self.asked = request
@@ -184,7 +185,7 @@ class Session:
         return Reply(self._answer(arm_key))
 
     def _answer(self, arm_key: object) -> dict[str, Any]:
-        """What the page is told of the study's design."""
+        """The answer about the study's design."""
         return {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
 
     def arm(self, known: object = "") -> dict[str, Any]:
@@ -194,8 +195,8 @@ class Session:
         made, law = self.study.design, self.study.law
         if made is None or law is None:
             return {"arm_key": "", "arm": None}
-        # What the page's engine is built of: 100 kB that are sent only when one of
-        # these has changed. The law, which a drag changes, is sent by itself.
+        # The parts of the page's engine: 100 kB that are sent only if one of these has
+        # changed. The law, which changes during a drag, is sent separately.
         whole = repr((made.model, made.rig, made.payloads)).encode()
         key = hashlib.sha256(whole).hexdigest()[:16]
         if known == key:
@@ -288,15 +289,14 @@ class Session:
         Raises FieldError where a file there is not the one that was read or kept,
         unless `force` is given.
         """
-        # Written to the draft first: only then is it known which files Keep would
-        # write.
+        # Written to the draft first, which shows the files that Keep would write.
         trial = self.draft / "keep"
         shutil.rmtree(trial, ignore_errors=True)
         save_study(self.study, trial)
         names = {path.name for path in trial.iterdir()}
         there = _digests(self.folder)
-        # A file counts as ours when its digest is that of what was read or kept: times
-        # and sizes lie.
+        # A file belongs to the session if its digest is that of a file read or kept:
+        # times and sizes are unreliable.
         changed = sorted(
             n
             for n in names | set(self._kept)
@@ -323,11 +323,11 @@ class Session:
         )
 
     def _remove_outdated(self, names: set[str]) -> list[str]:
-        """Remove what belonged to the design that was kept before, and would speak for
-        this one.
+        """Remove the results of the previously kept design, which would be taken for
+        those of this one.
         """
-        # Only files that this session read or kept: what a user laid beside them is not
-        # ours to remove.
+        # Only files that this session read or kept: other files in the folder belong to
+        # the user.
         old = [
             p
             for pattern in _OUTDATED

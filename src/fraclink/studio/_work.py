@@ -1,4 +1,4 @@
-"""What takes seconds: fits, proof, arms, faults, in a process of their own that Cancel
+"""Long computations (fits, proof, arms, faults) in a separate process that Cancel
 kills; and step 6.
 """
 
@@ -36,8 +36,7 @@ __all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
 
 Real = NDArray[np.float64]
 
-# Verb -> (part of the study it needs, what it is asked for beside: name, range,
-# default).
+# Verb -> (part of the study it needs, its options: name, range, default).
 _Option = tuple[str, Between, float | None]
 JOBS: dict[str, tuple[str, tuple[_Option, ...]]] = {
     "identify": ("experiment", (("heldout", Between(0.05, 0.9), None),)),
@@ -82,8 +81,8 @@ class Job:
         }
         place = Path(tempfile.mkdtemp(dir=self.session.draft))
         try:
-            # The campaign's parts stay where they are: a job that needs them makes them
-            # anew.
+            # The campaign's parts stay where they are: a job that needs them computes
+            # them again.
             save_study(replace(self.study, arms=None), place)
             self._run(place, asked, tell)
             return self._taken(place, asked)
@@ -96,7 +95,7 @@ class Job:
         asked: Mapping[str, Any],
         tell: Callable[[Mapping[str, Any]], None],
     ) -> None:
-        # A process of its own: it can be killed in the middle of a proof, and takes no
+        # A separate process: it can be killed in the middle of a proof, and takes no
         # time from the thread that answers drags.
         command = [
             sys.executable,
@@ -109,7 +108,8 @@ class Job:
         with self._lock:
             if self._cancelled:
                 raise _cancelled(self.verb)
-            self._process = subprocess.Popen(  # this interpreter, this package  # noqa: S603
+            # this interpreter, this package
+            self._process = subprocess.Popen(  # noqa: S603
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -119,8 +119,8 @@ class Job:
         with self._process as process:
             for line in process.stdout or ():
                 tell(json.loads(line))
-            # Read at the end: a job writes a line of error at most, which the pipe
-            # holds without a reader.
+            # Read at the end: a job writes at most one line of error, which fits into
+            # the pipe without a reader.
             code, said = (
                 process.wait(),
                 (process.stderr.read() if process.stderr else ""),
@@ -142,14 +142,14 @@ class Job:
             )
 
     def _taken(self, place: Path, asked: Mapping[str, Any]) -> Reply:
-        """Take over what the job added, if the study is still the one that it began
-        with.
+        """Take over the result of the job, if the study is still the one with which it
+        began.
         """
         found, session = load_study(place), self.session
         with session.lock:
             now = session.study
-            # A fit needs the log alone; everything else speaks for one design, and
-            # would be wrong beside another.
+            # A fit depends on the log alone; everything else belongs to one design, and
+            # would be wrong for another.
             another = self.verb != "identify" and now.design != self.study.design
             if another or now.experiment is not self.study.experiment:
                 raise FieldError(
@@ -190,15 +190,12 @@ def _cancelled(verb: str) -> FieldError:
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
 
 _PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
-_LIGHTER, _HEAVIER, _LATER = (
-    0.5,
-    1.5,
-    6,
-)  # of the payloads designed for; periods beyond the delay
-_POINTS = 400  # of a curve
+# relative to the design's payloads; periods beyond the delay
+_LIGHTER, _HEAVIER, _LATER = (0.5, 1.5, 6)
+_POINTS = 400  # points of a curve
 _UNSTABLE = 1.0
-_ARMS, _FAILED = 24, 12  # moves that are drawn, and of arms that fail: 4 ms each
-_SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods from point to point: a pixel
+_ARMS, _FAILED = 24, 12  # moves that are drawn, and how many of failing arms: 4 ms each
+_SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods per point: one pixel
 
 
 def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
@@ -212,7 +209,7 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     low, high = design.payloads
     payloads = np.geomspace(_LIGHTER * low, _HEAVIER * high, _PAYLOADS)
     own = _plant(design, low, 0.0).delay
-    # From no delay at all, where the design's own is taken away, to six periods more.
+    # From no delay at all, without that of the design, to six periods more.
     more = np.linspace(-own, _LATER * law.period, _DELAYS)
     rows = [
         [_distance(design, law, float(mass), float(late)) for mass in payloads]
@@ -226,8 +223,8 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
         for late in (0.0, 0.5 * float(more[-1])):
             loops.append(law.frequency_response(w) * _plant(design, mass, late)(w))
     values = np.array(loops)
-    # On a circle of 10 instead of cut off: the page draws one line, and beyond 10 only
-    # the direction tells.
+    # Projected onto a circle of radius 10 instead of being cut off: the page draws a
+    # single line, and beyond 10 only the direction matters.
     values = np.where(np.abs(values) > 10.0, 10.0 * values / np.abs(values), values)
     head = {
         "names": [grams(mass) for mass in three],
@@ -245,7 +242,7 @@ def _plant(design: Design, payload: float, late: float) -> Any:
 
 def _distance(design: Design, law: Law, payload: float, late: float) -> float:
     found = margins_of(law.frequency_response, _plant(design, payload, late))
-    # One scale from far (−1) over touching (0) to unstable (1): the map interpolates
+    # One scale from far (−1) through critical (0) to unstable (1): the map interpolates
     # between cells.
     return -found.modulus_margin if found.stable else _UNSTABLE
 
@@ -258,7 +255,7 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
     rows a curve is left out.
     """
     law = campaign.law
-    # So many runs hold _ARMS that pass even if all that fail were among them.
+    # Enough runs to contain _ARMS that pass, even if all failing ones are among them.
     passed = [
         run
         for run in range(min(campaign.runs, _ARMS + len(failures)))
@@ -295,7 +292,7 @@ def proof_of(study: Study) -> dict[str, Any]:
             "payloads": [
                 1e3 * statement.payload_low,
                 1e3 * statement.payload_high,
-            ],  # [g], [ms]: its box on the map
+            ],  # [g], [ms]: the box of the certificate on the map
             "delays": [1e3 * statement.delay_low, 1e3 * statement.delay_high],
             "text": sentence(study.certificate.sentence),
         }
@@ -315,14 +312,14 @@ def proof_of(study: Study) -> dict[str, Any]:
 
 
 def _cells(table: FaultTable) -> list[dict[str, Any]]:
-    """One for each fault, severity and payload: its first run that failed, or one that
-    passed.
+    """One cell for each fault, severity and payload, with its first failed run, or a
+    passed one.
     """
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for outcome in table.outcomes:
         case = outcome.case
         key = (case.fault, case.severity, case.payload)
-        # A red cell leads to a run that shows why it is red.
+        # A red cell links to a run that shows the failure.
         if key not in found or (found[key]["passed"] and not outcome.passed):
             names = ("fault", "severity", "payload")
             found[key] = dict(zip(names, key, strict=True)) | {
@@ -333,7 +330,7 @@ def _cells(table: FaultTable) -> list[dict[str, Any]]:
 
 
 def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Everything that step 6 shows of the study as it stands."""
+    """The content of step 6 for the present study."""
     study = session.study
     head: dict[str, Any] = {"ok": True, **proof_of(study)}
     if study.design is None or study.law is None:

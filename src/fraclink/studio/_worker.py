@@ -1,10 +1,9 @@
-"""The process in which a job of the studio runs: a folder in, the same folder with the
-result out.
+"""The process of a studio job: it reads a folder and adds its result to it.
 
     python -m fraclink.studio._worker FOLDER VERB OPTIONS
 
-Progress goes to standard output, one JSON object a line. A refusal is the last line of
-standard error and the exit code 2.
+Progress goes to standard output, one JSON object per line. An error is reported on the
+last line of standard error with the exit code 2.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         save_study(_worked(load_study(place), verb, json.loads(options), place), place)
     except FraclinkError as error:
-        # One line: the last one is what the page shows.
+        # A single line: the page shows the last one.
         sys.stderr.write(f"{error}\n")
         return 2
     return 0
@@ -44,7 +43,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
         return identified(study, heldout=options["heldout"])
     if verb == "prove":
         _tell({"said": "proving every payload and delay"})
-        # What an earlier try said would be taken for this one's if it were cancelled.
+        # Otherwise a cancelled job would leave the result of an earlier one in place.
         return proved(replace(study, certificate=None))
     if verb == "arms":
         _tell({"said": f"trying {options['runs']:g} arms"})
@@ -58,8 +57,8 @@ def _with_faults(study: Study) -> Study:
     """
     assert study.design is not None  # noqa: S101
     bench = Bench.of(study.design, study.design.rig)
-    # A third of the command's campaign, which takes three seeds: somebody sits before
-    # the page and waits.
+    # A third of the command's campaign, which uses three seeds: a user is waiting at
+    # the page.
     planned = cases(bench, seeds=(1,))
     done = 0
 

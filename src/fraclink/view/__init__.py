@@ -1,4 +1,4 @@
-"""The only place that formats or draws: results as tables, figures and reports."""
+"""The only package that formats or draws: results as tables, figures and reports."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The arm that moves, as a part of a page: script and its hash, style, and the numbers
-that it runs on.
-"""
+"""The moving arm as part of a page: script with its hash, style, and data."""
 
 from __future__ import annotations
 
@@ -42,16 +40,14 @@ __all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
 Real = NDArray[np.float64]
 
 MOST_PAYLOADS = 24
-_LIGHTEST, _HEAVIEST = (
-    0.4,
-    2.0,
-)  # of the payloads designed for: 8 to 80 g for 20 to 40 g
+# relative to the design's payloads: 8 to 80 g for 20 to 40 g
+_LIGHTEST, _HEAVIEST = (0.4, 2.0)
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 _SEED = 0
-# The move goes there in the first half of the run and back in the second, so that the
-# picture has no jump.
+# The move goes forward in the first half of the run and back in the second, so that the
+# picture does not jump.
 _TIMES = np.round(np.arange(0.2, 1.51, 0.05), 2)
-_LONGEST_SHARE = 0.75  # of half a run: the tip has the rest of it to settle in
+_LONGEST_SHARE = 0.75  # share of half a run: the tip settles in the rest of it
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,7 @@ def arm_box(
 
     None where the model vibrates too fast for the law's period with every payload.
     """
-    # They share their names with no script of the page around them.
+    # Wrapped, so that no script of the page shares their names.
     script = "(() => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
     data = _data(design, *_law(study, design), payloads, twin)
     if not data["links"]:
@@ -95,26 +91,26 @@ def page_hash(text: str) -> str:
 
 
 def _json(data: Mapping[str, Any]) -> str:
-    """JSON that no parser of HTML takes for the end of its element."""
+    """JSON in which no HTML parser finds the end of its element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
-    # A name of a rig with </script> in it would end the element wherever it stood in
-    # the JSON.
+    # A rig name containing </script> would end the element, wherever it occurs in the
+    # JSON.
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _law(study: Study, design: Design) -> tuple[Law, str]:
-    """The law that the page runs, in double precision, and the Python that makes it:
-    the same bits.
+    """The law that the page runs, in double precision, and the Python code that creates
+    it, identical to the bit.
     """
     if study.law is None or _is_own(study.law, design):
         law, python = study.law or design.law(), "design.law()"
     else:
         law, python = study.law, 'fl.load("law.json")'
-    # The page's engine is compiled for one precision, the wider: its law is the shipped
-    # one, but for rounding.
+    # The engine of the page is compiled for double precision only: its law equals the
+    # one that ships up to rounding.
     if law.precision != "double":
         law, python = law.in_precision("double"), f'{python}.in_precision("double")'
-    if law.motor_loop is None:  # without it `simulate` would run an ideal motor
+    if law.motor_loop is None:  # without it `simulate` would use an ideal motor loop
         law, python = (
             equip(law, design.rig, design.model),
             f"fl.extend.equip({python}, design.rig, design.model)",
@@ -127,7 +123,7 @@ def _is_own(law: Law, design: Design) -> bool:
         return design.law().digest == law.digest
     except (
         FieldError
-    ):  # a design whose law can no longer be made is shown with the one that was
+    ):  # if the law of a design can no longer be created, the saved one is shown
         return False
 
 
@@ -138,9 +134,9 @@ def _base64(parts: Iterable[Real]) -> str:
 
 
 def _packed(data: bytes) -> str:
-    """DEFLATE without a head, in base64: what the script unpacks."""
-    # Raw, as the page unpacks it with forty lines of its own: it knows neither a head
-    # nor a checksum.
+    """Raw DEFLATE data in base64, which the script unpacks."""
+    # Raw, because the forty lines of the page that unpack it handle neither header nor
+    # checksum.
     pack = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     return base64.b64encode(pack.compress(data) + pack.flush()).decode()
 
@@ -155,8 +151,8 @@ def assumed_mass(design: Design) -> float:
 def _twin(
     design: Design, model: LinkModel, payloads: list[float], count: int
 ) -> dict[str, Any] | None:
-    """What the script makes the twin of; None where the rig and its model make none
-    that the engine holds.
+    """The data of the twin; None if rig and model have no twin that fits into the
+    engine.
     """
     mass = assumed_mass(design)
     try:
@@ -177,30 +173,31 @@ def _twin(
 def _data(
     design: Design, law: Law, python: str, count: int, twin: bool
 ) -> dict[str, Any]:
-    """Everything that the script reads; `python`: what makes the law; `count`: how many
-    payloads.
+    """All data of the script; `python`: the code that creates the law; `count`: number
+    of payloads.
     """
     rig, model, period = design.rig, design.model, law.period
-    # 3.5 swings there and as many back show how a move decays; at least two seconds
-    # each way, as a fast arm is not to flicker, and no more than the engine's buffers
-    # hold.
+    # 3.5 vibrations in each direction show how a move decays; at least two seconds each
+    # way, so that a fast arm does not flicker, and at most the capacity of the engine's
+    # buffers.
     swing = 2 * math.pi / max(abs(model.pole.imag), 1e-3)
     periods = min(LONGEST - 1, 2 * round(max(2.0, 3.5 * swing) / period))
     half = 0.5 * periods * period
     payloads, links = _links(design, period, periods * period, count)
     times = _times(half)
-    # Sliders reach beyond what the rig states: a gauge with no noise is to be tried
-    # with some.
+    # Sliders exceed the values of the rig, so that a gauge without noise can be tried
+    # with noise.
     noise = max(0.05, 5 * rig.gauge.noise)
     return {
         "engine": _packed(engine_bytes()),
-        # of the law, then of the motor's PID alone, which the page moves beside it
+        # for the law, then for the motor's PID alone, which the page shows in
+        # comparison
         "blocks": [
             base64.b64encode(one.in_precision(name).block).decode()
             for one in (law, motor_alone(law))
             for name in ("double", "single")
         ],
-        # rig, noise, moves, then the links behind one another
+        # rig, noise and moves, then the links one after another
         "numbers": _base64(
             [
                 engine_rig(rig, law, model),
@@ -243,8 +240,8 @@ def _data(
 
 
 def _times(half: float) -> list[float]:
-    """Times of a move [s] that half a run has room for; a run too short for any of them
-    has scaled ones.
+    """Durations of a move [s] that fit into half a run; scaled ones if a run is too
+    short for all of them.
     """
     longest = _LONGEST_SHARE * half
     scale = 1.0 if _TIMES[0] <= longest else longest / _TIMES[-1]
@@ -256,8 +253,8 @@ def _times(half: float) -> list[float]:
 
 
 def _torque(design: Design) -> float:
-    """A round torque [N·m] that the model's moves stay below: its stiffness times a
-    bend of 0.5 rad.
+    """A round torque [N·m] above that of the model's moves: its stiffness times a
+    deflection of 0.5 rad.
     """
     return float(f"{0.5 * design.model.stiffness:.1g}")
 
@@ -269,11 +266,11 @@ def _nearest(values: list[float], wanted: float) -> int:
 
 
 def _move(time: float, half: float) -> Real:
-    """Breaks of the move there and back, and the powers of its time that its
-    coefficients are divided by.
+    """Breaks of the move forward and back, and the powers of its duration by which its
+    coefficients are divided.
 
-    The page makes the reference from them by the operations of `Path.derivative`, in
-    their order.
+    The page computes the reference from them with the operations of `Path.derivative`
+    in the same order.
     """
     there = smooth_step(1.0, time)
     back = there.then(smooth_step(-1.0, time, start=half - time))
@@ -283,14 +280,14 @@ def _move(time: float, half: float) -> Real:
 def _links(
     design: Design, period: float, span: float, count: int
 ) -> tuple[list[float], list[EngineLink]]:
-    """Payloads from light to heavy [kg], round in grams, those designed for among them;
+    """Payloads from light to heavy [kg], round in grams, including those of the design;
     and their links.
     """
     low, high = design.payloads
     model, rig = design.model, design.rig
     own = {low, high, model.payload or rig.payloads.nominal}
-    # Geometric, as ω₀ goes with a power of the payload; two digits, so that a person
-    # meets round grams; those designed for are always among them, unrounded.
+    # Geometric spacing, since ω₀ varies with a power of the payload; two digits give
+    # round grams. The design's payloads are always included, unrounded.
     spread = np.geomspace(_LIGHTEST * low, _HEAVIEST * high, max(count - len(own), 2))
     wanted = sorted(own | {float(f"{value:.2g}") for value in spread})
     payloads, links = [], []
@@ -298,8 +295,8 @@ def _links(
         try:
             links.append(engine_link(link_at(model, rig, payload), period, span))
         except FieldError:
-            # too light a payload vibrates too fast for the period; the slider starts
-            # above it
+            # the vibration is too fast for the period; the slider starts at a heavier
+            # payload
             continue
         payloads.append(payload)
     return payloads, links

@@ -1,5 +1,5 @@
-"""The arm in a page: one HTML file in which the law of a study moves its model, with
-the package's bits.
+"""The arm in a page: one HTML file in which the law of a study moves its model,
+identical to the bit with the package.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from fraclink.view._text import grams
 __all__ = ["render_arm_page", "write_arm_page"]
 
 _LARGEST = 160_000  # bytes of a page
-# payloads of a slider; below, a fast clock's page goes without the twin, whose noise
-# takes its room
+# Payloads of a slider; with fewer, the page for a short period is made without the
+# twin, whose noise takes the space.
 _FEWEST = 9
 
 
@@ -110,11 +110,11 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:
             return page
-        # At least one less in every round, so that it ends; a link is counted as if it
-        # were one of the large ones, so as not to drop more than needed.
+        # At least one less in every round, so that the loop ends; a link counts as a
+        # large one, so that not too many are dropped.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
-        # The page without its twin but with a fine slider says more than one with both
-        # and five payloads; so the full count is tried again.
+        # A fine slider without the twin is more useful than both with five payloads; so
+        # the full number is tried again.
         if twin and payloads < _FEWEST:
             payloads, twin = MOST_PAYLOADS, False
 
@@ -130,10 +130,10 @@ def _too_fast(design: Design) -> FieldError:
 
 
 def _simulated(design: Design) -> list[str]:
-    """Sentences on what a run in the page contains."""
+    """Sentences on the effects that a run in the page includes."""
     rig = design.rig
-    # A model that names no payload is the nominal one's: simulate takes it so, and the
-    # page must say the same.
+    # A model without a payload has the nominal one, as in `simulate`, and the page must
+    # say the same.
     model = with_payload(design.model, rig)
     link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
     if model.payload is not None:
@@ -157,7 +157,7 @@ def _simulated(design: Design) -> list[str]:
 
 
 def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
-    """Sentences on what the switch "twin" adds, or why there is none."""
+    """Sentences on the effects added by the switch "twin", or why there is none."""
     mass, model = assumed_mass(design), with_payload(design.model, design.rig)
     try:
         twin = Twin.from_rig(design.rig, model=model, link_mass=mass, modes=TWIN_MODES)
@@ -180,7 +180,7 @@ def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
 
 
 def _not_simulated(design: Design) -> list[str]:
-    """Sentences on what it leaves out."""
+    """Sentences on the effects that are not simulated."""
     missing = [
         "the link's torque on the motor: it is assumed to be compensated exactly, even without a gauge",
         "contact, gravity, play and elasticity of the gear, heat, wear",

@@ -1,9 +1,9 @@
-"""How fraclink draws: SVG that fits any width, in the colours of the page around it or
-in its own.
+"""Drawings as SVG that fits any width, in the colours of the surrounding page or in its
+own.
 
-Places across a drawing are shares of its width and places down it are dots, so that
-text and strokes keep their size on a telephone, on a screen and on paper. Curves lie in
-a box of 4000 by 2000 steps that stretches with the panel. The same values give the same
+Horizontal positions are fractions of the width, vertical ones are in dots, so that text
+and strokes keep their size on a telephone, on a screen and on paper. Curves lie in a
+box of 4000 by 2000 steps that is stretched to the panel. The same values give the same
 bytes.
 """
 
@@ -36,10 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Figure", "Panel", "beside", "figure_of", "save_svg", "stand_alone"]
 
-WIDTH = (
-    860.0  # dots of a drawing that stands alone: the text's width on the report's page
-)
-_LETTER = 6.7  # dots a letter of 12 dots is wide, on the average of a system's typeface
+WIDTH = 860.0  # width in dots of a separate drawing: the text width of the report
+_LETTER = 6.7  # average width in dots of a letter of 12 dots in a system typeface
 _ROW = 15.0  # dots between two lines of text
 
 
@@ -85,9 +83,9 @@ class Figure:
     log: bool = False
     left: float = 46.0
     width: float = WIDTH
-    ticks: int = 9  # at most about as many on the horizontal scale
-    rigid: bool = False  # the same in both directions: a plane
-    key: tuple[str, ...] = ()  # a title, then what the levels' colours mean
+    ticks: int = 9  # approximate maximum on the horizontal scale
+    rigid: bool = False  # the same scale in both directions: a plane
+    key: tuple[str, ...] = ()  # a title, then the meaning of the level colours
 
     @property
     def x(self) -> Scale:
@@ -99,15 +97,15 @@ class Figure:
     def inline(self) -> str:
         """The drawing as an element of a page that has `figure.css`."""
         if self.rigid:
-            # A plane must keep its proportions, so it is drawn with a viewBox as a file
-            # is; the page already has the style, and a ground of its own.
+            # A plane must keep its proportions, so it has a viewBox like a file; the
+            # page already provides style and background.
             text = re.sub(
                 r"<style>.*?</style><rect[^>]*/>", "", self.alone(), flags=re.DOTALL
             )
             return text.replace(' role="img"', f' id="fig-{self.name}" role="img"', 1)
         body, height, right = self._body()
-        # The script under the pointer turns dots back into values by these ends: nine
-        # digits are more than a screen's dots can tell apart in any zoom it offers.
+        # The script under the pointer converts dots back to values with these ends;
+        # nine digits are finer than the dots of a screen at any zoom.
         scale = f"{self.x.low:.9g} {self.x.high:.9g}{' log' if self.x.log else ''}"
         data = f'data-x="{scale}" data-link="{escaped(self.link or self.name)}"'
         style = f"height:{height:g}px;padding:0 {right:g}px 0 {self.left:g}px"
@@ -117,7 +115,7 @@ class Figure:
     def alone(self) -> str:
         """The drawing as a file, or as a cell's: with its own style, in both themes."""
         body, height, right = self._body()
-        # Both axes of a rigid figure have one scale, so it is as wide as high.
+        # Both axes of a rigid figure have the same scale, so it is as wide as high.
         across = self.panels[0].height if self.rigid else self.width - self.left - right
         inner = f'x="{self.left:g}" y="10" width="{across:g}" height="{height:g}"'
         nested = f'<svg {inner} overflow="visible">{body}</svg>'
@@ -130,18 +128,18 @@ class Figure:
         save_svg(self.alone(), path)
 
     def _body(self) -> tuple[str, float, float]:
-        """Elements, height and the room at the right in dots."""
+        """Elements, height and the right margin in dots."""
         parts, top, names = [], 24.0, [0]
         for panel in self.panels:
-            # 80 dots for a tick's text of at most seven characters, with as much room
-            # again between two of them.
+            # 80 dots for the text of a tick, at most seven characters, and the same
+            # space between two of them.
             ticks = max(3, int(min(self.ticks, self.width / 80)))
             frame = Frame(self.x, panel.y, top, panel.height, ticks, self.left)
             layers = [mark.drawn(frame) for mark in panel.marks]
             parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
             names += [len(name) for layer in layers for _, name, _ in layer.ends]
-            # 34 dots between panels: the label of the next one above its edge, and the
-            # ends of this one's scale.
+            # 34 dots between panels: the label above the next panel, and the ends of
+            # this one's scale.
             top += panel.height + 34.0
         bottom = top - 34.0
         if self.xlabel:
@@ -153,8 +151,8 @@ class Figure:
         if self.key:
             parts.append(_key(self.key, bottom + 14.0))
             bottom += 40.0
-        # Names at the ends of lines stand outside of the panel, behind a key of 29
-        # dots; without any the last tick's text still needs half its width.
+        # Names at the ends of lines stand outside the panel, after a key of 29 dots;
+        # without names the text of the last tick still needs half its width.
         right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
         return "".join(parts), bottom, right
 
@@ -163,7 +161,7 @@ def _no_figure(result: Any) -> Figure | str | None:
     return None
 
 
-# The drawing of a result, by its class; None where it has none.
+# The drawing of a result, by its class; None if it has none.
 figure_of: _SingleDispatchCallable[Figure | str | None] = singledispatch(_no_figure)
 
 
@@ -171,8 +169,8 @@ def save_svg(text: str, path: Path | str) -> None:
     """Write a drawing to a file, whole or not at all; FieldError for a file of another
     kind.
     """
-    # Written as .png or .pdf the file would open in no program: refused before anything
-    # is written.
+    # No program could open an SVG file named .png or .pdf: rejected before anything is
+    # written.
     if Path(path).suffix.lower() not in ("", ".svg"):
         raise FieldError(
             "path",
@@ -199,7 +197,7 @@ def beside(figures: Sequence[Figure], description: str) -> str:
 
 
 def _key(key: tuple[str, ...], top: float) -> str:
-    """What the colours of the levels mean, beside one another at any width."""
+    """The key of the level colours, side by side at any width."""
     parts = [f'<text class="name" y="{top:g}">{escaped(key[0])}</text>']
     for level, text in enumerate(key[1:]):
         x = percent(level / 4)
@@ -215,8 +213,8 @@ def _key(key: tuple[str, ...], top: float) -> str:
 def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) -> str:
     bottom = round(frame.top + frame.height, 1)
     lines, texts = [], []
-    # A tick for every 34 dots, twice the height of a line of text; the lowest panels
-    # still get four.
+    # One tick per 34 dots, twice the height of a line of text; the lowest panels still
+    # get four.
     for value, text in frame.y.marks(max(4, int(frame.height / 34))):
         y = frame.down(value)
         lines.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
@@ -229,8 +227,8 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
             f'<line class="grid" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'
         )
         if last:
-            # On a narrow screen every second text is hidden by the style sheet; a page
-            # without a script cannot place ticks anew.
+            # On a narrow screen the style sheet hides every second label, since a page
+            # without a script cannot place new ticks.
             hidden = ' class="alt"' if k % 2 else ""
             texts.append(
                 f'<text{hidden} x="{x}" y="{bottom + 17}" text-anchor="middle">{escaped(text)}</text>'
@@ -239,8 +237,8 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
     place = f'y="{frame.top}" width="100%" height="{frame.height}"'
     view = f'viewBox="0 0 {ACROSS} {DOWN}" preserveAspectRatio="none"'
     box = f'<svg class="box" {place} {view} data-y="{scale}">'
-    # A zone lies below the grid, so that values can be read in it; bands and bars lie
-    # in the box with the curves, which stretches, and hide the grid only by their tint.
+    # A zone lies below the grid, so that values can be read in it. Bands and bars lie
+    # in the stretched box with the curves; they only tint the grid.
     shaded = "".join(layer.below for layer in layers if layer.below.startswith("<rect"))
     curves = "".join(
         layer.below for layer in layers if not layer.below.startswith("<rect")
@@ -261,12 +259,12 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
 
 
 def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
-    """Names at the right ends of their lines, pushed apart until each can be read."""
-    # Lines that end at one place keep the order in which they were drawn.
+    """Names at the right ends of their lines, moved apart until they do not overlap."""
+    # Lines that end at the same place keep the order in which they were drawn.
     placed = sorted(ends, key=lambda end: round(end[0] / 8))
     places = [end[0] for end in placed]
-    # Pushing two names apart pushes one of them into the next, so it is repeated; forty
-    # rounds are more than the few names of a panel need.
+    # Separating two names may push one into the next, so this is repeated; forty rounds
+    # suffice for the few names of a panel.
     for _ in range(40):
         for k in range(1, len(places)):
             near = _ROW - (places[k] - places[k - 1])
@@ -302,15 +300,15 @@ def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
 
 @cache
 def _own_style() -> str:
-    """The style of a file: colours by value, first the light ones, then the dark ones."""
+    """The style of a file: literal colours, first the light ones, then the dark ones."""
     rules = re.sub(r"/\*.*?\*/", "", template_text("figure.css"), flags=re.DOTALL)
     rules = re.sub(r"@media[^{]*\{(?:[^{}]*\{[^{}]*\})*\s*\}", "", rules)
     rules = "\n".join(line for line in rules.splitlines() if line.strip())
     dark = "\n".join(
         rule for rule in re.findall(r"[^{}]+\{[^}]*\}", rules) if "var(--" in rule
     )
-    # Colours by value: `var(--…)` of a page does not reach into an image file, nor into
-    # a notebook's cell.
+    # Literal colours: `var(--…)` of a page does not apply inside an image file or a
+    # notebook cell.
     return f"{literal(rules, LIGHT)}\n@media (prefers-color-scheme: dark) {{ {literal(dark, DARK).strip()} }}"
 
 

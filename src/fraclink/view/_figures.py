@@ -1,6 +1,4 @@
-"""Drawings of logs and models: what was recorded, what a model says, and what it
-leaves.
-"""
+"""Drawings of logs and models: record, prediction and residual."""
 
 from __future__ import annotations
 
@@ -55,9 +53,9 @@ Floats = NDArray[np.floating[Any]]
 def _record(
     time: Floats, values: Floats, line: int, name: str = "", *, wide: bool = False
 ) -> Curve:
-    """A record as a line that keeps every peak."""
-    # Beyond some two samples a dot a curve is a band of ink: a thin stroke keeps its
-    # edge.
+    """A record as a line that preserves every peak."""
+    # With more than about two samples per dot a curve is a band of ink, whose edge a
+    # thin stroke shows better.
     thin = not wide and len(values) > 2000
     return Curve(
         *envelope(time, values), line, name, "wide" if wide else "thin" if thin else ""
@@ -79,8 +77,8 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
     """Draw a whole log over its model: motor angle, measured and computed output,
     residual.
     """
-    # The last fitted sample: to the right of it the residual is a test, to the left
-    # what was minimised.
+    # The last fitted sample: left of it the residual was minimised, right of it the
+    # residual is a test.
     edge = float(log.time[fit.fitted_samples - 1])
     output = _measured(log.time, log.output, fit.predicted, fit.structure)
     panels = (
@@ -95,7 +93,7 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
 def _measured(
     time: Floats, measured: Floats, predicted: Floats, name: str
 ) -> list[Mark]:
-    """A measured record under a prediction of that name."""
+    """A measured record, with the prediction of the given name on top."""
     return [
         _record(time, measured, 0, "measured", wide=True),
         Curve(*envelope(time, predicted), 1, name),
@@ -103,7 +101,7 @@ def _measured(
 
 
 def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Mark]:
-    """A residual, with the place behind which nothing was fitted."""
+    """A residual, with the end of the fitted part marked."""
     held = Upright(edge, "held out from here") if edge < time[-1] else None
     return [_record(time, residual, line), *([held] if held else [])]
 
@@ -152,7 +150,7 @@ def _over_frequency(fit: StructureFit) -> Figure:
         np.array_split(rows, 2) for rows in (fit.measured, fit.predicted)
     )
     h, model = measured[0] + 1j * measured[1], predicted[0] + 1j * predicted[1]
-    # Both are unwrapped on their own and may settle a whole turn apart, which would
+    # The phases are unwrapped separately and may differ by a whole turn, which would
     # look like a misfit.
     sheets = _same_sheet(_turned(h), _turned(model))
     error = 100 * np.abs(h / model - 1)
@@ -181,8 +179,8 @@ def _turned(response: Complex) -> Real:
 
 
 def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
-    """The second phase moved by whole turns to where the first is."""
-    # The median, as unwrapping of a noisy measurement may lose a turn somewhere on the
+    """The second phase, shifted by whole turns to the first."""
+    # The median, since the unwrapping of a noisy measurement may lose a turn on the
     # way.
     turns = (
         round(float(np.median(first - second)) / 360.0)
@@ -192,9 +190,10 @@ def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
     return first, second + 360.0 * turns
 
 
-# a residual so many times the smallest runs out of its panel, which then says so
+# A residual larger than this multiple of the smallest one exceeds its panel, which is
+# then noted.
 _LARGE = 4.0
-# share of the log that the upper panel shows: the whole would be a band of ink
+# Share of the log shown in the upper panel; the whole log would be a band of ink.
 _DETAIL = 0.18
 
 
@@ -213,14 +212,14 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
     some = next(iter(fits.values()))
     time = some.period * np.arange(some.samples)
     edge = float(time[some.fitted_samples - 1])
-    # A perfect residual, as of a simulated log without noise, counts as 1: nothing is
-    # divided by zero.
+    # A perfect residual, as of a simulated log without noise, counts as 1, to avoid a
+    # division by zero.
     sizes = {
         name: float(np.abs(fit.residual).max()) or 1.0 for name, fit in fits.items()
     }
-    # One scale for all, or a poor model would look as good as the others; but the
-    # poorest must not press them flat: what is four times the best is left out, runs
-    # over its edge and is named with its size.
+    # A common scale, since otherwise a poor model would look as good as the others. To
+    # keep the others visible, residuals above four times the best are ignored for the
+    # scale; they exceed the panel and are labelled with their size.
     common = 1.1 * max(
         size for size in sizes.values() if size <= _LARGE * min(sizes.values())
     )
@@ -245,7 +244,7 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
 def detail_figure(fit: Fit) -> Figure:
     """Draw the first part of the measured output under its model."""
     time, measured = fit.period * np.arange(fit.samples), fit.predicted + fit.residual
-    # Of a log of a few samples at least a line is drawn.
+    # At least two samples, so that a line is drawn for a short log.
     part = slice(0, max(2, int(_DETAIL * fit.samples)))
     marks = [
         Curve(time[part], measured[part], 0, "measured", "wide"),
@@ -258,12 +257,13 @@ def detail_figure(fit: Fit) -> Figure:
 
 # --- can the model be trusted -----------------------------------------------------------------------------
 
-# parts of a log that Welch's mean is taken over: a third of the noise, and lines near
-# enough
+# Segments of a log for Welch's average: they reduce the noise to a third, and lines
+# remain close enough.
 _PARTS = 8
-_LEAST = 64  # samples of a part: fewer lines show no resonance
-_EXCITED = 1e-4  # of the largest line of the input's density: below, the ratio is noise
-_FEW = 4  # lines that make no curve
+_LEAST = 64  # samples of a segment: fewer lines show no resonance
+# fraction of the largest line of the input's density, below which the ratio is noise
+_EXCITED = 1e-4
+_FEW = 4  # fewer lines make no curve
 
 
 @dataclass(frozen=True)
@@ -283,24 +283,26 @@ class Estimate:
 
 
 def _parts(samples: int) -> int:
-    """Length of a part: a power of two, half overlapped, `_PARTS` of them or some more."""
-    # n half overlapped parts of length l cover (n + 1) l/2 samples. Rounded down to a
-    # power of two for the FFT, so that there may be up to twice as many parts, never
-    # fewer.
+    """Length of a segment: a power of two that gives at least `_PARTS` half-overlapping
+    segments.
+    """
+    # n half-overlapping segments of length l cover (n + 1) l/2 samples. Rounded down to
+    # a power of two for the FFT, so there may be up to twice as many segments, but
+    # never fewer.
     length = 2 * samples // (_PARTS + 1)
     return 0 if length < _LEAST else 1 << (length.bit_length() - 1)
 
 
 def _spectra(length: int, *signals: Real) -> list[Complex]:
-    """Lines of the half overlapped parts of signals under a Hann window, shape (parts,
-    lines).
+    """Lines of the half-overlapping segments of signals with a Hann window, shape
+    (segments, lines).
     """
-    # The periodic Hann window: half overlapped ones add up to one, and every sample
-    # counts alike.
+    # The periodic Hann window: half-overlapping windows add up to one, so that every
+    # sample has the same weight.
     window = np.hanning(length + 1)[:-1]
     starts = range(0, len(signals[0]) - length + 1, length // 2)
-    # Without the mean, which leaks into the lowest lines; line 0 and Nyquist's, which
-    # are real, are left out: their statistics are others.
+    # Without the mean, which leaks into the lowest lines. Line 0 and that of the
+    # Nyquist frequency are left out: they are real and have other statistics.
     lines = []
     for signal in signals:
         parts = np.stack([signal[k : k + length] for k in starts])
@@ -323,7 +325,7 @@ def response_estimate(log: Experiment, fit: Fit) -> Estimate | None:
         return None
     u, y, rest = _spectra(length, log.motor_angle, log.output, fit.residual)
     uu, yy, rr = (np.mean(np.abs(lines) ** 2, axis=0) for lines in (u, y, rest))
-    # Where the motor hardly moved, S_uy/S_uu divides noise by noise.
+    # Where the motor hardly moved, S_uy/S_uu is a ratio of noise to noise.
     good = uu > _EXCITED * uu.max()
     frequency = 2 * math.pi * np.arange(1, u.shape[1] + 1) / (length * log.period)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -334,8 +336,8 @@ def response_estimate(log: Experiment, fit: Fit) -> Estimate | None:
             * np.sqrt(rr / (_independent(u) * uu))
             / np.abs(model)
         )
-        # An error as large as the response says nothing of its gain or phase; arcsin
-        # below needs it too.
+        # An error as large as the response leaves gain and phase undetermined, and
+        # arcsin below needs a smaller one.
         good &= error < 1.0
         explained = np.clip(1 - rr / yy, 0.0, 1.0)
     if np.count_nonzero(good) < _FEW:
@@ -346,13 +348,13 @@ def response_estimate(log: Experiment, fit: Fit) -> Estimate | None:
 
 
 def _independent(lines: Complex) -> float:
-    """How many independent parts n half overlapped ones under a Hann window count for:
-    some 95 % of them.
+    """Equivalent number of independent segments for n half-overlapping ones with a Hann
+    window: about 95 % of n.
     """
     # Welch (1967): var = (1 + 2 (1 − 1/n) ρ²)/n with ρ² = (1/6)², the squared
-    # correlation of half overlapped Hann windows; parts further apart share no sample.
-    # The bands must have the share that they state: with 0.6 n, which holds for no
-    # window, 99.9 % of white noise lay in what was called the band of 99 %.
+    # correlation of half-overlapping Hann windows; segments farther apart share no
+    # sample. The bands must have the stated share: with 0.6 n, which is right for no
+    # window, 99.9 % of white noise lay within the band labelled 99 %.
     count = float(lines.shape[0])
     return count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
 
@@ -370,13 +372,13 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
         return None
     (lines,) = _spectra(length, residual)
     density = np.mean(np.abs(lines) ** 2, axis=0)
-    # Parseval: the mean of |FFT|² of white noise under a window is its variance times
-    # the window's energy.
+    # Parseval: the mean of |FFT|² of windowed white noise is its variance times the
+    # energy of the window.
     white = float(np.var(residual)) * float(np.sum(np.hanning(length + 1) ** 2))
     freedom = 2 * _independent(lines)
     frequency = 2 * math.pi * np.arange(1, lines.shape[1] + 1) / (length * fit.period)
-    # χ²_k/k is a gamma variable of shape k/2: its quantiles without loading all of
-    # scipy.stats.
+    # χ²_k/k is a gamma variable of shape k/2: this gives its quantiles without loading
+    # all of scipy.stats.
     low, high = (
         float(gammaincinv(0.5 * freedom, p) / (0.5 * freedom)) for p in (0.005, 0.995)
     )
@@ -390,12 +392,12 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     estimate = response_estimate(log, fit)
     if estimate is None:
         return None
-    # At 0.95 the lower edge is 26 dB below the model: at 1 it would be −∞, off every
+    # At 0.95 the lower edge lies 26 dB below the model; at 1 it would be −∞, off every
     # scale.
     w, spread = estimate.frequency, np.minimum(estimate.error, 0.95)
     gain, level = _decibel(estimate.measured), _decibel(estimate.model)
     at, turn = _same_sheet(_turned(estimate.model), _turned(estimate.measured))
-    # A disk of relative radius e about the response is seen from 0 under ± arcsin e.
+    # A disk of relative radius e about the response subtends ± arcsin e as seen from 0.
     arc = np.degrees(np.arcsin(spread))
     halves = Scale(0.0, 105.0, ticks=((0.0, "0"), (50.0, "50"), (100.0, "100")))
     panels = (

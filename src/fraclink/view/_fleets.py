@@ -1,4 +1,4 @@
-"""Drawings of many runs: a campaign's spread, failures and drivers, the map of faults,
+"""Drawings of many runs: spread, failures and drivers of a campaign, the map of faults,
 a tournament.
 """
 
@@ -38,7 +38,7 @@ __all__ += [
 
 Real = NDArray[np.float64]
 
-# Metric of a campaign: what its histogram is called.
+# Metric of a campaign -> title of its histogram.
 SHOWN = {
     "settling_time": "settling time",
     "overshoot": "overshoot",
@@ -48,10 +48,11 @@ SHOWN = {
     "motor_reference_noise": "reference noise",
 }
 _BINS = 40
-_MOST_CELLS = (
-    14  # each way, of many runs; of few a cell still holds twice the fewest on average
-)
-_FEWEST = 30  # runs of a cell: of fewer a share says little, and the cell stays empty
+# cells in each direction for many runs; for few runs, a cell still contains twice
+# `_FEWEST` on average
+_MOST_CELLS = 14
+# runs of a cell: with fewer the share is meaningless, and the cell stays empty
+_FEWEST = 30
 _SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
 
 
@@ -71,8 +72,8 @@ def _histogram(name: str, unit: str, column: Real) -> Figure:
     finite = column[np.isfinite(column)]
     never = len(column) - len(finite)
     low = float(finite.min()) if finite.size else 0.0
-    # One run in a thousand may stand far out; on a scale that reaches it the others
-    # would share one bar. What lies beyond is counted in the last bar, not left out.
+    # One run in a thousand may lie far out; on a scale that includes it the others
+    # would share a single bar. Values beyond the scale are counted in the last bar.
     top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
     top = top if top > low else low + 1.0
     heights, edges = np.histogram(
@@ -80,7 +81,7 @@ def _histogram(name: str, unit: str, column: Real) -> Figure:
     )
     marks: list[Mark] = [Bars(edges, heights)]
     end = top
-    if never:  # a bar of its own behind a gap: infinity is no large value
+    if never:  # a separate bar after a gap, since infinity is not a large value
         width = (top - low) / 12
         end = top + 2 * width
         marks.append(Bars([top + width, end], [never], 2))
@@ -89,7 +90,8 @@ def _histogram(name: str, unit: str, column: Real) -> Figure:
         )
     for share, text in ((0.5, "median"), (0.95, "95 %")) if finite.size else ():
         at = float(np.quantile(finite, share))
-        # Beside the bar for "never" there is no room for a second text: the line stays.
+        # Next to the bar "never" there is no room for a second label; only the line
+        # remains.
         marks.append(Upright(at, text if not (share > 0.9 and never) else ""))
     up = Scale(0.0, 1.15 * max(*heights, never, 1), ticks=())
     panel = Panel(f"{SHOWN[name]} [{unit}]", marks, 90.0, up)
@@ -111,16 +113,15 @@ def failures_figure(
     across: Real, up: Real, failed: NDArray[np.bool_], names: tuple[str, str]
 ) -> Figure:
     """Share of runs that fail over two drawn parameters, whose axes `names` title."""
-    # As many cells as hold 2 · 30 runs on the average, so that most of them may be
-    # coloured: a share of 30 runs is known to ± 9 % at best (one standard error at one
-    # half).
+    # Cells with 2 · 30 runs on average, so that most of them can be coloured: a share
+    # from 30 runs has a standard error of up to 9 %.
     cells = int(np.clip(np.sqrt(across.size / (2 * _FEWEST)), 3, _MOST_CELLS))
     runs, x, y = np.histogram2d(across, up, bins=cells)
     bad, _, _ = np.histogram2d(across[failed], up[failed], bins=(x, y))
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(runs >= _FEWEST, 100.0 * bad / runs, np.nan)
-    # histogram2d has its first parameter along the rows, a drawing across: hence the
-    # transposition.
+    # histogram2d has its first parameter along the rows, the drawing has it on the
+    # horizontal axis: hence the transposition.
     levels = np.where(
         np.isfinite(share), np.digitize(np.nan_to_num(share), _SHARES), -1
     ).T
@@ -200,8 +201,8 @@ def fault_rows(table: FaultTable) -> list[dict[str, Any]]:
 
 
 def _cells(table: FaultTable, number: str) -> list[tuple[int, str, str]]:
-    """Level of colour, sign and words of every cell of a fault; level −1 where nothing
-    was run.
+    """Colour level, sign and words of every cell of a fault; level −1 if nothing was
+    run.
     """
     cells = []
     for place, words in fault_columns(table).items():
@@ -223,8 +224,8 @@ def _cells(table: FaultTable, number: str) -> list[tuple[int, str, str]]:
 
 # --- a tournament: one row a rival, one column a figure, a dot for what it reached -------------------------
 
-# Attribute, title, factor, and the left end of a logarithmic scale: what is below
-# counts as that.
+# Attribute, title, factor, and the left end of a logarithmic scale, to which smaller
+# values are clipped.
 _COLUMNS = (
     ("settling_time", "settling [s]", 1.0, 0.0),
     ("worst_settling", "worst payload [s]", 1.0, 0.0),
@@ -233,7 +234,7 @@ _COLUMNS = (
     ("motor_reference_noise", "noise [mrad]", 1e3, 0.1),
     ("overshoot", "overshoot [%]", 100.0, 0.01),
 )
-_END = 1.6  # of the largest value: room for its dot
+_END = 1.6  # multiple of the largest value: room for its dot
 
 
 @figure_of.register
@@ -245,11 +246,11 @@ def rivals_figure(result: Tournament) -> str:
     columns = []
     for attribute, title, factor, left in _COLUMNS:
         values = [factor * float(getattr(each, attribute)) for each in standings]
-        # Some rival may never settle: infinity has no place on a scale, and is said in
+        # A rival may never settle: infinity has no place on a scale and is stated in
         # words.
         finite = [value for value in values if math.isfinite(value)] or [1.0]
-        # From zero where values share a decade; a rival's vibration or noise may be a
-        # thousand times another's.
+        # From zero for values within a decade; vibration and noise of rivals may differ
+        # by a factor of a thousand.
         x = (
             Scale(left, _END * max(*finite, 10 * left), log=True)
             if left
@@ -257,13 +258,13 @@ def rivals_figure(result: Tournament) -> str:
         )
         columns.append(Column(title, values, x))
     names = [each.name + ("" if each.passed else " ✗") for each in standings]
-    # unstable, or tripped: no figure counts
+    # unstable or tripped: none of its figures counts
     signs = ["dot" if each.passed else "cross" for each in standings]
     said = "What each rival reached in six figures; left is better"
     return dots_in_columns(names, columns, said, signs)
 
 
-_ROW, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots of a row, of the names, of a column
+_ROW, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots per row, for the names, per column
 
 
 @dataclass(frozen=True)

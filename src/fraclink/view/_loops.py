@@ -1,5 +1,5 @@
-"""Drawings of a design: its loop over frequency, its margins over the payload, where
-the phase goes.
+"""Drawings of a design: its loop over frequency, its margins over the payload, its
+phase budget.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ __all__ += ["nyquist_figure", "payloads_of", "pid_figure", "pid_step_figure"]
 
 Real = NDArray[np.float64]
 
-# the margins are shown down to this share of the lightest payload: 8 g for 20 g
+# The margins are shown down to this share of the lightest payload: 8 g for 20 g.
 BEYOND = 0.4
 _STEPS = 25
 
@@ -105,7 +105,8 @@ def pid_step_figure(
 ) -> Figure:
     """Draw measurement and output of the shipped law after a step of the reference."""
     step = tuning.step(law=law, size=size, duration=duration)
-    # The output is held between samples: steps and no slopes, as the actuator gets it.
+    # The output is held between samples: steps without slopes, as the actuator receives
+    # them.
     held = np.repeat(step.output, 2)[:-1]
     times = np.repeat(step.time, 2)[1:]
     measured: list[Mark] = [
@@ -120,10 +121,8 @@ def pid_step_figure(
     return Figure("pid-step", said, panels, "time [s]", "step")
 
 
-_REACH = (
-    -2.3,
-    0.9,
-)  # of both axes: what is near −1; the resonance's circle is many times larger
+# limits of both axes, around −1; the circle of the resonance is many times larger
+_REACH = (-2.3, 0.9)
 
 
 def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
@@ -144,8 +143,8 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     for line, payload in zip(LINES, payloads, strict=False):
         w0 = design.natural_frequency(payload)
         value = loop_response(design, payload, planar=True).values
-        # The circle of an undamped resonance is many times larger than the detail:
-        # outside it is cut off, or its chords would cross the picture.
+        # The circle of an undamped resonance is many times larger than this detail: it
+        # is cut off outside, since its chords would otherwise cross the picture.
         value = np.where(np.abs(value) > 6.0, np.nan, value)
         marks.append(Curve(value.real, value.imag, line, grams(payload)))
         for crossing in design.at(payload).gain_crossings:
@@ -169,8 +168,8 @@ def margins_figure(design: Design) -> Figure:
     states, or what fit and rig leave open.
     """
     low, high = design.payloads
-    # Below the range the mode is fast and the margin falls quickly; above it changes
-    # little: hence more room on the light side, and geometric steps.
+    # Below the range the mode is fast and the margin falls quickly; above it the margin
+    # changes little. Hence more room on the light side, and geometric steps.
     payloads = np.geomspace(BEYOND * low, 1.15 * high, _STEPS)
     last = margin_curve(design, payloads, kind="sampled" if design.has_law else "loop")
     curves = (
@@ -200,18 +199,17 @@ def margins_figure(design: Design) -> Figure:
 
 
 def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
-    """Smallest and largest phase margin [°] of the corners of a box of parameters, over
-    payloads.
+    """Smallest and largest phase margin [°] over the corners of a parameter box, for
+    each payload.
     """
     try:
         box = design.box or ParameterBox.of(design.model, design.rig)
-    # A fit whose interval of the delay lies below zero states no box of arms that could
-    # exist.
-    except FieldError:  # of a gauge that leads its encoder nothing is known
+    # A delay interval below zero gives no box of arms that could exist.
+    except FieldError:  # nothing is known of a gauge that leads its encoder
         return None
     w0 = np.array([design.natural_frequency(float(m)) for m in payloads])
-    # Every corner with the controller as it was designed: what an arm other than the
-    # model does to the margin.
+    # Every corner with the unchanged controller: the effect of the deviation from the
+    # model on the margin.
     loops = (
         arm.loop(design.controller, design.rig) for arm in arms_of(box, design.model)
     )
@@ -258,7 +256,7 @@ def margin_curves_figure(
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
     """Draw the phase budget as a waterfall: from 180° down to the phase margin."""
     # The margin is 180° + arg L: the sign of the feedback is the first element, and
-    # lags take from it.
+    # lags reduce it.
     steps = [("feedback", 0.0, 180.0, "180°", 0)]
     level = 180.0
     for share in shares:
@@ -273,7 +271,7 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
         marks.append(Box(start, end, row + 0.15, row + 0.85, line))
         marks.append(Point(max(start, end), row + 0.5, text, sign="", beside="right"))
     names = tuple((row + 0.5, name) for row, (name, *_) in enumerate(steps))
-    # The first at the top.
+    # The first element is at the top.
     y = Scale(float(len(steps)), 0.0, ticks=names)
     high = 1.12 * max(ends)
     ticks = tuple((float(k), f"{k}°") for k in range(0, int(high) + 1, 45))
@@ -310,8 +308,8 @@ def map_figure(
     x, y = (_edges(values) for values in (across, up))
     levels = _levels(region.noise_gain)
     places = [place for place in (request, nearest) if place is not None]
-    # Both the refused request and the nearest one must be seen, with some room beyond
-    # them, wherever the map ends.
+    # Both the rejected request and the nearest feasible one must be visible with some
+    # space around them, wherever the map ends.
     sx = Scale(
         min(x[0], *(p[0] for p in places)) if places else x[0],
         max([x[-1], *(1.05 * p[0] for p in places)]),
@@ -322,8 +320,8 @@ def map_figure(
     )
     marks: list[Mark] = []
     for settling in _SETTLING:
-        # A crossover ω_c goes with a settling of about 2π/ω_c: workshops think in
-        # seconds.
+        # A crossover ω_c corresponds to a settling time of about 2π/ω_c, which
+        # practitioners find easier to read.
         w = 2 * math.pi / settling
         if sx.low < w < sx.high:
             marks.append(Upright(w, f"{settling:g} s"))
@@ -349,10 +347,10 @@ def map_figure(
 
 
 def _outline(x: Real, y: Real, feasible: NDArray[np.bool_]) -> list[Mark]:
-    """The upper and the lower edge of what is feasible, column by column."""
+    """The upper and lower edge of the feasible region, column by column."""
     some = feasible.any(axis=0)
-    # Steps along the cells, as they were computed: a smooth curve would promise what no
-    # cell was asked for.
+    # Steps along the computed cells: a smooth curve would suggest values that were not
+    # computed.
     top = np.where(
         some, y[feasible.shape[0] - np.argmax(feasible[::-1], axis=0)], np.nan
     )
@@ -364,19 +362,20 @@ def _outline(x: Real, y: Real, feasible: NDArray[np.bool_]) -> list[Mark]:
 
 
 def _edges(middles: Real) -> Real:
-    """Edges of cells around their middles."""
+    """Edges of cells from their centres."""
     inner = 0.5 * (middles[1:] + middles[:-1])
     first, last = 2 * middles[0] - inner[0], 2 * middles[-1] - inner[-1]
     return np.concatenate([[first], inner, [last]])
 
 
 def _levels(values: Real) -> Real:
-    """Three round limits that part finite values into four groups of about one size."""
+    """Three round limits that divide finite values into four groups of similar size."""
     finite = np.asarray(values)[np.isfinite(values)]
     if not finite.size:
         return np.array([1.0, 2.0, 3.0])
-    # Quartiles, so that each colour has about a quarter of the map: of equal steps the
-    # lowest would take nearly all, as the noise gain rises steeply at the edge.
+    # Quartiles, so that each colour has about a quarter of the map: with equal steps
+    # the lowest would take nearly all of it, since the noise gain rises steeply at the
+    # edge.
     return np.array([float(f"{q:.2g}") for q in np.quantile(finite, (0.25, 0.5, 0.75))])
 
 

@@ -1,5 +1,5 @@
-"""Marks of a drawing: curves, dots, bands, bars, cells, zones, levels, places, each as
-SVG in its panel.
+"""Marks of a drawing: curves, dots, bands, bars, cells, zones, levels and points, each
+as SVG in its panel.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ __all__ += ["Upright", "Zone", "escaped", "percent", "reach"]
 
 Real = NDArray[np.float64]
 
-# Whole numbers make a path half as long as decimals would. 4000 steps are a fifth of a
-# dot at a text's width of 860: finer than a stroke, and still after the page zooms in
-# by four.
+# Size in steps of the box of the curves, which is stretched to its panel. Integers make
+# a path half as long as decimals would. A step is a fifth of a dot at a text width of
+# 860: finer than a stroke, even at a zoom of four.
 ACROSS, DOWN = (
     4000,
     2000,
-)  # steps of the box that curves lie in; it stretches with its panel
-_ASIDE = 0.55  # of the width: a text beside a place further right stands left of it
+)
+# fraction of the width: labels of points farther to the right stand on their left
+_ASIDE = 0.55
 
 
 def escaped(text: object) -> str:
@@ -76,15 +77,15 @@ class Frame:
     def path(self, x: ArrayLike, y: ArrayLike, *, dots: bool = False) -> str:
         """A line through points, or a dot at each; what is not finite is a gap."""
         with np.errstate(invalid="ignore"):
-            # A scalar stands for a level or an upright line: Curve(w, 0.0) needs no
+            # A scalar represents a horizontal or vertical line: Curve(w, 0.0) needs no
             # array.
             a, b = np.broadcast_arrays(
                 ACROSS * self.x.share(x), DOWN * (1.0 - self.y.share(y))
             )
         good = np.isfinite(a) & np.isfinite(b)
-        # Far outside, a value is clipped at once the panel's size: the slope at the
-        # edge hardly changes, and a pole does not put numbers of a hundred digits into
-        # the page.
+        # A value far outside is clipped at one panel size beyond the edge: the slope at
+        # the edge hardly changes, and a pole does not put numbers of a hundred digits
+        # into the page.
         at = np.rint(np.clip(np.nan_to_num(a), -ACROSS, 2 * ACROSS)).astype(int)
         down = np.rint(np.clip(np.nan_to_num(b), -DOWN, 2 * DOWN)).astype(int)
         if dots:
@@ -98,12 +99,12 @@ class Frame:
             elif last is None:
                 parts.append(f"M{p} {q}l")
                 last = (p, q)
-            # A step of nothing is left out: where a record rests, all of its points
-            # fall on one place.
+            # A step of zero is omitted: all points of a record at rest coincide.
             elif (p, q) != last:
                 parts.append(f"{p - last[0]} {q - last[1]} ")
                 last = (p, q)
-        # A minus separates numbers as well as a space: 5 % of a log's drawing.
+        # A minus separates numbers as well as a space does, which saves 5 % of the
+        # drawing of a log.
         return "".join(parts).replace(" -", "-").rstrip()
 
 
@@ -128,15 +129,15 @@ class Curve:
     line: int = 1
     name: str = ""
     weight: Literal["", "thin", "wide", "fill"] = ""
-    dashed: bool | None = None  # as its line is where it is left open
+    dashed: bool | None = None  # None: according to its line
 
     def drawn(self, frame: Frame) -> Layers:
         """The line, and where its name belongs."""
         dash = "" if self.dashed is False else " w" if self.dashed else f" d{self.line}"
         style = f"c{self.line}{dash} {self.weight}".strip()
         if self.weight == "fill":
-            # A disk or a corridor has no end where a name could stand, and must not
-            # cover the curves: it lies below.
+            # A disk or a corridor has no end for a name and must not cover the curves:
+            # it lies below them.
             return Layers(
                 below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>'
             )
@@ -144,8 +145,8 @@ class Curve:
         across = frame.x.share(
             np.broadcast_to(np.asarray(self.x, dtype=float), values.shape)
         )
-        # A name stands where its line leaves the panel: what is drawn on behind the
-        # right edge is cut off there.
+        # A name stands where its line leaves the panel, since the line is cut off
+        # beyond the right edge.
         seen = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
         named = f' data-name="{escaped(self.name)}"' if self.name else ""
         ends = (
@@ -201,8 +202,7 @@ class Band:
         )
         x, low, high = np.broadcast_arrays(x, low, high)
         there, back = frame.path(x, high), frame.path(x[::-1], low[::-1])
-        # Joined by a line instead of begun anew, both edges are one surface; two
-        # subpaths would be two slivers.
+        # Both edges are joined into one area; two subpaths would be two slivers.
         back = re.sub(r"^M", "L", back)
         return Layers(
             below=f'<path class="b{self.line}" d="{there}{back}z"/>' if there else ""
@@ -226,7 +226,7 @@ class Bars:
             np.asarray(self.heights, dtype=float),
         )
         x = np.repeat(edges, 2)
-        # As one outline neighbours share their side: bars of their own would leave
+        # As a single outline, neighbours share their sides; separate bars would leave
         # hairlines between them.
         y = np.concatenate([[self.base], np.repeat(heights, 2), [self.base]])
         return Layers(
@@ -269,8 +269,8 @@ class Cells:
         y = np.rint(DOWN * (1.0 - frame.y.share(self.up))).astype(int)
         parts: dict[int, list[str]] = {}
         for row, values in enumerate(self.levels):
-            # The appended value differs from the last one whatever that is, so that the
-            # last run ends, too.
+            # The appended value always differs from the last one, so that the last run
+            # also ends.
             ends = np.flatnonzero(np.diff(values, append=values[-1] - 1)) + 1
             for start, end in zip([0, *ends[:-1]], ends, strict=True):
                 box = f"M{x[start]} {y[row]}H{x[end]}V{y[row + 1]}H{x[start]}z"
@@ -332,7 +332,7 @@ class Upright:
 
     value: float
     text: str = ""
-    left: bool | None = None  # of the line where there is more room
+    left: bool | None = None  # None: on the side with more room
 
     def drawn(self, frame: Frame) -> Layers:
         """A line and its text."""
@@ -357,7 +357,7 @@ class Point:
     text: str = ""
     line: int = 0
     sign: str = "dot"
-    beside: Literal["", "left", "right"] = ""  # where there is more room
+    beside: Literal["", "left", "right"] = ""  # "": on the side with more room
 
     def drawn(self, frame: Frame) -> Layers:
         """The sign in its own small system of dots, so that it keeps its shape."""
@@ -368,8 +368,8 @@ class Point:
             "ring": f'<circle class="c{self.line} ring" r="6"/>',
             "cross": f'<path class="c{self.line} cross" d="M-6-6l12 12m0-12l-12 12"/>',
         }
-        # No width of a text is known here, since the page's typeface is the reader's:
-        # the side with more room is the guess that rarely runs out of the drawing.
+        # The width of a text is unknown, since the reader chooses the typeface: the
+        # side with more room rarely makes it run out of the drawing.
         roomy = float(frame.x.share(self.x)) > _ASIDE
         left = self.beside == "left" or (not self.beside and roomy)
         side = 'text-anchor="end" x="-9"' if left else 'x="9"'

@@ -1,4 +1,4 @@
-"""A drawing of fraclink in axes of matplotlib, for figures that are one's own."""
+"""A drawing of fraclink in matplotlib axes, for the user's own figures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from fraclink.view._scales import Scale
 
 __all__ = ["on_axes"]
 
-# Dashes of the lines 0 to 4, in units of their width.
+# Dash patterns of the lines 0 to 4, in units of their width.
 _DASHES: tuple[Any, ...] = ("-", "-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)))
 _WIDTHS = {"": 1.3, "thin": 0.7, "wide": 2.6, "fill": 0.0}
 _SIGNS = {"dot": "o", "cross": "x", "ring": "o"}
@@ -64,8 +64,8 @@ def _axes(figure: Figure, ax: Any) -> Any:
             from matplotlib import pyplot
         except ImportError as error:
             raise MissingExtraError("matplotlib", "report") from error
-        # Not by a context of rcParams: in a notebook the first figure chooses the
-        # backend, which sets parameters of its own, and leaving the context would undo
+        # Without an rcParams context: in a notebook the first figure selects the
+        # backend, which sets parameters of its own, and leaving the context would reset
         # them.
         ax = pyplot.subplots(count, 1, sharex=True, layout="constrained")[1]
     axes = np.asarray(ax, dtype=object).reshape(-1)
@@ -81,10 +81,10 @@ def _axes(figure: Figure, ax: Any) -> Any:
 
 
 def _colour(ax: Any, name: str) -> str:
-    """A colour of the palette in the theme whose lines stand out on these axes."""
+    """A colour of the palette in the theme with better contrast on these axes."""
     from matplotlib.colors import to_rgba
 
-    # A transparent background shows the page's, which is white more often than not.
+    # A transparent background shows that of the page, which is usually white.
     *colour, opacity = to_rgba(ax.get_facecolor())
     return colours(DARK if opacity and sum(colour) < 1.5 else LIGHT)[name]
 
@@ -94,7 +94,7 @@ def _line(ax: Any, line: int) -> str:
 
 
 def _drawn(ax: Any, mark: Mark, style: dict[str, Any]) -> bool:
-    """Draw one mark; whether the legend has it."""
+    """Draw one mark; return whether the legend includes it."""
     match mark:
         case Curve(weight="fill"):
             ax.fill(mark.x, mark.y, color=_line(ax, mark.line), alpha=0.22, zorder=1)
@@ -170,7 +170,7 @@ def _drawn(ax: Any, mark: Mark, style: dict[str, Any]) -> bool:
 
 
 def _scaled(ax: Any, name: str, scale: Scale, held: tuple[float, float] | None) -> None:
-    """The ends of one axis, wide enough for what it has held before."""
+    """The ends of an axis, wide enough for its earlier content."""
     ends = scale.low, scale.high
     if held is not None:
         ends = min(*ends, *held), max(*ends, *held)

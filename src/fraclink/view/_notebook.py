@@ -1,5 +1,5 @@
-"""What a prompt and a notebook show of a result: a line, its tables, and a drawing
-where one exists.
+"""Display of a result at a prompt and in a notebook: a line, its tables, and its
+drawing if there is one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fraclink.view._drawing import figure_of, save_svg
 
 __all__ = ["draw", "drawing", "page_part", "text"]
 
-# The drawings of all classes are registered when their modules are loaded.
+# Importing these modules registers the drawings of all classes.
 _DRAWINGS = (_figures, _fleets, _loops, _runs, _sketches)
 
 

@@ -1,5 +1,5 @@
-"""Pages from templates, in which everything from outside is escaped, and the colours of
-every drawing.
+"""Pages from templates, in which all external data are escaped, and the colours of all
+drawings.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def squeezed(name: str) -> str:
     """A script or style without indentation and lines of comment: 5 kB, room for two
     more payloads.
     """
-    # A comment of several lines is one: its second line, left in, takes the rule behind
-    # it along.
+    # Including comments of several lines: a second line left in would disable the rule
+    # after it.
     text = re.sub(
         r"^\s*/\*.*?\*/", "", template_text(name), flags=re.DOTALL | re.MULTILINE
     )
@@ -46,8 +46,9 @@ def rendered(template: str, **contents: object) -> str:
     except ModuleNotFoundError as error:
         raise MissingExtraError("jinja2", "report") from error
 
-    # StrictUndefined: a name misspelled in a template is an error of the test suite,
-    # not a blank in a report. autoescape: names of files and columns come from outside.
+    # StrictUndefined: a misspelled name in a template fails in the test suite instead
+    # of leaving a blank in a report. autoescape: names of files and columns come from
+    # outside.
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(template_text),
         autoescape=True,
@@ -65,8 +66,8 @@ def rendered(template: str, **contents: object) -> str:
 
 # --- colours, read from the one style sheet ---------------------------------------------------------------
 
-# Dashes [dots] of the lines 0 to 4: where colours are of no use, in grey print, and
-# where curves lie on one another. Line 0 is the ink: a reference, a measured signal.
+# Dash patterns [dots] of the lines 0 to 4, for grey prints and for curves that
+# coincide. Line 0 is black ink: a reference or a measured signal.
 DASHES = ("", "", "7 3", "3 2.5", "9 3 2 3")
 LINES = tuple(range(1, len(DASHES)))
 LIGHT, DARK = 0, 1

@@ -1,5 +1,5 @@
-"""Plots of steps, margins over the payload, the phase budget and a run's clock, into
-axes of matplotlib.
+"""Plots of steps, margins over the payload, the phase budget and the timing of a run,
+in matplotlib axes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["latency", "margins_against_payload", "phase_shares", "step_plot"]
 
 _POINTS = 1000
-_TIMES = 8.0  # time constants of the slowest pole: what is left of it is 3e-4
+_TIMES = 8.0  # time constants of the slowest pole, after which 3e-4 is left
 
 
 def step_plot(
@@ -88,18 +88,19 @@ def step_plot(
 
 
 def _duration(system: FractionalTransferFunction) -> float:
-    """Eight time constants of the slowest stable pole; of the lowest corner where there
+    """Eight time constants of the slowest stable pole, or of the lowest corner if there
     is none.
     """
     delay = max(t.delay for t in system.numerator)
     if not any(t.delay for t in system.denominator):
-        # Fractional systems decay at last like a power of time, which has no time
-        # constant; eight of the slowest exponential show what is not that tail.
+        # Fractional systems finally decay like a power of time, without a time
+        # constant; eight time constants of the slowest exponential show everything
+        # before that tail.
         rates = -poles(system).real
         if np.any(rates > 0):
             return float(_TIMES / rates[rates > 0].min()) + 2 * delay
     # Without a stable pole, as for 1/(s^0.5 + 1), the lowest corner frequency is the
-    # only time there is.
+    # only time scale.
     low, _ = as_loop(system, None).span
     return _TIMES / math.exp(low) + 2 * delay
 
@@ -175,8 +176,8 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
     return on_axes(budget_figure(shares), ax)
 
 
-_BINS = 80  # over some four decades: a factor of 1.12 each
-_LEAST = 1e-7  # [s]: below, a monotonic clock read twice says nothing
+_BINS = 80  # over about four decades: a factor of 1.12 each
+_LEAST = 1e-7  # [s]: a monotonic clock read twice resolves no shorter time
 
 
 def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
@@ -206,12 +207,12 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     >>> latency(run).get_xlabel()
     'time [µs]'
     """
-    # Up to twice the largest time, be it late: every period must have its bar.
+    # Up to twice the largest time, however late: every period must have its bar.
     times = {"wake-up latency": run.latency, "computing time": run.work}
     ends = (float(np.max(x, initial=0.0)) for x in times.values())
     bins = 1e6 * np.geomspace(_LEAST, 2 * max(run.period, *ends), _BINS)
-    # A time of zero has no place on a logarithmic axis and counts as the smallest: no
-    # period is lost.
+    # A time of zero has no place on a logarithmic axis and counts as the smallest one,
+    # so that no period is lost.
     marks: list[Mark] = [
         Bars(bins, np.histogram(1e6 * np.maximum(x, _LEAST), bins)[0], line, name, 0.5)
         for line, (name, x) in enumerate(times.items(), 1)

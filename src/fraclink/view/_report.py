@@ -1,5 +1,5 @@
-"""Reports as one HTML file each: no request, complete without a script, whatever files
-hold is escaped.
+"""Reports as single HTML files: no network requests, complete without scripts, all
+external data escaped.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ __all__ = ["render_report", "write_campaign_report", "write_report"]
 
 Figures = Table | tuple[Row, ...]
 
-_PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
-_MAP = 12  # cells of the map of an infeasible request, each way: one search each
+_PAYLOADS = 15  # payloads of the moving arm: 40 kB of a report of 700
+# cells of the map of an infeasible request in each direction: one search each
+_MAP = 12
 
 
 def write_report(
@@ -78,8 +79,8 @@ def render_report(
         if study.rig
         else None
     )
-    # The arm that moves needs a law: of the design, or of the study where the design
-    # has none.
+    # The moving arm needs a law: from the design, or from the study if the design has
+    # none.
     moves = study.law is not None or (design is not None and design.has_law)
     drawn = {name: figure.inline() for name, figure in _figures(study).items()}
     return rendered(
@@ -118,7 +119,9 @@ def render_report(
 
 
 def _pointer(*, script: bool) -> Mapping[str, str] | None:
-    """The script that shows values under the pointer, and its hash for the policy."""
+    """The script that shows values under the pointer, and its hash for the content
+    security policy.
+    """
     if not script:
         return None
     text = squeezed("figures.js")
@@ -126,9 +129,9 @@ def _pointer(*, script: bool) -> Mapping[str, str] | None:
 
 
 def _inline(text: str) -> str:
-    """A drawing that stands alone, without the style and the ground that the page has."""
-    # The page has the same rules once; a style in every drawing would be 4 kB each, and
-    # the policy allows a style by its hash alone.
+    """A separate drawing without style and background, which the page provides."""
+    # The page has these rules once; a style in every drawing would take 4 kB each, and
+    # the policy allows a style only by its hash.
     return (
         text[: text.index("<style>")]
         + text[text.index("/>", text.index("</style>")) + 2 :]
@@ -136,8 +139,9 @@ def _inline(text: str) -> str:
 
 
 def _copy(drawing: str) -> str:
-    """A drawing again, for the first sheet of paper, where nothing is pointed at: what
-    is clipped finds its edge by the name that the first one has."""
+    """A copy of a drawing for the first printed sheet, without pointer values; clipped
+    elements refer to the clip path of the original by its name.
+    """
     return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
 
 
@@ -159,7 +163,7 @@ def _faults(study: Study) -> Mapping[str, Any] | None:
 
 
 def _files(study: Study) -> list[tuple[str, str]]:
-    """The files of the folder that hold something of this study."""
+    """The files of the folder that belong to this study."""
     known = (
         ("rig.toml", "the rig", study.rig),
         ("model.json", "the model that the design uses", study.fit),
@@ -172,7 +176,7 @@ def _files(study: Study) -> list[tuple[str, str]]:
 
 
 def _tables(study: Study) -> Mapping[str, Figures]:
-    """The tables of the sections that there are."""
+    """The tables of the existing sections."""
     sections: dict[str, Figures] = {}
     if study.rig is not None:
         sections["rig"] = study.rig.overview().rows
@@ -228,12 +232,12 @@ def _budget(design: Design) -> Figure | None:
         return loops.budget_figure(
             phase_budget(design, design.payloads[0]), design.payloads[0]
         )
-    except FieldError:  # a loop that crosses nowhere has no budget
+    except FieldError:  # a loop without crossings has no phase budget
         return None
 
 
 def _map(study: Study) -> Figure | None:
-    """The feasible requests around the one that was refused."""
+    """The feasible requests around the rejected one."""
     model = study.fit.model if study.fit else study.rig.model if study.rig else None
     if study.rig is None or model is None or study.refused is None:
         return None
@@ -245,8 +249,8 @@ def _map(study: Study) -> Figure | None:
     if len(places) < 2:
         return None
     rates, angles = zip(*places, strict=True)
-    # Wide enough for both places, and for what lies beside them. From a little motion
-    # to well beyond both places; margins up to 100°, where every design has become
+    # Wide enough for both points and their surroundings: crossovers from half of the
+    # slower to beyond the faster one; margins up to 100°, where every design is
     # sluggish.
     crossovers = np.linspace(0.5 * min(rates), 1.25 * max(rates), _MAP)
     margins = np.linspace(
@@ -267,8 +271,8 @@ def write_campaign_report(
     Raises MissingExtraError where jinja2 is not installed.
     """
     names = list(fleets.SHOWN)
-    # Failures are drawn over the two parameters that matter most, or chance would fill
-    # the map.
+    # Failures are drawn over the two most important parameters; for others chance would
+    # fill the map.
     drivers = fleets.strongest(summary)
     column = columns_of(campaign, folder)
     first, second, passed, *values = (column[n] for n in (*drivers, "passed", *names))

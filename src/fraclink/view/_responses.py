@@ -33,9 +33,10 @@ __all__ = ["bode", "line_of", "margin_plot", "named", "nichols", "nyquist"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut
-_SPREAD = 30.0  # of the frequencies of the crossings: what decides lies around them
-# What a Nyquist plot shows of the plane, and how far outside a curve need not be smooth.
+_HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut off
+_SPREAD = 30.0  # factor on either side of the crossing frequencies that is shown
+# Range of the plane shown by a Nyquist plot, and distance outside which a curve need
+# not be smooth.
 _NEAR, _FAR = 3.0, 8.0
 
 
@@ -71,8 +72,8 @@ class Response:
         def at(x: Real) -> Response:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 values = loop(x)
-            # No value beside a pole says where the curve goes, and an infinite one
-            # would scale the axis away: a pole or zero hit exactly is a gap.
+            # No finite value next to a pole shows the course of the curve, and an
+            # infinite one would spoil the scale: a pole or zero hit exactly is a gap.
             usual = np.isfinite(values) & (values != 0)
             return Response(np.exp(x), np.where(usual, values, math.nan), name)
 
@@ -98,15 +99,16 @@ class Response:
         """
         turns = np.angle(self.values[1:] / self.values[:-1])
         size = np.abs(self.values)
-        # Across a pole of the axis the phase falls by π, whichever sign rounding gave
-        # the jump: 2.8 rad between two neighbours of a refined grid is no curve. It
-        # counts as a pole's only where both sides are large, for at a zero it rises.
+        # Across a pole on the axis the phase falls by π, whatever sign rounding gave
+        # the jump; a change of 2.8 rad between two neighbours of a refined grid is not
+        # a curve. It counts as a pole only if both sides are large, since at a zero the
+        # phase rises.
         over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
         turns[over] -= 2 * math.pi
         first = float(np.angle(self.values[0]))
         # Bode's relation for a minimum-phase loop: phase = 90° times the slope. It
-        # picks the multiple of 360°, which the angle alone leaves open: k/s³ starts at
-        # −270° and not at +90°.
+        # determines the multiple of 360°, which the angle alone leaves open: k/s³
+        # starts at −270° and not at +90°.
         slope = float(
             np.diff(np.log(size[:2]))[0] / np.diff(np.log(self.frequency[:2]))[0]
         )
@@ -132,8 +134,8 @@ class Response:
         x, low_high = np.log(self.frequency), decibel_range(self)
         decibels = np.clip(np.nan_to_num(self.decibels), *low_high)
         degrees = np.nan_to_num(self.degrees)
-        # A flat magnitude, as of a delay, must not blow its rounding up to a span that
-        # asks for refinement.
+        # The rounding of a flat magnitude, as of a delay, must not be scaled up to a
+        # span that triggers refinement.
         level = decibels / max(float(np.ptp(decibels)), 6.0)
         turn = 0.5 * degrees / max(float(np.ptp(degrees)), 30.0)
         return (x - x[0]) / (x[-1] - x[0]), level + turn
@@ -170,8 +172,8 @@ def decibel_range(response: Response) -> tuple[float, float]:
     if not usual.any():
         return -1.0, 1.0
     x, decibels = np.log(response.frequency[usual]), response.decibels[usual]
-    # By the length of the axis and not by points: those crowd at the resonance. Two per
-    # cent of the axis belong to an undamped mode.
+    # By length along the axis instead of by points, which crowd at the resonance. Two
+    # per cent of the axis belong to an undamped mode.
     even = np.interp(np.linspace(x[0], x[-1], 400), x, decibels)
     low, high = np.percentile(even, [1, 99])
     least, most = float(decibels.min()), float(decibels.max())
@@ -311,10 +313,10 @@ def _bode_figure(
 
 
 def _turns(phases: Sequence[Real]) -> Scale:
-    """A scale of degrees that people count in."""
+    """A scale with customary steps in degrees."""
     scale = Scale.around(*phases, least=2.0)
-    # Below a turn lies only what delay adds where the gain is long gone: it would
-    # flatten what matters.
+    # Phases below one turn are due to delay at frequencies of very small gain: they
+    # would flatten the relevant range.
     low = max(scale.low, -370.0) if scale.high > -270.0 else scale.low
     steps = (15.0, 30.0, 45.0, 90.0, 180.0, 360.0, 720.0)
     step = next((d for d in steps if (scale.high - low) / d <= 7), None)
@@ -359,9 +361,9 @@ def margin_plot(
     for crossing in stability.gain_crossings:
         w, margin = crossing.frequency, math.degrees(crossing.phase_margin)
         at = response.on_sheet(w, margin - 180.0)
-        # The multiple of −180° that the margin is measured from on the sheet that is
-        # drawn. Where a resonance rises through 0 dB the phase is far from it on either
-        # side: neither good nor bad.
+        # The multiple of −180° from which the margin is measured, on the drawn sheet.
+        # Where a resonance rises through 0 dB, the phase is far from it on either side,
+        # which is neither good nor bad.
         line = 0 if abs(margin) > 90.0 else 2 if margin < 0 else 3
         gain.append(Point(w, 0.0, line=line))
         phase += [
@@ -371,8 +373,8 @@ def margin_plot(
             Across(at - margin, limit=False),
         ]
     for place in stability.phase_crossings:
-        # |L| at the crossing is the inverse of the gain margin: the bar runs from 0 dB
-        # to the curve, and says by how much the gain may grow.
+        # |L| at the crossing is the inverse of the gain margin: the bar from 0 dB to
+        # the curve shows how much the gain may grow.
         w, level = place.frequency, -20 * math.log10(place.gain_margin)
         line = 2 if place.gain_margin < 1 else 1
         gain += [
@@ -430,8 +432,8 @@ def nyquist(
             marks.append(Curve(real, -imaginary, line_of(k), weight="thin"))
     marks.append(Point(-1.0, 0.0, "−1", line=2, sign="cross"))
     largest = max(1.2, *(float(np.nanmax(np.abs(one.values))) for one in responses))
-    # Beyond 8 the point −1, which decides, would lie within a few dots of the origin: 5
-    # shows it and cuts the rest.
+    # Beyond 8 the decisive point −1 would lie within a few dots of the origin: a range
+    # of 5 shows it and cuts off the rest.
     half = reach or (1.1 * largest if largest <= 8 else 5.0)
     square = Scale(-half, half)
     panel = Panel("Im L", marks, 340.0, square)
@@ -440,8 +442,8 @@ def nyquist(
     return on_axes(figure, ax, **style)
 
 
-# |L/(1 + L)| of the contours [dB]: 3 dB is about the largest that a design would
-# accept, 0.25 dB shows how contours close around −1.
+# |L/(1 + L)| of the contours [dB]: 3 dB is about the largest acceptable value, 0.25 dB
+# shows how the contours close around −1.
 _CONTOURS = (-12.0, -6.0, -3.0, 0.25, 1.0, 3.0, 6.0, 12.0)
 
 
@@ -476,10 +478,10 @@ def nichols(
         Curve(one.degrees, one.decibels, line_of(k), one.name)
         for k, one in enumerate(responses)
     ]
-    # No margin is read below −40 dB nor above 60 dB; an integrator or a mode would take
-    # the axis.
+    # Margins are read between −40 dB and 60 dB; an integrator or a mode would otherwise
+    # take the axis.
     y = Scale.around(*(np.clip(one.decibels, -40.0, 60.0) for one in responses))
-    # The phases inside the magnitudes that are shown, and −180° in any case.
+    # The phases at the magnitudes that are shown, and in any case −180°.
     seen = [np.array([-200.0, -100.0])]
     for one in responses:
         inside = (one.decibels > y.low) & (one.decibels < y.high)

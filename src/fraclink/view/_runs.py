@@ -1,5 +1,5 @@
-"""Drawings of moves in time: simulated runs, shaped moves, and runs with a fault beside
-their clean run.
+"""Drawings of moves in time: simulated runs, shaped moves, and runs with a fault next
+to their clean run.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
 
 Real = NDArray[np.float64]
 
-_BAND = 0.02  # of the move: what counts as settled
+_BAND = 0.02  # share of the move that counts as settled
 
 
 def moves_figure(runs: Sequence[Run]) -> Figure:
@@ -79,7 +79,7 @@ def shaped_figure(move: ShapedMove) -> Figure:
     acceleration, and the voltages.
     """
     reference, time = move.reference, move.period * np.arange(move.tip_angle.shape[1])
-    # Half of the picture for the move, half for what it leaves behind.
+    # Half of the picture for the move, half for the time after it.
     end = min(float(time[-1]), 2.0 * reference.duration)
     part = time <= end * (1 + 1e-9)
     time = time[part]
@@ -94,8 +94,8 @@ def shaped_figure(move: ShapedMove) -> Figure:
     tip.append(
         Curve(*envelope(time, reference.angle(time)), 0, "reference", dashed=True)
     )
-    # The acceleration shows how a shaped move differs from a smooth one, which angles
-    # do not.
+    # The acceleration shows the difference between a shaped and a smooth move, which
+    # angles do not.
     push = [Curve(*envelope(time, reference.acceleration(time)), 0)]
     voltage: list[Mark] = [Across(move.voltage, "limit"), Across(-move.voltage)]
     for line, arm, angle, volts in zip(
@@ -134,8 +134,8 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
         len(MODES) - 0.6,
         ticks=tuple((float(k), name) for k, name in enumerate(MODES)),
     )
-    # The mode is held for a period and changes at once: a slope between two of them
-    # would be a third.
+    # The mode is held for a period and changes at once: a slope between two modes would
+    # suggest a third.
     time, mode = np.repeat(e.faulty.time, 2)[1:], np.repeat(e.faulty.mode, 2)[:-1]
     rows = (
         Panel(f"{title}. Tip angle [rad]", _tip(e), 190.0),
@@ -170,8 +170,8 @@ def _tip(e: Evidence) -> list[Mark]:
 
 
 def _motor(e: Evidence) -> Panel:
-    # By the true angle and not by the encoder's, which is what is broken; 0.1 rad of
-    # room even beside an arm that stands.
+    # From the true angle and not from the encoder, which has the fault; 0.1 rad of
+    # space even if the arm stands still.
     low, high = float(e.faulty.motor_angle.min()), float(e.faulty.motor_angle.max())
     edge = 0.2 * max(high - low, 0.5)
     marks: list[Mark] = [

@@ -1,5 +1,5 @@
-"""Scales of drawings: where a value lies along a side, ticks that people count in,
-records thinned.
+"""Scales of drawings: positions of values along a side, customary ticks, thinned
+records.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["Scale", "envelope", "nice_ticks"]
 
 Real = NDArray[np.float64]
 
-_POINTS = 900  # twice this many points for a line; the page shows about 800 dots
+_POINTS = 900  # a line gets twice this many points; the page shows about 800 dots
 
 
 def envelope(
@@ -35,12 +35,12 @@ def envelope(
     count = len(values)
     if count <= 2 * points:
         return time, values
-    # Stretches of equal length but for one sample, and none is empty, as each holds two
-    # samples or more: reduceat of an empty one would repeat its first value.
+    # Stretches of equal length, up to one sample, of at least two samples each:
+    # reduceat of an empty one would repeat its first value.
     edges = np.linspace(0, count, points + 1).astype(int)[:-1]
     low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
-    # Drawn in the order smallest, largest or the other way round a stretch of a sine
-    # would get a stroke back in time; where it begins tells which comes first.
+    # With a fixed order of smallest and largest value, a stretch of a sine could get a
+    # stroke back in time; its first value determines the order.
     rising = values[edges] <= (low + high) / 2
     first, second = np.where(rising, low, high), np.where(rising, high, low)
     middle = np.append(edges[1:], count)
@@ -66,7 +66,7 @@ class Scale:
     def share(self, values: ArrayLike) -> Real:
         """Where values lie between the ends: 0 to 1."""
         at, ends = np.asarray(values, dtype=float), np.array([self.low, self.high])
-        # Outside of a logarithmic scale's domain the share is −∞ or NaN, which paths
+        # Outside the domain of a logarithmic scale the share is −∞ or NaN, which paths
         # leave out as a gap.
         if self.log:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -101,9 +101,9 @@ class Scale:
         low, high = (
             (float(every.min()), float(every.max())) if every.size else (0.0, 1.0)
         )
-        # A signal that stands still but for rounding would blow its last bits up over
-        # the whole panel, under ticks that all read alike: it gets a twentieth of its
-        # value, or 1 where that is nothing, beside it.
+        # A constant signal would have its rounding stretched over the whole panel, with
+        # ticks that all look alike: it gets a range of a twentieth of its value, or 1
+        # if the value is zero.
         still = 0.05 * abs(high) or 1.0 if high - low <= 1e-9 * abs(high) else 0.0
         spare = max(0.5 * (least - (high - low)), room * (high - low), still)
         return cls(low - spare, high + spare, log)
@@ -115,8 +115,8 @@ def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], .
     >>> nice_ticks(0.0, 1.0, 5)
     ((0.0, '0'), (0.2, '0.2'), (0.4, '0.4'), (0.6, '0.6'), (0.8, '0.8'), (1.0, '1'))
     """
-    # 20 is there for a rough step that rounding puts just above 10 times its power;
-    # 0.999 lets a side of exactly `most` steps have them.
+    # 20 covers a rough step that rounding puts just above 10 times its power; 0.999
+    # allows exactly `most` steps.
     rough = (high - low) / max(most, 1)
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(
@@ -125,33 +125,32 @@ def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], .
         if power * factor >= 0.999 * rough
     )
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    # Twelve digits of the value, not twelve places behind the point: a residual of
-    # 1e-13 N·m has ticks, too.
+    # Twelve significant digits instead of twelve decimals, so that a residual of 1e-13
+    # N·m also has ticks.
     values = [float(f"{k * step:.12g}") for k in range(first, last + 1)]
     return tuple((value, _text(value, step)) for value in values)
 
 
 def _text(value: float, step: float) -> str:
-    """A tick's text, with the digits that tell it from its neighbours."""
+    """The label of a tick, with the digits that distinguish it from its neighbours."""
     if not value:
         return "0"
     if 1e-4 <= step < 1e5:
         return f"{value:.6f}".rstrip("0").rstrip(".").replace("-", "−")
-    # Two digits of the step (2.5), and as many before it as the value is larger.
+    # Two digits of the step (2.5), and in addition as many as the value is larger.
     return number(
         value, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(step))
     )
 
 
 def _decades(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
-    """Powers of ten, with 2 and 5 times them where there are few."""
+    """Powers of ten, and 2 and 5 times them if there are few."""
     span = math.log10(high / low)
-    # 2 and 5 lie about evenly between powers on a logarithmic scale; three ticks a
-    # decade must still be about as few as asked for.
+    # 2 and 5 are spaced about evenly between powers on a logarithmic scale; three ticks
+    # per decade must still be about as few as requested.
     factors = (1, 2, 5) if 3 * span < 1.2 * most else (1,)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     values = [factor * 10.0**power for power in powers for factor in factors]
     inside = [v for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
-    # Over many decades every second or third power: all of them would run into one
-    # another.
+    # Over many decades every second or third power, since all of them would overlap.
     return tuple((v, _text(v, v)) for v in inside[:: 1 + len(inside) // (most + 3)])

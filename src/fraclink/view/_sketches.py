@@ -1,4 +1,4 @@
-"""A drawing without numbers: the arm with its signals."""
+"""A schematic drawing of the arm with its signals."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _ARM = (425.0, 214.0)
 
 
 def _link(length: float, turned: float, bend: float) -> list[tuple[float, float]]:
-    """A bent link from the hub's edge: points of a cantilever's first shape, turned by
-    the motor's angle.
+    """A bent link from the edge of the hub: points of a cantilever's deflection,
+    rotated by the motor angle.
     """
     places = np.linspace(0.0, 1.0, 25)
     # w(x) = x² (3L − x)/2, scaled to 1 at the tip: a cantilever with a force at its
-    # end, which is how a payload bends a massless link.
+    # end, the deflection of a massless link under a payload.
     away = bend * places**2 * (3 - places) / 2
     c, s = math.cos(turned), math.sin(turned)
     x, y = length * places, length * away
@@ -49,8 +49,9 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
     """Draw hub, link, payload and gauge from above, with θm, θt and Γ; notes: of motor,
     gauge and payload.
     """
-    # Bent against the turn, as at the start of a move: the tip lags behind the motor,
-    # θt < θm. Bend and angle are larger than life, to be told apart at this size.
+    # Bent against the rotation, as at the start of a move: the tip lags behind the
+    # motor, θt < θm. Deflection and angle are exaggerated, so that they are visible at
+    # this size.
     x, y, length, turned, bend = 70.0, 158.0, 300.0, math.radians(26), -0.16
     points = [(x + a, y + b) for a, b in _link(length, turned, bend)]
     tip = points[-1]

@@ -1,4 +1,4 @@
-"""Tables that lay several results beside one another, for pages."""
+"""Tables that compare several results, for pages."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""An overview as text, as HTML and as JSON: what a terminal, a notebook and a program
-read of any result.
-"""
+"""An overview as text, HTML and JSON, for terminals, notebooks and programs."""
 
 from __future__ import annotations
 
@@ -57,7 +55,7 @@ def option(name: str, value: float) -> str:
         if name == "phase_margin"
         else (value, word)
     )
-    # Eight digits: a request on its bound would be infeasible with fewer.
+    # Eight digits: with fewer, a request at its bound would be infeasible.
     return f"{word} {shown:.8g}"
 
 
@@ -69,8 +67,8 @@ def sentence(text: str) -> str:
     """
     text = text.strip()
     first = text.partition(" ")[0]
-    # Fields such as link.stiffness are what the user types: a capital would make
-    # another name of them.
+    # Fields such as link.stiffness are typed by the user: a capital would make another
+    # name of them.
     named = "_" in first or "." in first.rstrip(".") or first == "fraclink"
     ended = text.endswith((".", "?", "!", ":")) or not text
     return (text[:1] if named else text[:1].upper()) + text[1:] + ("" if ended else ".")
@@ -99,8 +97,8 @@ def grid_of(figures: Table | Sequence[Row]) -> Grid:
         for column in zip(*figures.records, strict=True)
         if any(row.label for row in column)
     ]
-    # Where every column has one unit it stands in the head; requirements have each
-    # their own.
+    # If every column has a single unit it stands in the header; requirements have
+    # different units.
     alike = all(len({row.unit for row in column}) == 1 for column in columns)
     header = [column[0].heading if alike else column[0].label for column in columns]
     texts = [
@@ -167,12 +165,12 @@ def plain(value: Any) -> Any:
     {'gain': 1.5, 'limit': None, 'payloads': [0.02, 0.04]}
     """
     if isinstance(value, float | np.floating):
-        # JSON has neither infinity nor NaN; Python's own writer would put words there
-        # that no other parser reads.
+        # JSON has neither infinity nor NaN; Python's writer would put words there that
+        # no other parser reads.
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray | np.generic):
-        # numpy's scalars are no JSON either; bool and str of numpy come back as
-        # Python's own.
+        # JSON does not accept numpy's scalars; bool and str of numpy become Python's
+        # own.
         return plain(value.tolist())
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
@@ -188,7 +186,7 @@ def plain(value: Any) -> Any:
 
 
 def _object(rows: Sequence[Row]) -> dict[str, Any]:
-    """The figures by their keys; a dot in a key leads into an object."""
+    """The figures by their keys; a dot in a key denotes a nested object."""
     values: dict[str, Any] = {}
     for row in rows:
         *outer, name = row.key.split(".")
@@ -241,8 +239,7 @@ def page_part(shown: Overview) -> str:
 
 def plain_text(shown: Overview, width: int = 80) -> str:
     """Return an overview as lines of at most `width` columns, broken between words."""
-    # The verdict first: it is what a person reads at all, and what a pipe into `head`
-    # keeps.
+    # The verdict first: it is read first, and a pipe into `head` keeps it.
     lead = ": ".join(filter(None, (marked(shown.state), shown.headline)))
     parts = [folded(lead, width)] if lead else []
     parts += [table_text(grid, width) for grid in grids(shown)]
@@ -278,34 +275,34 @@ def table_text(grid: Grid, width: int = 80) -> str:
     20 g       48.8
     8 g        23.9
     """
-    # What keeps a value and its error together on a page only shows as an escape in a
-    # terminal.
+    # The no-break space between a value and its error, meant for pages, would show as
+    # an escape in a terminal.
     rows = [
         tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row)
         for row in grid.lines
     ]
-    # A head folds into three lines at most, and never within a word.
+    # A header folds into three lines at most, and never within a word.
     least = [
         max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in grid.header
     ]
     widths = [max(head, *(len(row[k]) for row in rows)) for k, head in enumerate(least)]
     spare = width - sum(widths) - 2 * (len(widths) - 1)
     if spare < 0:
-        # Sentences give way first: the widest column folds, down to 24 letters, three
-        # or four words a line.
+        # The widest column, usually of sentences, folds first, down to 24 letters,
+        # three or four words per line.
         widest = max(range(len(widths)), key=widths.__getitem__)
         widths[widest] = min(widths[widest], max(24, widths[widest] + spare))
         fitting = sum(
             sum(widths[:k]) + 2 * (k - 1) <= width for k in range(1, len(widths) + 1)
         )
         if 1 < fitting < len(widths):
-            # Still too wide: the columns that do not fit stand below, behind the first
-            # one again.
+            # Still too wide: the columns that do not fit are printed below, again after
+            # the first column.
             above = _columns(grid, range(fitting))
             below = _columns(grid, (0, *range(fitting, len(widths))))
             return f"{table_text(above, width)}\n\n{table_text(below, width)}"
     for k, head in enumerate(grid.header):
-        # Where there is room a head need not fold.
+        # With enough room a header need not fold.
         more = len(head) - widths[k]
         if 0 < more <= spare:
             widths[k], spare = len(head), spare - more
@@ -316,7 +313,7 @@ def table_text(grid: Grid, width: int = 80) -> str:
 
 
 def _columns(grid: Grid, kept: Iterable[int]) -> Grid:
-    """Some columns of a table."""
+    """The given columns of a table."""
     places = tuple(kept)
 
     def cut(cells: Cells) -> Cells:
@@ -329,7 +326,7 @@ def _columns(grid: Grid, kept: Iterable[int]) -> Grid:
 def _folded_row(
     row: Cells, widths: Sequence[int], words: Sequence[bool], *, bottom: bool = False
 ) -> str:
-    """The lines of one row, its shorter cells at the top of them, or at the bottom."""
+    """The lines of a row, with shorter cells aligned at the top or at the bottom."""
     cells = [
         textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False)
         for cell, size in zip(row, widths, strict=True)

@@ -1,6 +1,4 @@
-"""What a report says in sentences: the arm, how far one may rely on the design, what to
-do next.
-"""
+"""The sentences of a report: the arm, the reliability of the design, the next steps."""
 
 from __future__ import annotations
 
@@ -31,8 +29,8 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
     ]
     if model is not None:
         said.append(f"With the motor held, the tip {model.sentence}.")
-    # (1 + 4) e⁻⁴: a double pole is within 9 % after four of its time constants, the
-    # workshop's usual figure [ms].
+    # [ms] (1 + 4) e⁻⁴: a double pole is within 9 % after four time constants, a
+    # customary figure.
     settled = number(4.0e3 / rig.motor_loop.pole, 2)
     said.append(
         f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms."
@@ -58,8 +56,8 @@ def nearest_command(study: Study) -> str:
     log = "LOG"
     if study.experiment is not None and study.experiment.source:
         log = source_name(study.experiment.source)
-    # A rig that is not bundled is known to the command by its file only, which lies
-    # beside the report.
+    # The command only knows a rig that is not bundled by its file, which lies next to
+    # the report.
     rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
     return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options}"
 
@@ -96,8 +94,8 @@ def steps(study: Study) -> list[tuple[str, str]]:
             else []
         )
     todo = []
-    # In the order of what a reader can still lose: a failing arm first, then the proof,
-    # the faults, and only then the board.
+    # In order of the possible damage: a failing arm first, then the proof, the faults,
+    # and the board last.
     if study.arms is not None and study.arms.failed:
         todo.append(
             (
@@ -127,7 +125,7 @@ def steps(study: Study) -> list[tuple[str, str]]:
 def power_on(design: Design) -> list[str]:
     """The first power-on in the order in which a mistake costs least."""
     volts = design.rig.motor.voltage_limit
-    # A fifth of the voltage: a wrong sign of encoder or gauge then pushes the arm
+    # A fifth of the voltage: with a wrong sign of encoder or gauge, the arm then moves
     # gently enough to be caught by hand.
     limit = (
         f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)"
