@@ -300,7 +300,7 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
         tried.append(law.digest)
         return (
             fl.lab.FirstMove(
-                0.3, 0.5, 0.6, 2.4, *(0.001,) * 5, 0.006, *(0.001,) * 4, payload=0.030
+                0.3, 0.5, 0.6, 2.4, *(0.001,) * 4, 0.006, *(0.001,) * 2, payload=0.030
             ),
         )
 
@@ -368,7 +368,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     assert "run-realtime" in _following(proved, "udp:a:1", place)
     # With the payload that was tuned for, and within the limits from where the arm stands.
     kept = fl.lab.FirstMove(
-        0.3, 0.5, 0.47, 0.48, *(0.001,) * 5, 0.006, *(0.001,) * 4, payload=0.03
+        0.3, 0.5, 0.47, 0.48, *(0.001,) * 4, 0.006, *(0.001,) * 2, payload=0.03
     )
     following = _following(replace(proved, moves=(kept,)), "udp:a:1", place)
     assert following.endswith("--payload 0.03 --amplitude -0.300 --move-time 0.500")
@@ -380,7 +380,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     late = replace(kept, duration=1.6, promised_settling=1.4, measured_settling=1.6)
     assert not replace(proved, moves=(late, kept)).passed
     assert replace(proved, moves=(replace(late, measured_settling=1.5), kept)).passed
-    slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 5, 0.006, *(0.001,) * 4)
+    slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 4, 0.006, *(0.001,) * 2)
     off = replace(proved, moves=(slow,))
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
 

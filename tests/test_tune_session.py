@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -15,28 +13,15 @@ import fraclink as fl
 from fraclink import _kernels
 from fraclink.findings import Scope
 from fraclink.lab import Change, FirstMove, Watch
-from fraclink.lab._tune_link import LinkResult
-from tuned_arms import LIMITS, RIG
+from tuned_arms import LIMITS
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 MOVE = FirstMove(
-    0.3, 0.5, 0.6, 0.62, *(0.001,) * 5, 0.006, *(0.001,) * 4, payload=0.030
+    0.3, 0.5, 0.6, 0.62, *(0.001,) * 4, 0.006, *(0.001,) * 2, payload=0.030
 )
 STATE = fl.lab.Tuning(LIMITS, 0.030, (0.0225, 0.04), 0.004)
-
-
-# --- what is repeated ------------------------------------------------------------------------------------
-
-
-def link(short: float, *, passed: bool = True) -> Any:
-    """A link whose λ is known `short` times too badly."""
-    fit = SimpleNamespace(
-        passed=passed, model=RIG.model, gain=1.0, standard_errors={"order": 0.006 * short},
-        save=lambda place: Path(place).write_text("model"),
-    )  # fmt: skip
-    return LinkResult(fit, SimpleNamespace(), ((0.1, 8.0, 0.001),))  # type: ignore[arg-type]
 
 
 # --- what is kept ----------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "paylo
 OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
-_LOST_SHARE = 0.01  # share of lost samples that a reader may interpolate
+LOST_SHARE = 0.01  # share of lost samples that a reader may interpolate
 
 
 @displayed
@@ -316,12 +316,12 @@ class RealtimeRun:
         came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
         count = int(self.tick[-1]) if len(self.tick) else 0
         lost = count - int(np.count_nonzero(came))
-        if count == 0 or lost > _LOST_SHARE * count:
+        if count == 0 or lost > LOST_SHARE * count:
             raise LogError(
                 "run",
                 f"{lost} of {count} samples",
                 "lost",
-                allowed=f"{100 * _LOST_SHARE:g} %",
+                allowed=f"{100 * LOST_SHARE:g} %",
                 remedy="run it again on a machine that keeps the period",
             )
         # By ticks instead of rows: a missed period has no row, and without its place

@@ -20,6 +20,7 @@ from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._connections import Connection
 from fraclink.lab._line import Stopped, open_line
 from fraclink.lab._machine import measure_wake_ups, signals_held
+from fraclink.lab._run import LOST_SHARE
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Guard, LimitReached
@@ -41,7 +42,6 @@ LAWS = 3  # largest number of laws tried on the arm: each takes a quarter of a m
 # [s] of motion at most, including the next experiment: a person can watch at the
 # emergency stop for a minute and a half.
 _PATIENCE = 90.0
-_FEW_LOST = 0.01  # share of the samples, as in a record of `run-realtime`
 # Largest relative difference between the first guesses of a tuning and of its
 # resumption: those of the same arm scatter by a tenth, half the payload changes ω₀ by
 # 41 %, and another gear changes K/J by more.
@@ -168,7 +168,6 @@ class _Session:
     clock: Any
     before: Tuning | None
     state: Tuning = field(init=False)
-    _records: list[Any] = field(default_factory=list)
     _began: float = field(default_factory=time.process_time)
 
     def open(self) -> Guard:
@@ -393,7 +392,6 @@ class _Session:
             self.state,
             certified=proof.verdict if proof is not None and proof.passed else "",
             design_passed=built.design is not None and built.passed,
-            design_words="; ".join(built.assumptions),
             reasons=built.reasons,
             planned=built.move,
             moves=(),
@@ -466,7 +464,7 @@ def _lateness(guard: Guard) -> str:
     """The note on lost samples for the reason of an end: a busy machine looks like
     another arm.
     """
-    if guard.lost <= _FEW_LOST * guard.count:
+    if guard.lost <= LOST_SHARE * guard.count:
         return ""
     return (
         f" (of {guard.count} samples {guard.lost} did not come in time: this machine, or the link, is too "

@@ -43,7 +43,6 @@ _SEEDS = range(7)
 # The full move is made twice, and a third time if the two disagree: the noise of one
 # record shifts its settling time by a sample's band, and two of three decide.
 _TWICE = 2
-_SPEED_TIME = 0.016  # [s] over which a speed is computed
 _LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
 _REST = 2.0  # [s] at the end in which the motor should rest
 _HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
@@ -64,8 +63,6 @@ class FirstMove:
     promised_residual, measured_residual
         half the peak-to-peak angle of the tip in the half second after the reference
         came to rest [rad].
-    measured_noise
-        standard deviation of the motor angle at the end [rad].
     promised_unrest, measured_unrest
         half the peak-to-peak motor angle in the last two seconds [rad].
     band
@@ -73,8 +70,8 @@ class FirstMove:
         or the noise where that is more.
     jump
         of the motor angle when the law took over [rad].
-    peak_voltage, peak_torque, peak_speed
-        [V], [N·m], [rad/s].
+    peak_voltage
+        [V].
     payload
         that the arm carried [kg]; 0 of a tuning that did not write it.
     """
@@ -85,14 +82,11 @@ class FirstMove:
     measured_settling: float
     promised_residual: float
     measured_residual: float
-    measured_noise: float
     promised_unrest: float
     measured_unrest: float
     band: float
     jump: float
     peak_voltage: float
-    peak_torque: float
-    peak_speed: float
     payload: float = 0.0
 
     @property
@@ -282,27 +276,19 @@ def _compared(
     """The median over some moves, and the median of the same move on the model with
     different noise.
     """
-    judged, records = [each for *_, each in made], [record for _, record, _ in made]
-    far, record, _ = made[-1]
-    lag = round(_SPEED_TIME / record.period)
+    judged = [each for *_, each in made]
     return FirstMove(
-        amplitude=far,
+        amplitude=made[-1][0],
         duration=duration,
         promised_settling=_median(promised, 0),
         measured_settling=_median(judged, 0),
         promised_residual=_median(promised, 1),
         measured_residual=_median(judged, 1),
-        measured_noise=float(np.std(record.angle[-round(_LAST / record.period) :])),
         promised_unrest=_median(promised, 2),
         measured_unrest=max(unrest for _, _, unrest in judged),
         band=band,
         jump=jump,
-        peak_voltage=max(float(np.max(np.abs(r.voltage))) for r in records),
-        peak_torque=max(float(np.max(np.abs(r.torque))) for r in records),
-        peak_speed=max(
-            float(np.max(np.abs(r.angle[lag:] - r.angle[:-lag]))) for r in records
-        )
-        / (lag * record.period),
+        peak_voltage=max(float(np.max(np.abs(each.voltage))) for _, each, _ in made),
         payload=payload,
     )
 

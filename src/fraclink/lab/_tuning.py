@@ -187,7 +187,6 @@ class Tuning:
     link: LinkResult | None = None
     certified: str = ""
     design_passed: bool = False
-    design_words: str = ""
     reasons: tuple[str, ...] = ()
     attempts: int = 0
     planned: tuple[float, float] | None = None
