@@ -14,6 +14,7 @@ import collections
 import math
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,9 +35,7 @@ RIG = fl.Rig.named("paper-2023")
 assert RIG.model is not None
 _OWN = RIG.model.natural_frequency
 # the box of the fit whose ω₀ moves with the payload alone
-SKETCH_BOX = replace(
-    fl.ParameterBox.of(RIG.model, RIG), natural_frequency=(_OWN, _OWN)
-)
+SKETCH_BOX = replace(fl.ParameterBox.of(RIG.model, RIG), natural_frequency=(_OWN, _OWN))
 # What the sketch of one solver has, without the rows that it does not know, and what
 # the procedure and the searches before it had: worst noise gain over 20 to 40 g.
 TABLE: tuple[tuple[str, dict[str, Any], float, str], ...] = (
@@ -162,8 +161,17 @@ class Judge:
         turns = np.arange(
             0.5, top, 2 * math.pi / 20 / max(self.model.gauge_delay, 5e-3)
         )
-        w = np.concatenate([np.geomspace(0.3, top, 250), around, turns])
+        parts = [np.geomspace(0.3, top, 250), around, turns, self.resonances]
+        w = np.concatenate(parts)
         return np.unique(w[w <= top])
+
+    @cached_property
+    def resonances(self) -> Real:
+        """Of each payload, eq. (14): below the modulus of its pole."""
+        order = self.model.order
+        own = [self.model.at_payload(float(m)).natural_frequency for m in self.payloads]
+        inner = -(np.array(own) ** 2) * math.cos(0.5 * math.pi * order)
+        return np.asarray(inner ** (1.0 / order))
 
     def rest(self, s: Complex) -> Complex:
         """The loop beside Ĉ at each payload, (K, N)."""
@@ -207,10 +215,9 @@ class Judge:
         centre = math.inf if second is None else second.frequency
         own = crossed & (np.abs(place - centre) > 0.2 * place)
         last = np.max(np.where(own, place, 1e-3), axis=2)
-        # the crossover: where |L| first falls to one behind the resonance
-        modes = [abs(self.model.at_payload(float(m)).pole) for m in self.payloads]
-        # an interval that begins at the resonance may hold it
-        behind = crossed & (w[1:] > np.array(modes)[:, None])
+        # the crossover: where |L| first falls to one behind the resonance, at which it
+        # may just touch one
+        behind = crossed & (w[:-1] >= self.resonances[:, None])
         first = np.argmax(behind, axis=2)[..., None]
         falls = np.take_along_axis(behind & (rises < 0.0), first, 2)[..., 0]
         place = np.take_along_axis(place, first, 2)[..., 0]

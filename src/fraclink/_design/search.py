@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fraclink._arm.controller import Controller
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.solver import KEPT, Rows, eased, lowest
+from fraclink._design.solver import KEPT, RADIUS, Rows, eased, lowest
 from fraclink._design.table import Figure, Outer, Table, Trial
 from fraclink._law.requirement import Requirement
 
@@ -23,25 +23,11 @@ __all__ = ["Search", "Solution", "solved"]
 
 Real = NDArray[np.float64]
 
-_ROUNDS = 8  # rounds in which links are added that turn out to be worse
-# δ times the crossover at the first start: a long filter with a steep Ĉ makes a quiet
-# loop
-_LAG = 1.2
-# The other starts: δ times the resonance, and β as a share of its limit; the feasible
-# set may be disconnected.
-_LAGS, _ORDERS = (0.1, 0.4, 1.5), (0.3, 0.5, 0.7, 0.85)
-# Bounds of ln δ [s]: ten periods of the slowest arm, and less than any control period.
+# ln δ [s]: ten periods of the slowest arm, and below every control period
 _LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
-_LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
-_WIDTH, _DEPTH = 0.3, 0.1  # first guess of a notch: ζ of its poles and of its zeros
-# Number of restarts of the descent of the noise, and the least gain in ln of the noise
-# that justifies another one.
-_TURNS, _IDLE = 4, 0.001
-# radius of a descent in each parameter; its gradients are useless farther away
-_REACH = 2.0
-# Share of the remaining distance that five steps must gain to continue the search:
-# towards the rows, and towards a row that is an aim.
-_FAR, _AIMING = 0.1, 0.003
+_LEAST_ORDER = 0.05  # β → 0 is a constant Ĉ, which (28) forbids
+# ln of the noise gain: the third digit, as it is printed
+_IDLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +119,12 @@ class Search:
             for k in range(x.shape[1])
         ]
 
-    def noise(self, x: Real) -> float:
-        """Return ln of the noise gain at the worst link."""
-        return float(np.max(self.trial(x[:, None]).noise.value))
+    def noise(self, x: Real) -> Real:
+        """Return ln of the noise gain at the worst link for each of some parameters
+        (P, S).
+        """
+        value = self.trial(x).noise.value
+        return np.asarray(np.max(value.reshape(x.shape[1], -1), axis=1))
 
     def noise_and_rows(self, x: Real) -> tuple[Rows, Rows]:
         """Return the noise of every link, and the rows: of each the least at every link,
@@ -160,38 +149,26 @@ class Search:
 
     # ---- where a search begins
 
-    def first(self) -> Real:
-        """Parameters to begin from: the closed form of the lightest link, whose phase is
-        met at the crossover, with a long filter.
+    @property
+    def starts(self) -> Real:
+        """Parameters to begin from, (P, S): at the heaviest payload |L| is one at ω_r, or
+        where the lightest resonates; β at the quarters of its range; and the filter's
+        corner at the ends and in the middle of the band between the heaviest payload's
+        resonance and where nothing may cross any more.
         """
+        low, high = self.bounds
         request, loop = self.request, self.request.arms.loops[0]
-        low, high = request.natural_frequencies
-        ratio = (high / low) ** (2.0 / request.model.order)
-        # a loop that crosses below the resonance does not affect the vibration
-        least = max(request.reference, 1.1 * request.arms.resonance)
-        w = min(least * ratio, 0.6 * request.highest)
-        delta = request.spec.get("filter_time", _LAG / w)
-        beta = request.phase_margin - math.pi - float(loop.log(w, high).imag)
-        beta += self.filter_order * math.atan(delta * w)
-        return self._through(least, 2.0 / math.pi * beta, delta)
-
-    def others(self) -> Real:
-        """More of them, (P, S)."""
-        request, limit = self.request, self.bounds[1][1]
-        places = 1.1 * request.arms.resonance, request.reference
+        slow, fast = request.arms.resonance, request.highest
+        corners = np.geomspace(slow, fast, 3) if low[2] < high[2] else [slow]
+        shares = 0.25, 0.5, 0.75
+        places = float(loop.peak(request.natural_frequencies[1])), request.reference
         return np.stack(
             [
-                self._through(place, order * limit, lag / request.arms.resonance)
-                for lag, order, place in product(_LAGS, _ORDERS, places)
+                self._through(place, share * high[1], 1.0 / corner)
+                for corner, share, place in product(corners, shares, places)
             ],
             axis=1,
         )
-
-    def elsewhere(self) -> Real:
-        """The one with the shortest filter and the steepest Ĉ."""
-        request, steepest = self.request, _ORDERS[-1] * self.bounds[1][1]
-        lag = _LAGS[0] / request.arms.resonance
-        return self._through(request.reference, steepest, lag)
 
     def _through(self, w: float, beta: float, delta: float) -> Real:
         """Parameters with |L| = 1 at `w` at the heaviest payload."""
@@ -205,7 +182,7 @@ class Search:
         x = [gain, beta, math.log(max(delta, 1e-12))]
         if self.notch is not None:
             centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
-            x += [centre, math.log(_WIDTH), math.log(_DEPTH)]
+            x += [centre, 0.5 * (low[4] + high[4]), 0.5 * (low[5] + high[5])]
         return np.array(x)
 
     # ---- the search
@@ -215,37 +192,38 @@ class Search:
         taken in as they turn up.
         """
         search = self
-        for _ in range(_ROUNDS):
-            idle = _FAR if self.request.aim is None else _AIMING
-            x, rows = eased(search.rows, starts, *search.bounds, idle=idle)
-            if rows.slack <= KEPT:
-                x = search.quieter(x)
+        while True:
+            ends, rows = eased(search.rows, starts, *search.bounds)
+            if rows[0].slack > KEPT and starts.shape[1] == 1:
+                starts = np.column_stack([starts, search.starts])
+                ends, rows = eased(search.rows, starts, *search.bounds)
+            x = ends[:, 0]
+            if rows[0].slack <= KEPT:
+                # the noise has several valleys; the first descent is into the deepest
+                x = search.quieter(ends[:, int(np.argmin(search.noise(ends)))])
             solution = Solution(search, x)
             wider = solution.wider()
             if wider is None:
-                break
+                return solution
             search, starts = wider, x[:, None]
-        return solution
 
     def quieter(self, x: Real) -> Real:
-        """Return parameters with less noise that keep every row.
+        """Return parameters with less noise that keep every row: descents within the
+        radius of a step, as long as they win something.
 
-        A descent that lost its way at a kink is led back to the rows, and goes on from
-        there as long as that is less noise.
+        A descent that lost its way at a kink is led back to the rows.
         """
-        before, radius = self.noise(x), _REACH
+        before = self.noise(x[:, None])[0]
         low, high = self.bounds
-        for _ in range(_TURNS):
-            near = np.maximum(low, x - radius), np.minimum(high, x + radius)
+        ended = False
+        while not ended:
+            near = np.maximum(low, x - RADIUS), np.minimum(high, x + RADIUS)
             lower, ended = lowest(self.noise_and_rows, x, *near)
-            lower, rows = eased(self.rows, lower[:, None], low, high)
-            noise = self.noise(lower)
-            if rows.slack <= KEPT and noise <= before - _IDLE:
-                x, before = lower, noise
-            elif not ended:
-                radius *= 0.25
-            if ended:
+            ends, (rows, *_) = eased(self.rows, lower[:, None], low, high)
+            noise = self.noise(ends)[0]
+            if rows.slack > KEPT or noise > before - _IDLE:
                 break
+            x, before = ends[:, 0], noise
         return x
 
 
@@ -282,7 +260,7 @@ class Solution:
     @property
     def noise_gain(self) -> float:
         """The noise gain at the worst link of the search."""
-        return math.exp(self.search.noise(self.x))
+        return math.exp(self.search.noise(self.x[:, None])[0])
 
     @cached_property
     def controller(self) -> Controller:
@@ -356,26 +334,6 @@ class Solution:
             found += [(row, item) for item in items]
         return tuple(found)
 
-    def quieter(self) -> Solution:
-        """Return this one or another with less noise: the noise has several valleys, and
-        a second descent begins elsewhere.
-
-        At more links there is only more noise, so that they are looked at last.
-        """
-        search = self.search
-        low, high = search.bounds
-        if low[2] == high[2]:
-            return self  # with δ given there is a single minimum
-        x, rows = eased(search.rows, search.elsewhere()[:, None], low, high)
-        if rows.slack > KEPT:
-            return self
-        x = search.quieter(x)
-        if search.noise(x) > math.log(self.noise_gain) - _IDLE:
-            return self
-        other = search.over_links(x[:, None])
-        quieter = other.slack == 0.0 and other.noise_gain < self.noise_gain
-        return other if quieter else self
-
     def tightened(self, reserves: dict[str, float]) -> Solution:
         """Return the solution with more in reserve for some rows."""
         own = self.search.reserves
@@ -397,15 +355,7 @@ def solved(request: Request, *, patient: bool) -> Solution:
     ]
     found: list[Solution] = []
     for search in searches:
-        starts = search.first()[:, None]
-        if request.aim is not None:
-            starts = np.column_stack([starts, search.others()])
-        found.append(search.over_links(starts))
+        found.append(search.over_links(search.starts))
         if found[-1].slack == 0.0:
-            return found[-1].quieter()
-    for one in tuple(found) if patient and request.aim is None else ():
-        others = np.column_stack([one.x, one.search.others()])
-        found.append(one.search.over_links(others))
-        if found[-1].slack == 0.0:
-            return found[-1].quieter()
+            break
     return min(found, key=lambda one: one.slack)
