@@ -26,7 +26,8 @@ Real = NDArray[np.float64]
 # ln δ [s]: ten periods of the slowest arm, and below every control period
 _LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
 _LEAST_ORDER = 0.05  # β → 0 is a constant Ĉ, which (28) forbids
-# ln of the noise gain: the third digit, as it is printed
+# Least gain in ln of the noise that justifies another descent: the third digit, which is
+# printed.
 _IDLE = 1e-3
 
 
@@ -199,7 +200,7 @@ class Search:
                 ends, rows = eased(search.rows, starts, *search.bounds)
             x = ends[:, 0]
             if rows[0].slack <= KEPT:
-                # the noise has several valleys; the first descent is into the deepest
+                # the noise has several minima: descend from the quietest end
                 x = search.quieter(ends[:, int(np.argmin(search.noise(ends)))])
             solution = Solution(search, x)
             wider = solution.wider()
@@ -209,9 +210,9 @@ class Search:
 
     def quieter(self, x: Real) -> Real:
         """Return parameters with less noise that keep every row: descents within the
-        radius of a step, as long as they win something.
+        radius of a step, as long as they reduce it.
 
-        A descent that lost its way at a kink is led back to the rows.
+        A descent that left the rows at a kink is led back to them.
         """
         before = self.noise(x[:, None])[0]
         low, high = self.bounds

@@ -25,15 +25,15 @@ Real = NDArray[np.float64]
 KEPT = 2e-5  # relative violation that counts as met: a tenth of the reserve of the rows
 # Weights in a step of the rows that may not be eased, relative to those that may.
 _FIRST, _DEAR, _NEAR = 1e6, 1e3, 10.0
-# Ten to twenty steps suffice from a start; a search that takes more is at a kink.
-_STEPS = 40
-_TURNS = 4  # after which the worse half of the starts is left
-_ASIDE = 0.03  # of a row, relative: how far a step may miss one that was kept
-# of what is eased against the length of a step: hardly more than a step within its
-# bounds that is as good
+# Ten to twenty steps suffice from a start; a search that takes more is at a kink. After
+# every four of them the worse half of the starts is dropped.
+_STEPS, _TURNS = 40, 4
+_ASIDE = 0.03  # relative violation that a step may cause in a row that was met
+# Weight of the easing against the length of the step: little more easing than in an
+# equally good step within its bounds.
 _EASED = 100.0
-# A step in each parameter, at most (all are logarithms or orders, of which the rows are
-# smooth functions up to about one), and where a search ends
+# Largest step in each parameter (all are logarithms or orders, in which the rows are
+# smooth up to about one), and the step at which a search ends.
 RADIUS, _STILL = 1.0, 1e-4
 
 
@@ -111,8 +111,8 @@ def eased(
     """Return the parameters (P, K) that were reached from some starts (P, S) at once and
     keep every row, or the one where the slack is least; and their rows.
 
-    Every four steps the worse half of the starts is left, and the search ends where one
-    of them keeps every row.
+    After every four steps the worse half of the starts is dropped, and the search ends if
+    one of them keeps every row.
     """
     x = np.clip(starts, low[:, None], high[:, None])
     rows = rows_at(x)
@@ -161,8 +161,8 @@ def lowest(
 ) -> tuple[Real, bool]:
     """Return where the largest of some costs is least while rows are kept, by sequential
     quadratic programming, and whether it got there; both keep their number. What it ends
-    at may miss rows. About its least a cost is flat to first order, so that a last step
-    as small as that of a search towards rows is its square of the cost.
+    at may miss rows. A cost is flat at its minimum, so that a last step as short as that
+    of a search towards the rows changes it by the square of the step.
     """
 
     @lru_cache(maxsize=1)
