@@ -188,7 +188,7 @@ CEILINGS = {
     "_design": 1596,
     "_export": 560,
     "_files": 585,
-    "_identify": 3157,
+    "_identify": 3114,
     "_law": 985,
     "_reading": 1075,
     "_simulate": 1271,

@@ -48,6 +48,26 @@ def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_vibration_elsewhere_that_fits_as_well_is_said(seed: int) -> None:
+    """One vibration at 4 % of noise, swung by 31 s before it: two links a few percent
+    apart explain it.
+    """
+    late = late_cut(seed)
+    at, size = late.output.size - 160, late.output.size
+    noise = np.random.default_rng(seed).standard_normal(size)
+    cut = Experiment(
+        PERIOD,
+        late.motor_angle[at:],
+        np.asarray(late.output + 0.04 * late.output.std() * noise)[at:],
+        earlier_angle=np.append(late.earlier_angle, late.motor_angle[:at]),
+    )
+    fit = identify(cut)
+    assert not fit.passed
+    assert "W357" in {finding.code for finding in fit.findings}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["first", "zero"])
 def test_a_ring_down_behind_a_cut_is_fitted_by_the_move_before_it(hold: Any) -> None:
     time = PERIOD * np.arange(2500)

@@ -698,7 +698,6 @@ def fit_figures(fit: fl.Fit) -> Plain:
         | {f"fit_{name}": getattr(fit, name) for name in FIT_NUMBERS}
         | {
             "standard_errors": fit.standard_errors,
-            "white_standard_errors": fit.white_standard_errors,
             "intervals": {
                 name: [item.low, item.high] for name, item in fit.intervals.items()
             },

@@ -17,6 +17,7 @@ from fraclink._files import document
 from fraclink._identify.fit import Fit, coincidence
 from fraclink._identify.fitting import (
     HeldOut,
+    Known,
     Stiffness,
     fit_from,
     make_search,
@@ -25,7 +26,7 @@ from fraclink._identify.fitting import (
 from fraclink._identify.residual import mean_with_error
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
-from fraclink._identify.uncertainty import Uncertainty, structure_criteria, uncertainty
+from fraclink._identify.uncertainty import link_covariance, structure_criteria
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import checked
@@ -215,7 +216,7 @@ def identify(
         log,
         stiffness=stiffness,
         details=details,
-        errors=choice.errors[choice.preferred],
+        known=choice.known[choice.preferred],
     )
     return replace(best, findings=(*best.findings, *_of_the_choice(choice, best)))
 
@@ -293,7 +294,7 @@ def compare_structures(
             log,
             stiffness=stiffness,
             details=details,
-            errors=choice.errors[name],
+            known=choice.known[name],
             like=like,
         )
 
@@ -334,7 +335,7 @@ class Choice:
     """The structure that a log supports, with what it rests on."""
 
     criteria: Criteria
-    errors: Mapping[str, Uncertainty]
+    known: Mapping[str, Known]
     preferred: str
     undecided: tuple[str, ...]
     vetoed: tuple[str, ...]
@@ -342,11 +343,11 @@ class Choice:
     @classmethod
     def of(cls, search: Search, log: Experiment) -> Choice:
         """The choice for the log of a search."""
-        criteria, errors = criteria_of(search)
+        criteria, known = criteria_of(search)
         vetoed = vetoed_structures(search, criteria, log)
         preferred = preferred_structure(criteria, vetoed)
         undecided = _undecided(search, criteria, preferred, vetoed)
-        return cls(criteria, errors, preferred, undecided, vetoed)
+        return cls(criteria, known, preferred, undecided, vetoed)
 
     def gap(self, name: str) -> float:
         """By how much a structure is above the one to use in both criteria, below it in
@@ -359,14 +360,15 @@ class Choice:
         return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
 
-def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Uncertainty]]:
-    """Both criteria of every structure, and the uncertainties that they rest on."""
+def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Known]]:
+    """Both criteria of every structure, and how sure each fit is."""
     search.reconcile()
-    errors = {
-        name: uncertainty(search, search.solve(name), coloured=True)
+    known = {
+        name: link_covariance(search, search.solve(name), coloured=True)
         for name in STRUCTURES
     }
-    return structure_criteria(search, errors), errors
+    effective = {name: found.effective for name, (found, _) in known.items()}
+    return structure_criteria(search, effective), known
 
 
 def _near(criteria: Criteria) -> list[str]:
@@ -468,19 +470,14 @@ def _sentence(fits: Mapping[str, Fit], choice: Choice) -> str:
     )
     if choice.undecided:
         others = " and ".join(choice.undecided)
-        colour = " under a residual of this colour" if best.errors_allow_colour else ""
         reason = "the fewest parameters, then the lowest AIC"
-        return f"This log cannot tell {preferred} from {others}{colour}; {preferred} is used ({reason}){held}."
+        return f"This log cannot tell {preferred} from {others}; {preferred} is used ({reason}){held}."
     rivals = [
         name for name, fit in fits.items() if abs(fit.mse - best.mse) > 1e-9 * best.mse
     ]
     if not rivals:
         return f"{preferred} is preferred: every other structure ended as the same model{held}."
-    criterion = (
-        "AIC, corrected for the residual's colour,"
-        if best.errors_allow_colour
-        else "AIC"
-    )
+    criterion = "AIC, corrected for the residual's colour,"
     other = min(rivals, key=choice.gap)
     gap = choice.gap(other)
     if gap <= 0:

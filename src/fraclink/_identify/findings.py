@@ -1,4 +1,5 @@
-"""Findings W3xx about a fit, and the gates that a model must pass to be used.
+"""What a reader of a fit should know: findings W2xx and W3xx, and the gates that a model must
+pass to be used.
 
 A gate is a finding of severity "error" with its threshold in the evidence. After a
 failed gate the model is kept with all its numbers, but no result based on it can pass.
@@ -7,23 +8,24 @@ failed gate the model is kept with all its numbers, but no result based on it ca
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from fraclink._arm.experiment import Experiment
 from fraclink._identify.columns import column_findings, mains_of, motion_at_start
 from fraclink._identify.fit import Fit
+from fraclink._identify.problem import QUANTILE
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
-from fraclink._identify.uncertainty import Uncertainty
 from fraclink.findings import Finding, worst_first
 
 # Share of the power of an unseen motion: a law that cancels with such a model leaves
 # half of the vibration, 6 dB, as for the gate of a structure.
 HELDOUT_MOST = 0.25
-# The calibration of a strain gauge is accurate to about 20 %; mrad for rad or volts for
-# radians differ by more.
+WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone leaves
+# Calibrations of strain gauges are good to some 20 %; mrad for rad, volts for radians
+# are off by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
 # n ln(power/mse)/k: pure noise reaches 20 in one log of a thousand, because the fit may
 # choose its frequency.
@@ -34,8 +36,9 @@ RESONANCE_MOST = 0.1
 # Vibration periods at the beginning of a log that are compared with the rest, and the
 # largest ratio of their error to that of the rest.
 _START, _FIRST_ERROR = 2.0, 2.0
-# [rad]: the encoder of every rig is finer than this
-_TREMBLE = 1e-3
+# No encoder of a rig resolves less.
+_TREMBLE = 1e-3  # [rad]
+_COLOURED = 0.01  # p-value below which the residual is said to be coloured
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",
@@ -49,24 +52,27 @@ _AT_BOUND = {
 def findings_of(
     fit: Fit,
     solution: Solution,
-    errors: Uncertainty,
+    sure: tuple[float, bool],
     stiffness: float | None,
     motion: tuple[float, float],
     log: Experiment,
 ) -> tuple[Finding, ...]:
-    """All findings of a fit, worst first; `motion` are the shares of motion and
-    vibration held out.
+    """All findings of a fit, worst first.
+
+    `sure` are the resonance's relative standard error and whether the log leaves
+    parameters undetermined, `motion` the shares of motion and vibration held out.
     """
     # Sign and delay of noise mean nothing.
     heard = signal_of(fit) >= SIGNAL_LEAST
     found = [
         *column_findings(log),
-        *_of_the_vibration(fit, solution, errors, log),
+        *_of_the_vibration(fit, solution, sure[0], log),
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
-        *_of_the_optimum(fit, errors.singular),
-        # Also for noise: `Fit.loop_model` takes the stiffness of the rig if this
-        # finding says that the log does not determine it.
+        *_of_the_optimum(fit, sure[1]),
+        *_of_other_valleys(fit, solution),
+        # Of noise, too: `Fit.loop_model` takes the rig's stiffness where this one is
+        # said to be nobody's.
         *_of_the_stiffness(fit, stiffness),
         *(_of_the_gain(fit) if heard else ()),
         *(_of_the_delay(fit, solution) if heard else ()),
@@ -120,7 +126,7 @@ def _no_signal(signal: float, log: Experiment) -> Finding:
 
 
 def _of_the_vibration(
-    fit: Fit, solution: Solution, errors: Uncertainty, log: Experiment
+    fit: Fit, solution: Solution, resonance: float, log: Experiment
 ) -> Iterator[Finding]:
     signal = signal_of(fit)
     if signal < SIGNAL_LEAST:
@@ -136,14 +142,14 @@ def _of_the_vibration(
             {"resonance": math.exp(solution.shape[1]), "order": fit.model.order},
             "check units and columns, and that the log holds two periods of the link's vibration",
         )
-    elif errors.resonance > RESONANCE_MOST:
+    elif resonance > RESONANCE_MOST:
         yield Finding(
             "W315",
             "error",
             "the motor does not excite the band of the vibration: its frequency is not determined",
             {
                 "resonance": math.exp(solution.shape[1]),
-                "relative_error": errors.resonance,
+                "relative_error": resonance,
                 "most": RESONANCE_MOST,
             },
             "move faster, with rise times below half a period of the vibration",
@@ -193,9 +199,9 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         )
     elif relative > HELDOUT_MOST:
         yield _not_predicted(fit, relative)
-    # Both conditions: at a quiet end the relative error is large because of the small
-    # power alone, at a loud end the mean square is.
-    elif relative > 4 * fit.nmse and held > 2 * fit.mse:
+    # Both: a quiet end has a large relative error by its small power alone, a loud one
+    # a large mean square.
+    elif relative > WORSE * fit.nmse and held > 2 * fit.mse:
         yield Finding(
             "W318",
             "warning",
@@ -379,7 +385,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
     yield from _of_outliers(fit)
     if fit.tests is None or not math.isfinite(fit.tests.whiteness):
         return
-    if fit.errors_allow_colour:
+    if fit.tests.whiteness < _COLOURED:
         yield Finding(
             "W305",
             "info",
@@ -430,3 +436,22 @@ def _of_outliers(fit: Fit) -> Iterator[Finding]:
             {"samples": float(few), "share_of_error": share},
             "examine the log with diagnose and cut or repair these rows",
         )
+
+
+def _of_other_valleys(fit: Fit, solution: Solution) -> Iterator[Finding]:
+    inflation = max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
+    for rival in solution.rivals:
+        ratio = rival.cost / max(solution.cost, 1e-300)
+        if fit.fitted_samples * math.log(max(ratio, 1.0)) < QUANTILE**2 * inflation:
+            yield rival_finding({"resonance": rival.resonance})
+            return
+
+
+def rival_finding(values: Mapping[str, float]) -> Finding:
+    return Finding(
+        "W357",
+        "error",
+        "other parameters fit as well as the data can tell",
+        values,
+        "give bounds that exclude them, or excite more of the band",
+    )

@@ -75,7 +75,7 @@ def bic(mse: float, samples: int, parameters: int) -> float:
 @displayed
 @document(
     "fit",
-    version=2,
+    version=3,
     container="either",
     summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
@@ -123,12 +123,8 @@ class Fit(Saved):
         predicts more than the noise (mse): a ring-down that has sunk into it tells
         nothing. None where that leaves none.
     standard_errors
-        of the free parameters inside their limits, in their units. Where the residual
-        is coloured they come from the sandwich estimate, see `errors_allow_colour`.
-    white_standard_errors
-        what they would be if the residual were white.
-    errors_allow_colour
-        whether `standard_errors` are the sandwich estimate.
+        of the free parameters inside their limits, in their units; with the details
+        they allow for the residual's colour by the sandwich estimate.
     intervals
         95 % profile-likelihood intervals of the link's parameters and the delay.
     at_bound
@@ -182,8 +178,6 @@ class Fit(Saved):
     heldout_mse: float | None
     heldout_nmse: float | None
     standard_errors: Mapping[str, float]
-    white_standard_errors: Mapping[str, float]
-    errors_allow_colour: bool
     intervals: Mapping[str, Interval]
     at_bound: tuple[str, ...]
     effective_parameters: float
@@ -202,7 +196,7 @@ class Fit(Saved):
     _validated: ClassVar[Callable[..., Any]]
 
     def __post_init__(self) -> None:
-        for name in ("standard_errors", "white_standard_errors", "intervals"):
+        for name in ("standard_errors", "intervals"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("predicted", "residual"):
             array = np.array(getattr(self, name), dtype=np.float64)

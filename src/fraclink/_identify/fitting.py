@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -33,7 +33,11 @@ from fraclink._identify.shape import (
     moving_angle,
     shape_of,
 )
-from fraclink._identify.uncertainty import Uncertainty, link_intervals, uncertainty
+from fraclink._identify.uncertainty import (
+    Covariance,
+    link_covariance,
+    link_intervals,
+)
 from fraclink.errors import LogError
 from fraclink.findings import errors_of
 from fracsys.checks import Array, Between, checked, checked_choice
@@ -56,10 +60,11 @@ Stiffness = Annotated[
 ]
 Motion = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
+# How sure a fit is: the covariance, and the resonance's relative standard error.
+Known = tuple[Covariance, float]
 SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 
 _LEAST_SAMPLES = 50
-_COLOURED = 0.01  # p-value below which the residual counts as coloured
 _HELDOUT = 0.4
 # share of the motor's motion (mean square speed) that a held-out part must contain
 _MOVES = 0.05
@@ -251,13 +256,6 @@ def predicted_output(
     )
 
 
-def _deviations(
-    names: Iterable[str], variances: NDArray[np.float64]
-) -> dict[str, float]:
-    # Rounding may leave a variance slightly below zero.
-    return dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True))
-
-
 def fit_from(
     search: Search,
     name: str,
@@ -265,28 +263,26 @@ def fit_from(
     *,
     stiffness: float | None,
     details: bool,
-    errors: Uncertainty | None = None,
+    known: Known | None = None,
     like: Fit | None = None,
 ) -> Fit:
-    """The fit of one structure from a search, judged on the whole log; `errors` where
-    they are known. Of the same log as a fit `like` the second mode is that one's.
+    """The fit of one structure from a search, judged on the whole log; `known` is how
+    sure it is, where that is known. Of the same log as a fit `like` the second mode is that one's.
     """
     solution = search.solve(name)
     window = search.window
     predicted = predicted_output(search, solution, log)
     residual = log.output - predicted
-    if errors is None or not details:
-        # Without details only the white covariance: the coloured one takes as long as
+    if known is None or not details:
+        # Without details the white covariance alone: the coloured one takes as long as
         # the fit.
-        errors = uncertainty(search, solution, coloured=details)
-    tests, allow, intervals = None, False, {}
+        known = link_covariance(search, solution, coloured=details)
+    covariance, resonance = known
+    tests, intervals = None, {}
     if details:
-        # On the fitted part: the held-out part is for judging the prediction, not the
-        # noise.
-        tests = _tests(search, residual[: window.samples], errors)
-        allow = tests.whiteness < _COLOURED and errors.coloured is not None
-        intervals = _intervals(search, solution, errors, allow)
-    variances = _variances(errors, allow)
+        # On the fitted part: what was held out judges the prediction, not the noise.
+        tests = _tests(search, residual[: window.samples], covariance)
+        intervals = _intervals(search, solution, covariance)
     fit = Fit(
         structure=name,
         model=model_of(solution.shape, 1.0, log.payload),
@@ -297,12 +293,10 @@ def fit_from(
         output_kind=log.output_kind,
         period=float(log.period),
         **_figures(log, residual, window.samples, solution),
-        standard_errors=_deviations(errors.names, variances),
-        white_standard_errors=_deviations(errors.names, np.diag(errors.white)),
-        errors_allow_colour=bool(allow),
+        standard_errors=covariance.errors,
         intervals=intervals,
         at_bound=_bounds(solution),
-        effective_parameters=errors.effective,
+        effective_parameters=covariance.effective,
         tests=tests,
         converged=solution.status == 0,
         evaluations=solution.evaluations,
@@ -319,8 +313,9 @@ def fit_from(
         mode = find_second_mode(search, solution, whole.angle, residual)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     motion = motion_after(log, window.samples)
-    findings = findings_of(fit, solution, errors, stiffness, motion, log)
-    # Errors that make the log unusable make the model unusable.
+    sure = (resonance, covariance.singular)
+    findings = findings_of(fit, solution, sure, stiffness, motion, log)
+    # What makes the log unusable makes the model so.
     return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
 
 
@@ -399,60 +394,31 @@ def _identified(
     )
 
 
-def _variances(errors: Uncertainty, allow: bool) -> NDArray[np.float64]:
-    white = np.diag(errors.white)
-    # Colour may also reduce the error of an estimate, but the sandwich covariance is
-    # too noisy to be trusted there.
-    return (
-        np.maximum(np.diag(errors.coloured), white)
-        if allow and errors.coloured is not None
-        else white
-    )
-
-
-def _tests(search: Search, residual: Vector, errors: Uncertainty) -> ResidualTests:
-    ratio = 1.0
-    if errors.coloured is not None and errors.names:
-        pairs = zip(
-            np.diag(errors.coloured).tolist(),
-            np.diag(errors.white).tolist(),
-            strict=True,
-        )
-        # The worst ratio: the factor by which the number of samples counts less for the
-        # least certain parameter.
-        ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
+def _tests(search: Search, residual: Vector, covariance: Covariance) -> ResidualTests:
+    # The worst one: it says by how much fewer samples the least certain parameter
+    # counts.
+    ratio = max(covariance.inflation.values(), default=1.0)
     motion = search.window.increments()[-search.window.samples :]
-    return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
+    return residual_tests(residual, motion, search.window.period, covariance.lag, ratio)
 
 
 def _intervals(
-    search: Search, solution: Solution, errors: Uncertainty, allow: bool
+    search: Search, solution: Solution, covariance: Covariance
 ) -> dict[str, Interval]:
-    variances, white = _variances(errors, allow), np.diag(errors.white)
-    rows = zip(errors.names, variances.tolist(), white.tolist(), strict=True)
     inflation = {
-        name: min(own / least, 1e12) if least > 0 else 1.0
-        for name, own, least in rows
+        name: ratio
+        for name, ratio in covariance.inflation.items()
         if name not in ("gain", "offset")
     }
     if solution.cost > 1e-12 * solution.gram[0, 0]:
         return link_intervals(search, solution, inflation)
     # A perfect fit: its likelihood is rounding noise.
     at = LinkProblem.of(search, solution, inside=True)
-    values = dict(
-        zip(
-            at.names,
-            at.parameters(at.place[None, :], at.names)[0][0].tolist(),
-            strict=True,
-        )
-    )
-    reach = {
-        n: QUANTILE * math.sqrt(max(v, 0.0))
-        for n, v in zip(errors.names, variances.tolist(), strict=True)
-    }
+    values = at.parameters(at.place[None, :], at.names)[0][0].tolist()
     return {
-        name: Interval(value - reach[name], value + reach[name], False, False)
-        for name, value in values.items()
+        name: Interval(value - reach, value + reach, False, False)
+        for name, value in zip(at.names, values, strict=True)
+        for reach in (QUANTILE * covariance.errors[name],)
     }
 
 

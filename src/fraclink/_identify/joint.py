@@ -29,7 +29,7 @@ from fraclink._identify.shape import (
     largest_ratio,
     link_parameters,
 )
-from fraclink._identify.uncertainty import uncertainty
+from fraclink._identify.uncertainty import link_covariance
 from fraclink.errors import NotConvergedError
 
 # The parameters of θ in the order of `link_parameters`.
@@ -146,24 +146,15 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
 
 def weight_of(search: Search, solution: Solution) -> float:
     """1/(σ² k): a coloured residual counts as fewer samples, k times fewer."""
-    errors = uncertainty(search, solution, coloured=True)
     variance = solution.cost / search.window.samples
-    own = [
-        i
-        for i, name in enumerate(errors.names)
-        if name in ("order", "natural_frequency", "damping")
-    ]
     if not variance > 0:
         return 1.0
-    if errors.coloured is None or not own:
-        return 1 / variance  # all parameters are at a limit: every sample counts
-    # The median over the parameters of the link: one with little influence may have any
+    inflation = link_covariance(search, solution, coloured=True)[0].inflation
+    # The median over the link's own parameters: one that hardly matters may have any
     # ratio.
-    tiny = np.finfo(np.float64).tiny
-    ratios = np.diag(errors.coloured)[own] / np.maximum(
-        np.diag(errors.white)[own], tiny
-    )
-    return 1 / (variance * max(1.0, float(np.median(ratios))))
+    own = ("order", "natural_frequency", "damping")
+    ratios = [inflation[name] for name in own if name in inflation]
+    return 1 / (variance * float(np.median(ratios or [1.0])))
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,9 +68,7 @@ def mean_with_error(series: Vector) -> tuple[float, float]:
     """Mean of a series and its standard error, colour allowed for."""
     mean = float(series.mean())
     centred = series - mean
-    # Five correlation times contain the colour up to e^-5; more than a fifth of the
-    # series would make its covariance too noisy.
-    lags = min(max(5 * correlation_lag(centred), 10), series.size // 5)
+    lags = correlated_lags(centred)
     power = float(long_run_covariance(centred[None, :], lags)[0, 0])
     return mean, math.sqrt(max(power, 0.0)) / series.size
 
@@ -234,6 +232,13 @@ def correlation_lag(residual: Vector) -> int:
         np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0]
     )
     return int(large[-1]) + 1
+
+
+def correlated_lags(series: Vector) -> int:
+    """Lags over which products of a series are summed: five correlation times hold e^-5
+    of its colour, and a fifth of its length is what its own covariance can bear.
+    """
+    return min(max(5 * correlation_lag(series), 10), series.size // 5)
 
 
 # --- tests --------------------------------------------------------------------------------------------------
@@ -436,11 +441,8 @@ def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
     gain = float(response @ residual) / power
     left = residual - gain * response
     scores: NDArray[np.float64] = (response * left)[None, :]
-    # Five correlation times contain the colour up to e^-5; more than a fifth of the log
-    # would make its covariance too noisy.
-    lags = min(max(5 * correlation_lag(left), 10), left.size // 5)
     variance = max(
-        float(long_run_covariance(scores, lags)[0, 0]),
+        float(long_run_covariance(scores, correlated_lags(left))[0, 0]),
         power * float(left @ left) / left.size,
     )
     return gain, math.sqrt(variance) / power

@@ -38,17 +38,14 @@ _FINE_ORDER = 1.92  # ζ = 0.065, for the points between them
 # covers an eighth of a period by itself, and the largest delay is a third of one.
 _DELAYS = (0.0, 0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
-_VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a narrow one
-_PLACES = 9  # starts over all frequencies, if a descent ended at a limit
-# ζ, each a third of the previous one, for the vibration that continues from before a
-# cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
-# of the resonance's width.
-_SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 3
-_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 decays in 180 periods
-# multiple of the smallest remaining power: beyond it there is no such vibration in this
-# log
-_WORTH = 4.0
-_ITERATIONS = 200  # an undamped link on a damped log converges by a third per step
+_VALLEYS = 2  # of a broad resonance: the lowest need not be that of a narrow one
+_PLACES = 9  # over all frequencies, where a descent ended at a limit
+# ζ, each a third of the one before, for what rings on from before a cut; steps in ln Ω
+# of a fifth of it, as gain and phase at the cut leave a fifth of the resonance's width.
+_SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
+_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 forgets in 180 periods
+_WORTH = 4.0  # times the least power that is left: no vibration of this log
+_ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +53,8 @@ class Solution:
     """The least-squares point of one structure: coordinates, linear parameters, Gram
     matrix there.
 
-    `evaluations`: passes over the data that the search had taken by then.
+    `evaluations`: passes over the data that the search had taken by then; `rivals` are
+    the ends of descents in other valleys, best first.
     """
 
     structure: str
@@ -70,6 +68,12 @@ class Solution:
     upper: Shape
     status: int
     evaluations: int
+    rivals: tuple[Solution, ...] = ()
+
+    @property
+    def resonance(self) -> float:
+        """Ω [rad/s]."""
+        return math.exp(self.shape[1])
 
     @property
     def on_edge(self) -> bool:
@@ -258,16 +262,33 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; found once."""
         if name not in self.solutions:
-            found = self._lowest([self._descended(name, x) for x in self._starts(name)])
+            ends = [self._descended(name, row) for row in self._starts(name)]
             if name == FRACTIONAL:
-                # The other structures start from it, in its valley.
-                found = self._lowest([found, *self._from_elsewhere(found)])
+                # The other structures start from it, and in its valleys.
+                ends += self._from_elsewhere(self._lowest(ends))
+            found = self._lowest(ends)
+            rivals = self._rivals(found, ends)
             if "delay" not in self.fixed:
                 found = self._between_samples(found)
-            # The best one need not be the last one; the work on later attempts counts
-            # as well.
-            self.solutions[name] = replace(found, evaluations=self._evaluations)
+            # The best one need not be the last one: what was tried after it was work,
+            # too.
+            self.solutions[name] = replace(
+                found, evaluations=self._evaluations, rivals=rivals
+            )
         return self.solutions[name]
+
+    def _rivals(
+        self, found: Solution, ends: Sequence[Solution]
+    ) -> tuple[Solution, ...]:
+        """The ends in other valleys that explain the log nearly as well."""
+        # Two vibrations are told apart by half a turn over all that moved the link.
+        turn = math.pi / (2 * self.window.angle.size * self.window.period)
+        kept = [found]
+        for end in sorted(ends, key=lambda each: each.cost):
+            apart = (abs(end.resonance - other.resonance) > turn for other in kept)
+            if end.cost <= _WORTH * found.cost and all(apart):
+                kept.append(end)
+        return tuple(kept[1:])
 
     def _lowest(self, ends: Sequence[Solution]) -> Solution:
         best = min(ends, key=lambda each: each.cost)
@@ -401,19 +422,24 @@ class Search:
         if name == FRACTIONAL:
             yield from self._scanned
             return
-        fractional = self.solve(FRACTIONAL).shape
-        # The pole of s^λ + ω₀² has the argument π/λ: its damping ratio is −cos(π/λ).
-        ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
-        if "damping_order" in free:
-            yield from self._damped(name, fractional, ratio)
-        elif "order" in free:
+        best = self.solve(FRACTIONAL)
+        if "order" in free:
             yield from (self.solve(special).shape for special in special_cases(name))
-        elif "damping" in free:
-            # The undamped link of order λ decays like one with ζ = −cos(π/λ): a start
-            # close to the optimum.
-            yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
-        else:
-            yield from self._undamped(fractional)
+            return
+        for fractional in (end.shape for end in (best, *best.rivals)):
+            # The pole of s^λ + ω₀² lies at the angle π/λ: its damping ratio is
+            # −cos(π/λ).
+            ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
+            if "damping_order" in free:
+                yield from self._damped(name, fractional, ratio)
+            elif "damping" in free:
+                # The undamped link of order λ decays as one with ζ = −cos(π/λ): a start
+                # beside the optimum.
+                yield np.array(
+                    [2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]]
+                )
+            else:
+                yield from self._undamped(fractional)
 
     def _undamped(self, near: Shape) -> Iterator[Shape]:
         # Without damping the phase must fit over the whole log: the cost has a minimum

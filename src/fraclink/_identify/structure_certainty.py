@@ -1,12 +1,11 @@
-"""Uncertainty of the parameters of a structure, and the findings W35x about its fit."""
+"""How sure a structure's parameters are."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +17,12 @@ from fraclink._identify.problem import (
     interval_ends,
     inverted,
 )
-from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_data import Lines
 from fraclink._identify.structure_problem import GENERAL_POINTS, StructureProblem
 from fraclink._identify.structure_search import Place
-from fraclink._identify.uncertainty import sandwich
-from fraclink.findings import Finding, worst_first
-from fracsys._loops import log_corners
+from fraclink._identify.uncertainty import Covariance
 
-if TYPE_CHECKING:
-    from fraclink._identify.structure_fit import StructureFit
-
-__all__ = ["Certainty", "certainty_of", "in_order", "structure_findings"]
+__all__ = ["Certainty", "certainty_of", "in_order"]
 
 Reals = NDArray[np.float64]
 
@@ -78,36 +72,22 @@ def certainty_of(
         return Certainty({}, {}, stuck, (), (), {})
     place = problem.places_of(best.values)[0]
     rows, residual = problem.linearised(place)
-    inverse, _ = inverted(rows @ rows.T)
     blind = _blind(rows, free)
-    variance = best.cost / max(data.measured.size - len(rows), 1)
-    white = variance * np.diag(inverse)
-    wide = white
     perfect = best.cost <= PERFECT * problem.power
-    if not perfect:
-        # Colour may also reduce the error of an estimate, but the sandwich covariance
-        # is too noisy to be trusted there.
-        wide = np.maximum(
-            np.diag(
-                sandwich(
-                    inverse,
-                    rows,
-                    residual,
-                    variance,
-                    are_lines=isinstance(data, Lines),
-                )[0]
-            ),
-            white,
-        )
-    size = np.sqrt(np.diag(inverse))
-    related = inverse / np.outer(size, size)
-    inflation = np.where(white > 0, wide / np.maximum(white, 1e-300), 1.0)
+    covariance = Covariance.of(
+        (*free, "offset")[: len(rows)],
+        rows,
+        residual,
+        best.cost,
+        coloured=not perfect,
+        are_lines=isinstance(data, Lines),
+    )
     intervals = {
         name: _straight_interval(
             problem,
             name,
             float(place[k]),
-            QUANTILE * float(wide[k]) ** 0.5,
+            QUANTILE * covariance.errors[name],
             best.values[name],
         )
         for k, name in enumerate(free)
@@ -128,15 +108,14 @@ def certainty_of(
             place,
             best.cost,
             lambda x: (x[:, wanted], np.repeat(unit[None], len(x), axis=0)),
-            inflation[wanted],
+            np.array([covariance.inflation[free[k]] for k in wanted]),
         )
         for k, end in zip(wanted, ends, strict=True):
             intervals[free[k]] = _in_values(problem, free[k], end, best.values[free[k]])
     errors = {
-        name: float(wide[k]) ** 0.5
+        name: covariance.errors[name]
         * (abs(best.values[name]) if problem.is_logarithmic(name) else 1.0)
-        for k, name in enumerate(free)
-        if name in intervals
+        for name in intervals
     }
     undetermined = tuple(
         name
@@ -144,11 +123,14 @@ def certainty_of(
         if name in blind
         or not _is_known(problem, name, best.values[name], intervals[name])
     )
+    inverse = inverted(rows @ rows.T)[0]
+    size = np.sqrt(np.diag(inverse))
+    related = inverse / np.outer(size, size)
     pairs = {
         (free[i], free[j]): float(related[i, j])
         for i, j in combinations(range(len(free)), 2)
     }
-    widest = max((float(inflation[free.index(n)]) for n in intervals), default=1.0)
+    widest = max((covariance.inflation[name] for name in intervals), default=1.0)
     return Certainty(intervals, errors, stuck, undetermined, blind, pairs, widest)
 
 
@@ -247,205 +229,3 @@ def _exchangeable(
         swapped[one], swapped[other] = values[other], values[one]
     here, there = (own.structure.response(x, GENERAL_POINTS) for x in (values, swapped))
     return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))
-
-
-# share of the squared output: half of it in amplitude, as for the gate of a frequency
-# response
-_UNEXPLAINED = 0.25
-# correlation beyond which a parameter would be known seven times better if the other
-# one were given
-_CORRELATED = 0.99
-# ratio of held-out to fitted error, when both exceed what noise alone leaves
-_WORSE = 4.0
-# Shares of the squared output: 0.1 % in amplitude, the class of good force transducers;
-# and the largest share of noise in a residual that is otherwise smooth, as from a
-# simulation: no sensor is that quiet.
-_RESOLUTION, _SMOOTH = 1e-6, 0.01
-# share of the power of lines that they have in common with their neighbours; 0 for
-# noise
-_ALIKE = 0.5
-_FAR = 700.0  # the largest logarithm of a double
-# factor by which a corner may lie outside the excited band, since its slope extends
-# into it
-_BEYOND = 3.0
-
-
-def structure_findings(
-    fit: StructureFit,
-    certain: Certainty,
-    rivals: Sequence[Place],
-    data: RecordStart | Lines,
-) -> tuple[Finding, ...]:
-    """All findings, worst first."""
-    found = [
-        *_of_the_parameters(fit, certain),
-        *_of_the_error(fit),
-        *_of_the_residual(fit, data),
-        *_of_rivals(fit, certain, rivals, data),
-    ]
-    found += _of_the_band(fit, data)
-    return worst_first(found)
-
-
-def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
-    for name in fit.at_bound:
-        low, high = fit.limits[name]
-        nothing = (
-            fit.limits[name][0] == 0.0 and fit.parameters[name] < 1e-6 * high
-        )  # no delay is seen
-        yield Finding(
-            "W301",
-            "warning" if nothing else "error",
-            f"{name} ended at a bound, which is no estimate; other intervals hold with it there only",
-            {"value": fit.parameters[name], "low": low, "high": high},
-            "leave the term out if it vanished; else widen bounds, or check the sign of a channel",
-        )
-    if certain.blind:
-        yield Finding(
-            "W354",
-            "error",
-            f"the data see {', '.join(certain.blind)} only in combination, however precise they are",
-            {name: fit.parameters[name] for name in certain.blind},
-            "give one of them in fixed, or write the structure with fewer parameters",
-        )
-    for name in fit.undetermined:
-        if name not in certain.blind:
-            interval = fit.intervals[name]
-            yield Finding(
-                "W303",
-                "error",
-                f"the data do not determine {name}",
-                {
-                    "value": fit.parameters[name],
-                    "low": interval.low,
-                    "high": interval.high,
-                },
-                "excite more of the band, record longer, or give a parameter that is known in fixed",
-            )
-    for (one, other), related in certain.pairs.items():
-        if abs(related) > _CORRELATED and not {one, other} & set(certain.blind):
-            yield Finding(
-                "W354",
-                "warning",
-                f"{one} and {other} can be traded for each other",
-                {"correlation": related},
-                "their intervals already show it; if one is known, give it in fixed",
-            )
-
-    if not fit.converged:
-        yield Finding(
-            "W302",
-            "error",
-            "the search stopped early: the data hardly distinguish the parameters",
-            {"evaluations": float(fit.evaluations)},
-            "excite more of the band, give parameters that are known in fixed, or narrower bounds",
-        )
-
-
-def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
-    if fit.nmse > _UNEXPLAINED:
-        yield Finding(
-            "W313",
-            "error",
-            "the structure leaves most of the output unexplained",
-            {"nmse": fit.nmse, "most": _UNEXPLAINED},
-            "check the channels and their units, or take another structure",
-        )
-    held = fit.heldout_nmse
-    if held is not None and held > max(_WORSE * fit.nmse, 1e-12):
-        yield Finding(
-            "W318",
-            "error" if held > _UNEXPLAINED else "warning",
-            "the structure predicts the held-out data worse than the data it was fitted to",
-            {"heldout_nmse": held, "nmse": fit.nmse},
-            "look for drift, another operating point, or a structure with fewer parameters",
-        )
-
-
-def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
-    """A residual that is not noise: the measurement contains more than the structure."""
-    if fit.nmse < _RESOLUTION:
-        return
-    residual = fit.measured - fit.predicted
-    if isinstance(data, Lines):
-        # A missed resonance shifts neighbouring lines in the same way; noise does not.
-        left = residual[: fit.fitted] + 1j * residual[fit.fitted :]
-        alike = float(np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real)
-        smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
-    else:
-        rest = residual[: fit.fitted]
-        # The second difference of white noise has √6 times its size. The median ignores
-        # the samples at which the input jumps; 1.48 times the median is the standard
-        # deviation.
-        noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(rest, 2))))
-        size = float(np.std(rest))
-        smooth, evidence = noise < _SMOOTH * size, {"noise": noise, "residual": size}
-    if smooth:
-        yield Finding(
-            "W310",
-            "error",
-            "what the structure leaves is smooth, not noise: the structure misses part of what was measured",
-            evidence,
-            "take another structure, or give bounds that admit what is missing",
-        )
-
-
-def _of_rivals(
-    fit: StructureFit,
-    certain: Certainty,
-    rivals: Sequence[Place],
-    data: RecordStart | Lines,
-) -> Iterator[Finding]:
-    """Other parameters that fit equally well within the accuracy of the data.
-
-    An interval covers one valley of the cost; another valley may be as good by the same
-    measure.
-    """
-    least = fit.nmse
-    for rival in rivals:
-        ratio = rival.cost / max(_cost(fit, data), 1e-300)
-        # n ln(cost/least) is the likelihood ratio for Gaussian noise, which also
-        # defines the intervals.
-        told = data.measured.size * math.log(max(ratio, 1.0))
-        apart = [
-            name
-            for name, interval in fit.intervals.items()
-            if not interval.contains(rival.values[name])
-            and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
-        ]
-        # If the fit is perfect, every rival is perfect too: these are two parameter
-        # sets for the same function.
-        if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
-            values = {name: rival.values[name] for name in apart}
-            yield Finding(
-                "W357",
-                "error",
-                "other parameters fit as well as the data can tell",
-                values,
-                "give bounds that exclude them, or excite more of the band",
-            )
-            return
-
-
-def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
-    power = data.measured - (fit.offset if isinstance(data, RecordStart) else 0.0)
-    return fit.nmse * float(power @ power)
-
-
-def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
-    low, high = data.band
-    G = fit.transfer_function
-    # A vanished term has no corner frequency; nearly equal orders move it beyond any
-    # number.
-    terms = () if fit.at_bound else (G.numerator, G.denominator)
-    logs = [corner for part in terms for corner in log_corners(part)]
-    corners = {float(f"{math.exp(min(x, _FAR)):.6g}") for x in logs}
-    for corner in sorted(corners):
-        if not low / _BEYOND <= corner <= high * _BEYOND:
-            yield Finding(
-                "W315",
-                "warning",
-                "a corner of the structure lies outside the band that was excited",
-                {"corner": corner, "low": low, "high": high},
-                "excite that frequency: beyond the band the structure is a guess",
-            )

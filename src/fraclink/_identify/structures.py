@@ -16,12 +16,9 @@ from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, fitted_samples
 from fraclink._identify.problem import descend
 from fraclink._identify.shape import Hold
-from fraclink._identify.structure_certainty import (
-    certainty_of,
-    in_order,
-    structure_findings,
-)
+from fraclink._identify.structure_certainty import certainty_of, in_order
 from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_findings import structure_findings
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import (
     COEFFICIENT_LIMITS,

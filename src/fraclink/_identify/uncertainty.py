@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq
+from scipy.linalg import block_diag, lstsq
 from scipy.special import stdtrit
 
 from fraclink._arm.link import STRUCTURES, structure
@@ -20,6 +20,7 @@ from fraclink._identify.problem import QUANTILE, Interval, interval_ends, invert
 from fraclink._identify.residual import (
     autoregression,
     coloured_covariance,
+    correlated_lags,
     correlation_lag,
     long_run_covariance,
     noise_behind,
@@ -31,91 +32,116 @@ Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Covariances of the free parameters, in the order of `names`.
+class Covariance:
+    """Covariances (p, p) of parameters.
 
-    `white` holds for independent residuals, `coloured` for residuals of any (short)
-    correlation; None where it was not asked for. `lag` is the residual's correlation in
-    samples, `effective` the number of parameters that the residual's colour makes of
-    those fitted (Takeuchi's trace), `singular` says that the log does not determine all
-    of them. `resonance` is the relative standard error of the resonance Ω, NaN where Ω
-    ended at a limit; unlike ω₀ it does not trade with α and λ.
+    `white` holds for independent residuals; `wide` for residuals of any (short)
+    correlation, and is `white` where the colour was not asked for. `lag` is the
+    residual's correlation in samples, `effective` the number of parameters that the
+    residual's colour makes of those fitted (Takeuchi's trace), `singular` says that the
+    data do not determine all of them.
     """
 
     names: tuple[str, ...]
     white: Matrix
-    coloured: Matrix | None
+    wide: Matrix
     lag: int
     effective: float
     singular: bool
-    resonance: float
+
+    @classmethod
+    def of(
+        cls,
+        names: tuple[str, ...],
+        regressors: Matrix,
+        residual: Vector,
+        cost: float,
+        *,
+        coloured: bool,
+        are_lines: bool = False,
+    ) -> Covariance:
+        """From ∂(prediction)/∂(parameters), shape (p, n), and the residual (n,)."""
+        inverse, singular = inverted(regressors @ regressors.T)
+        # n − p: the fit has taken p of the residual's degrees of freedom.
+        variance = cost / max(residual.size - len(regressors), 1)
+        white, lag, effective = variance * inverse, 1, float(len(regressors))
+        wide = white
+        if coloured:
+            wide = _sandwich(inverse, regressors, residual, are_lines)
+            lag = correlation_lag(residual)
+            effective = effective_parameters(inverse, regressors, residual, variance)
+        return cls(names, white, wide, lag, effective, singular)
+
+    def of_functions(self, names: tuple[str, ...], gradients: Matrix) -> Covariance:
+        """Covariance of functions of the parameters with `gradients` (q, p)."""
+        white, wide = (gradients @ x @ gradients.T for x in (self.white, self.wide))
+        return replace(self, names=names, white=white, wide=wide)
+
+    @cached_property
+    def inflation(self) -> dict[str, float]:
+        """By what factor the residual's colour widens each variance.
+
+        It may also narrow an estimate, but the sandwich is too noisy to be believed
+        there.
+        """
+        white, wide = np.diag(self.white), np.diag(self.wide)
+        ratios = np.clip(wide / np.where(white > 0, white, np.inf), 1.0, 1e12)
+        return dict(zip(self.names, ratios.tolist(), strict=True))
+
+    @cached_property
+    def errors(self) -> dict[str, float]:
+        """Standard errors, colour allowed for."""
+        # Rounding may leave a variance just below zero.
+        white = np.maximum(np.diag(self.white), 0.0)
+        rows = zip(self.inflation.items(), white.tolist(), strict=True)
+        return {name: math.sqrt(ratio * own) for (name, ratio), own in rows}
 
 
-def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncertainty:
-    """Covariance at a solution; `coloured` adds the sandwich estimate from the
-    residual's scores.
+def link_covariance(
+    search: Search, solution: Solution, *, coloured: bool
+) -> tuple[Covariance, float]:
+    """Covariance of a link's parameters, gain and offset at a solution, and the relative
+    standard error of the resonance Ω.
+
+    That is NaN where Ω ended at a limit; unlike ω₀ it does not trade with α and λ.
     """
     problem = LinkProblem.of(search, solution, inside=True)
-    names = (*problem.names, *problem.linear)
-    own = problem.parameters(problem.place[None, :], problem.names)[1][0]
-    size, linear = len(problem.free), len(problem.linear)
-    through = np.zeros((len(names), size + linear))
-    through[: len(own), :size] = own
-    through[len(own) :, size:] = np.eye(linear)
+    moved = tuple(map(str, problem.free))
     regressors, residual = problem.linearised()
-    inverse, singular = inverted(regressors @ regressors.T)
-    # n − p: the fit uses p of the residual's degrees of freedom.
-    variance = solution.cost / max(residual.size - len(regressors), 1)
-    white = variance * through @ inverse @ through.T
-    spread, lag, effective = variance * inverse, 1, float(len(regressors))
-    if coloured:
-        spread, lag, effective = sandwich(inverse, regressors, residual, variance)
-    error = (
-        float(np.sqrt(max(spread[k, k], 0.0)))
-        for k, coordinate in enumerate(problem.free)
-        if coordinate == 1
+    found = Covariance.of(
+        (*moved, *problem.linear),
+        regressors,
+        residual,
+        solution.cost,
+        coloured=coloured,
     )
-    return Uncertainty(
-        names,
-        white,
-        through @ spread @ through.T if coloured else None,
-        lag,
-        effective,
-        singular,
-        next(error, math.nan),
-    )
+    own = problem.parameters(problem.place[None, :], problem.names)[1][0]
+    gradients = block_diag(own, np.eye(len(problem.linear)))
+    names = (*problem.names, *problem.linear)
+    return found.of_functions(names, gradients), found.errors.get("1", math.nan)
 
 
-def sandwich(
-    inverse: Matrix,
-    regressors: Matrix,
-    residual: Vector,
-    variance: float,
-    *,
-    are_lines: bool = False,
-) -> tuple[Matrix, int, float]:
-    """Covariance under a coloured residual, its correlation in samples, and Takeuchi's
-    count of parameters.
+def _sandwich(
+    inverse: Matrix, regressors: Matrix, residual: Vector, are_lines: bool
+) -> Matrix:
+    """Covariance under a coloured residual.
 
-    `inverse` is that of the normal matrix of the regressors, shape (p, n), and
-    `variance` the residual's. The covariance is widened so that 1.96 of its standard
-    errors hold what Student's quantile would: the level of slow noise in a short log is
-    known by few degrees of freedom.
+    `inverse` is that of the normal matrix of the regressors, shape (p, n). The
+    covariance is widened so that 1.96 of its standard errors hold what Student's
+    quantile would: the level of slow noise in a short log is known by few degrees of
+    freedom.
     """
-    lag = correlation_lag(residual)
     coefficients, power, freedom = noise_behind(regressors, residual)
     meat = coloured_covariance(regressors, coefficients, power)
-    # A misfit that depends on the motion is not independent noise, nor is noise that is
-    # stronger at some lines than at others; there the products of both give more
-    # information.
-    lags = 0 if are_lines else min(max(5 * lag, 10), residual.size // 5)
+    # Misfit that depends on the motion is no independent noise, nor is one that is
+    # stronger at some lines than at others; there the products of both tell more.
+    lags = 0 if are_lines else correlated_lags(residual)
     products = long_run_covariance(regressors * residual, lags)
     wider = np.sqrt(
         np.maximum(_diagonal(inverse, products) / _diagonal(inverse, meat), 1.0)
     )
     wider *= float(stdtrit(freedom, 0.975)) / QUANTILE
-    spread = inverse @ meat @ inverse * np.outer(wider, wider)
-    return spread, lag, effective_parameters(inverse, regressors, residual, variance)
+    return np.asarray(inverse @ meat @ inverse * np.outer(wider, wider))
 
 
 def effective_parameters(
@@ -185,12 +211,12 @@ _RESOLUTION = 1e-10
 
 
 def structure_criteria(
-    search: Search, errors: Mapping[str, Uncertainty]
+    search: Search, effective: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
     """Two criteria of every structure under the noise of this log, both the AIC where
     it is white.
 
-    `errors` are the coloured uncertainties of all structures.
+    `effective` are tr(H⁻¹J) of all structures.
 
         n ln(MSE) + 2 tr(H⁻¹J)    and    n ln(σ²)/k + 2 p
 
@@ -232,8 +258,7 @@ def structure_criteria(
         name: (
             # A parameter at its limit counts, since it was free to leave it.
             samples * _log(max(solution.cost / samples, floor))
-            + 2.0
-            * (errors[name].effective + len(solution.at_bound) + solution.on_edge),
+            + 2.0 * (effective[name] + len(solution.at_bound) + solution.on_edge),
             found[name][1].size * _log(float(np.mean(found[name][1] ** 2))) / inflation
             + 2.0 * len(structure(name).free),
         )

@@ -1,0 +1,205 @@
+"""What a reader of a structure's fit should know: findings W35x, and the gates of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fraclink._identify.findings import HELDOUT_MOST, WORSE, rival_finding
+from fraclink._identify.problem import QUANTILE
+from fraclink._identify.structure_certainty import Certainty
+from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_fit import StructureFit
+from fraclink._identify.structure_search import Place
+from fraclink.findings import Finding, worst_first
+from fracsys._loops import log_corners
+
+__all__ = ["structure_findings"]
+
+# Correlation beyond which a parameter is known seven times better where the other one is
+# given.
+_CORRELATED = 0.99
+# Of the squared output: 0.1 % in amplitude, the class of good force transducers; and
+# the part of a residual that may be noise where all else is smooth, as of a simulation:
+# no sensor is that quiet.
+_RESOLUTION, _SMOOTH = 1e-6, 0.01
+_ALIKE = 0.5  # of the power of what lines leave with their neighbours, of noise 0
+# a corner may lie outside of the excited band by that factor: its slope reaches in
+_BEYOND = 3.0
+_LARGEST = 700.0  # the largest logarithm of a double
+
+
+def structure_findings(
+    fit: StructureFit,
+    certain: Certainty,
+    rivals: Sequence[Place],
+    data: RecordStart | Lines,
+) -> tuple[Finding, ...]:
+    """All findings of a structure's fit, worst first."""
+    found = [
+        *_of_the_parameters(fit, certain),
+        *_of_the_error(fit),
+        *_of_the_residual(fit, data),
+        *_of_rivals(fit, certain, rivals, data),
+    ]
+    found += _of_the_band(fit, data)
+    return worst_first(found)
+
+
+def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
+    for name in fit.at_bound:
+        low, high = fit.limits[name]
+        nothing = (
+            fit.limits[name][0] == 0.0 and fit.parameters[name] < 1e-6 * high
+        )  # no delay is seen
+        yield Finding(
+            "W301",
+            "warning" if nothing else "error",
+            f"{name} ended at a bound, which is no estimate; other intervals hold with it there only",
+            {"value": fit.parameters[name], "low": low, "high": high},
+            "leave the term out if it vanished; else widen bounds, or check the sign of a channel",
+        )
+    if certain.blind:
+        yield Finding(
+            "W354",
+            "error",
+            f"the data see {', '.join(certain.blind)} only in combination, however precise they are",
+            {name: fit.parameters[name] for name in certain.blind},
+            "give one of them in fixed, or write the structure with fewer parameters",
+        )
+    for name in fit.undetermined:
+        if name not in certain.blind:
+            interval = fit.intervals[name]
+            yield Finding(
+                "W303",
+                "error",
+                f"the data do not determine {name}",
+                {
+                    "value": fit.parameters[name],
+                    "low": interval.low,
+                    "high": interval.high,
+                },
+                "excite more of the band, record longer, or give a parameter that is known in fixed",
+            )
+    for (one, other), related in certain.pairs.items():
+        if abs(related) > _CORRELATED and not {one, other} & set(certain.blind):
+            yield Finding(
+                "W354",
+                "warning",
+                f"{one} and {other} can be traded for each other",
+                {"correlation": related},
+                "their intervals already show it; if one is known, give it in fixed",
+            )
+
+    if not fit.converged:
+        yield Finding(
+            "W302",
+            "error",
+            "the search stopped early: the data hardly distinguish the parameters",
+            {"evaluations": float(fit.evaluations)},
+            "excite more of the band, give parameters that are known in fixed, or narrower bounds",
+        )
+
+
+def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
+    if fit.nmse > HELDOUT_MOST:
+        yield Finding(
+            "W313",
+            "error",
+            "the structure leaves most of the output unexplained",
+            {"nmse": fit.nmse, "most": HELDOUT_MOST},
+            "check the channels and their units, or take another structure",
+        )
+    held = fit.heldout_nmse
+    if held is not None and held > max(WORSE * fit.nmse, 1e-12):
+        yield Finding(
+            "W318",
+            "error" if held > HELDOUT_MOST else "warning",
+            "the structure predicts the held-out data worse than the data it was fitted to",
+            {"heldout_nmse": held, "nmse": fit.nmse},
+            "look for drift, another operating point, or a structure with fewer parameters",
+        )
+
+
+def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
+    """A residual that is no noise: what was measured holds more than the structure."""
+    if fit.nmse < _RESOLUTION:
+        return
+    residual = fit.measured - fit.predicted
+    if isinstance(data, Lines):
+        # A resonance that is missed moves neighbouring lines alike; noise does not.
+        left = residual[: fit.fitted] + 1j * residual[fit.fitted :]
+        alike = float(np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real)
+        smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
+    else:
+        rest = residual[: fit.fitted]
+        # The second difference of white noise has √6 times its size; the median leaves
+        # out the samples at which the input jumps, 1.48 times it is the standard
+        # deviation.
+        noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(rest, 2))))
+        size = float(np.std(rest))
+        smooth, evidence = noise < _SMOOTH * size, {"noise": noise, "residual": size}
+    if smooth:
+        yield Finding(
+            "W310",
+            "error",
+            "what the structure leaves is smooth, not noise: the structure misses part of what was measured",
+            evidence,
+            "take another structure, or give bounds that admit what is missing",
+        )
+
+
+def _of_rivals(
+    fit: StructureFit,
+    certain: Certainty,
+    rivals: Sequence[Place],
+    data: RecordStart | Lines,
+) -> Iterator[Finding]:
+    """Other parameters that fit as well as the data can tell, and are not the same.
+
+    An interval follows one valley of the cost; another valley is as good by the same
+    measure.
+    """
+    least = fit.nmse
+    for rival in rivals:
+        ratio = rival.cost / max(_cost(fit, data), 1e-300)
+        # n ln(cost/least) is the likelihood ratio of Gaussian noise, as the intervals
+        # are cut by.
+        told = data.measured.size * math.log(max(ratio, 1.0))
+        apart = [
+            name
+            for name, interval in fit.intervals.items()
+            if not interval.contains(rival.values[name])
+            and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
+        ]
+        # Where the fit is perfect every rival is as perfect: two names for one
+        # function, which are no two answers.
+        if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
+            yield rival_finding({name: rival.values[name] for name in apart})
+            return
+
+
+def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
+    power = data.measured - (fit.offset if isinstance(data, RecordStart) else 0.0)
+    return fit.nmse * float(power @ power)
+
+
+def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
+    low, high = data.band
+    G = fit.transfer_function
+    # A term that vanished has no corner; orders that nearly agree put it beyond any
+    # number.
+    terms = () if fit.at_bound else (G.numerator, G.denominator)
+    logs = [corner for part in terms for corner in log_corners(part)]
+    corners = {float(f"{math.exp(min(x, _LARGEST)):.6g}") for x in logs}
+    for corner in sorted(corners):
+        if not low / _BEYOND <= corner <= high * _BEYOND:
+            yield Finding(
+                "W315",
+                "warning",
+                "a corner of the structure lies outside the band that was excited",
+                {"corner": corner, "low": low, "high": high},
+                "excite that frequency: beyond the band the structure is a guess",
+            )
