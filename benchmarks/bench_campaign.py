@@ -30,7 +30,6 @@ from fraclink.trials import (
     simulate_part,
 )
 from fraclink.trials import _arms as part_module
-from fraclink.trials._campaign import save_campaign
 from fraclink.trials._fault_trial import execute
 from harness import line, sizes
 
@@ -165,7 +164,7 @@ def memory(parts: int) -> None:
     million runs.
     """
     with tempfile.TemporaryDirectory() as folder:
-        save_campaign(campaign(1_000_000), Path(folder))
+        fl.save(campaign(1_000_000), Path(folder) / "campaign.json")
         peaks = []
         for count in ("1", str(parts)):
             command = [sys.executable, "-c", MEMORY, folder, count]

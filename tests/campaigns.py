@@ -9,9 +9,7 @@ from pathlib import Path
 
 import fraclink as fl
 from fraclink.extend import geared
-from fraclink.trials import Bench, Campaign
-from fraclink.trials._campaign import save_campaign
-from fraclink.trials._run import write_part
+from fraclink.trials import Bench, Campaign, run_campaign
 
 
 @functools.cache
@@ -48,9 +46,7 @@ def computed(campaign: Campaign, folder: Path) -> Path:
     """Every part of a campaign, one after the other, in this process: what nobody
     disturbed.
     """
-    save_campaign(campaign, folder)
-    for part in range(campaign.parts):
-        write_part(campaign, folder, part)
+    run_campaign(campaign, folder)
     return folder
 
 
@@ -59,8 +55,8 @@ def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
     its own.
     """
     code = (
-        "import sys; from fraclink.trials import run_campaign; f = sys.argv[1]; "
-        "from fraclink.trials._campaign import load_campaign; "
+        "import sys; from fraclink.trials import load_campaign, run_campaign; f = sys.argv[1]; "
+        ""
         f"run_campaign(load_campaign(f), f, workers={workers})"
     )
     return subprocess.Popen(  # noqa: S603

@@ -15,8 +15,6 @@ from campaigns import small
 from fraclink.errors import FieldError
 from fraclink.trials import Campaign, Distribution, load_campaign
 from fraclink.trials._arms import unit_paths
-from fraclink.trials._campaign import save_campaign
-from fraclink.trials._run import part_path, read_part, write_part
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
@@ -101,7 +99,7 @@ def test_a_campaign_comes_back_with_its_reference_and_its_payloads(
         reference=fl.smooth_step(0.8, 0.6),
         payloads=(0.02, 0.04),
     )
-    save_campaign(made, tmp_path)
+    fl.save(made, tmp_path / "campaign.json")
     back = load_campaign(tmp_path)
     assert (back.payloads, back.runs, back.seed) == (
         (0.02, 0.04),
@@ -113,29 +111,3 @@ def test_a_campaign_comes_back_with_its_reference_and_its_payloads(
 
 
 # ───────────────────────────────────────────────────────────────────────────────────────────────
-
-
-@pytest.fixture(scope="module")
-def one_part(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    place = tmp_path_factory.mktemp("part")
-    save_campaign(small(30), place)
-    assert 0 < write_part(small(30), place, 0) < 30  # those that fail
-    return place
-
-
-def test_a_part_of_another_length_place_or_campaign_is_not_believed(
-    one_part: Path,
-) -> None:
-    assert part_path(one_part, 12).name == "part-0000012.npz"
-    good = read_part(small(30), one_part, 0)
-    assert good is not None and len(good["run"]) == 30
-    assert (
-        read_part(small(31), one_part, 0) is None
-    )  # of the same campaign, but not all of the part
-    assert (
-        read_part(small(30, seed=8), one_part, 0) is None
-        and read_part(small(30), one_part, 1) is None
-    )
-    part_path(one_part, 1).write_bytes(part_path(one_part, 0).read_bytes())
-    assert read_part(small(1030), one_part, 1) is None  # it says that it is part 0
-    part_path(one_part, 1).unlink()

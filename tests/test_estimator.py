@@ -23,7 +23,6 @@ from fraclink.extend import Obstacle, PayloadChange, PayloadEstimator, payload_e
 from fraclink.lab import run_realtime
 from fraclink.lab._machine import VirtualClock
 from fraclink.trials import Campaign, load_campaign, replay_run, simulate_part
-from fraclink.trials._campaign import save_campaign
 from needed_tools import tool
 from shared_data import shared_data
 
@@ -476,7 +475,7 @@ def test_a_campaign_estimates_the_payload_of_each_arm(tmp_path: Path) -> None:
         GEARED, GEARED.model, law, runs=16, seed=3, estimated=(0.02, 0.04)
     )
     assert made.fingerprint != plain.fingerprint
-    save_campaign(made, tmp_path)
+    fl.save(made, tmp_path / "campaign.json")
     assert load_campaign(tmp_path).payloads == (0.02, 0.04)
     part, other = simulate_part(made, 0), simulate_part(plain, 0)
     assert not np.array_equal(part["settling_time"], other["settling_time"])

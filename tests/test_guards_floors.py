@@ -195,7 +195,7 @@ CEILINGS = {
     "lab": 1925,
     "logs": 680,
     "studio": 1298,
-    "trials": 1483,
+    "trials": 1481,
     "view": 1723,
 }
 

@@ -27,7 +27,7 @@ from fraclink._arm.reference import (
     smooth_step,
 )
 from fraclink._arm.rig import Rig
-from fraclink._files import document, load, save
+from fraclink._files import document, load
 from fraclink._files.codec import plain
 from fraclink._law import Law, equip
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
@@ -35,6 +35,7 @@ from fraclink.errors import FieldError, SizeError
 from fracsys.checks import Between, checked
 
 __all__ = [
+    "FILE",
     "PART_RUNS",
     "SHAPES",
     "Campaign",
@@ -43,7 +44,6 @@ __all__ = [
     "draw",
     "draws_for",
     "load_campaign",
-    "save_campaign",
 ]
 
 Real = NDArray[np.float64]
@@ -385,19 +385,13 @@ class Campaign:
         )
 
 
-def save_campaign(campaign: Campaign, folder: FilePath) -> None:
-    """Write campaign.json into `folder`: all that a worker needs."""
-    folder.mkdir(parents=True, exist_ok=True)
-    save(campaign, folder / FILE, force=True)
-
-
 def is_campaign(folder: FilePath) -> bool:
-    """Whether `save_campaign` wrote into the folder."""
+    """Whether the folder is that of a campaign."""
     return (folder / FILE).is_file()
 
 
 def load_campaign(folder: FilePath | str) -> Campaign:
-    """Read back what `save_campaign` wrote; FileFormatError where the file is damaged
+    """Read the campaign of a folder; FileFormatError where the file is damaged
     or edited.
     """
     return load(FilePath(folder) / FILE, Campaign)

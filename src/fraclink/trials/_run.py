@@ -24,10 +24,10 @@ from fraclink._files import checked_path, document, load, save
 from fraclink.errors import FieldError, FileFormatError, MissingExtraError
 from fraclink.trials._arms import simulate_part
 from fraclink.trials._campaign import (
+    FILE,
     Campaign,
     is_campaign,
     load_campaign,
-    save_campaign,
 )
 from fracsys.checks import FilePath, Workers, checked
 
@@ -148,7 +148,7 @@ def _claim(campaign: Campaign, place: Path) -> None:
         if known.runs >= campaign.runs:
             return
     try:
-        save_campaign(campaign, place)
+        save(campaign, place / FILE, force=True)
     except OSError as error:
         raise FieldError(
             "out",
