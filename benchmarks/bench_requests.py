@@ -404,10 +404,43 @@ def judged(seed: int) -> tuple[str, float]:
     return "met", spent
 
 
+def nothing_asked(seed: int) -> tuple[str, float]:
+    """What came of the arm of a seed with nothing asked for, and its CPU time [s].
+
+    Of a refused arm the random search looks at the model alone, not at the box that the
+    design has to serve: what it finds there may fail at another arm.
+    """
+    model, rig, options = random_request(seed)
+    low, high = options["payloads"]
+    nominal = math.sqrt(low * high)
+    payloads = replace(rig.payloads, low=low, high=high, nominal=nominal, empty=None)
+    rig = replace(rig, payloads=payloads)
+    begin = time.process_time()
+    try:
+        made = fl.design(model, rig)
+    except InfeasibleError as error:
+        spent = time.process_time() - begin
+        heavy = abs(model.at_payload(high).pole)
+        least = {"gain_crossover": heavy, "max_sensitivity": 2.0}
+        x = Judge(model, rig, {"payloads": (low, high)} | least).searched(seed)
+        word = "refused" if x is None else "REFUSED, the model alone is served"
+        return f"{word} ({error.explanation})", spent
+    spent = time.process_time() - begin
+    return ("a law" if made.passed else f"FAILED ({made.verdict})"), spent
+
+
 def main() -> None:
     """Print the table and what came of the random requests."""
-    given = sizes(__doc__, requests=(500, 1), first=(0, 0))
+    given = sizes(__doc__, requests=(500, 1), first=(0, 0), arms=(100, 0))
     table()
+    served: collections.Counter[str] = collections.Counter()
+    for seed in range(given.arms):
+        word, spent = nothing_asked(seed)
+        served[word.partition(" (")[0]] += 1
+        if word != "a law":
+            print(f"     nothing asked, arm {seed}: {word} ({spent:.2f} s)", flush=True)
+    for word, number in served.most_common():
+        print(f"     {number:5} of {given.arms} with nothing asked: {word}")
     words: collections.Counter[str] = collections.Counter()
     times = collections.defaultdict(list)
     for seed in range(given.first, given.first + given.requests):

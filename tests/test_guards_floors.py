@@ -185,7 +185,7 @@ CEILINGS = {
     "_arm": 1715,
     "_certify": 880,
     "_cli": 1040,
-    "_design": 1596,
+    "_design": 1560,
     "_export": 560,
     "_files": 585,
     "_identify": 3114,
