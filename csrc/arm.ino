@@ -10,9 +10,10 @@ extern "C" {
 
 const uint32_t PERIOD_US = 4000;
 const int ENCODER_A = 2, ENCODER_B = 3, GAUGE = A0, BRIDGE_PWM = 5, BRIDGE_SIDE = 6, BRIDGE_ON = 7;
-const float RAD_PER_COUNT = 6.2831853f / (4 * 1024 * 14); /* a turn over: edges, lines, gear */
-const float NEWTON_METRES_PER_STEP = 0.0005f;             /* of the analog input; hang a known mass on the tip */
-const float SUPPLY = 12.0f;                               /* [V] of the H-bridge */
+const float RAD_PER_COUNT = 6.2831853f / (4 * 1024 * 14); /* per turn: edges, lines, gear ratio */
+/* scale of the analog input; determine it by hanging a known mass on the tip */
+const float NEWTON_METRES_PER_STEP = 0.0005f;
+const float SUPPLY = 12.0f;                               /* supply voltage of the H-bridge [V] */
 
 static volatile int32_t counts;
 static arm_link arm;
@@ -41,7 +42,7 @@ void setup()
     attachInterrupt(digitalPinToInterrupt(ENCODER_B), on_edge_b, CHANGE);
     drive(0.0f);
     Serial.begin(1000000);
-    /* The lowest bits of the gauge are noise: another number at every start. */
+    /* The lowest bits of the gauge are noise and give another number at every start. */
     uint32_t seed = micros();
     for (int i = 0; i < 32; i++)
         seed = 31 * seed + analogRead(GAUGE);

@@ -9,7 +9,7 @@
 #define MODE_IDLE 0U
 #define MODE_OFF 4U
 #define CHECKED (ARM_LINK_MESSAGE - 4)
-/* The law rides through 5 missed periods and switches off at the 6th: who is silent for 10 will not come back. */
+/* The law bridges 5 missed periods and switches off at the 6th: a controller that is silent for 10 will not return. */
 #define WATCHDOG 10U
 
 static const uint8_t BEGIN[4] = {(uint8_t)'F', (uint8_t)'L', (uint8_t)'R', (uint8_t)'T'};
@@ -43,7 +43,7 @@ static uint32_t checksum(const uint8_t *bytes)
     return crc ^ 0xFFFFFFFFU;
 }
 
-/* binary64 of a binary32, by its bits: `double` has 4 bytes on some boards. Subnormal numbers become 0. */
+/* binary64 of a binary32, from its bits, since `double` has 4 bytes on some boards. Subnormal numbers become 0. */
 static uint64_t widened(float value)
 {
     uint32_t bits;
@@ -58,7 +58,7 @@ static uint64_t widened(float value)
     return sign | (wide << 52) | fraction;
 }
 
-/* The binary32 that is cut from a binary64; *finite is 0 for what no binary32 holds. */
+/* The binary32 nearest to a binary64, truncated; *finite is 0 if no binary32 can hold it. */
 static float narrowed(uint64_t bits, int *finite)
 {
     const uint32_t exponent = (uint32_t)(bits >> 52) & 0x7FFU;
@@ -72,7 +72,7 @@ static float narrowed(uint64_t bits, int *finite)
     return value;
 }
 
-/* Forget the controller and draw the number of the next run: splitmix64, a permutation, so that none comes again. */
+/* Forget the controller and draw the number of the next run: splitmix64 is a permutation, so no number comes twice. */
 static void leave(arm_link *link)
 {
     uint64_t mixed = link->seed += 0x9E3779B97F4A7C15U;
@@ -95,7 +95,7 @@ void arm_link_begin(arm_link *link, uint32_t period_us, uint32_t seed)
     leave(link);
 }
 
-/* A whole message: obeyed where it is a new command of this run. */
+/* A complete message: obeyed if it is a new command of this run. */
 static void obey(arm_link *link)
 {
     const uint32_t sequence = (uint32_t)get(link->bytes + 8, 4);
@@ -104,15 +104,16 @@ static void obey(arm_link *link)
     int finite;
     const float voltage = narrowed(get(link->bytes + 24, 8), &finite);
     const int off = mode == MODE_OFF;
-    /* A stop comes three times for safety; the second and third are of a run that has ended. */
+    /* A stop is sent three times for safety; the second and third belong to a run that has ended. */
     if (off && (run != 0U) && (run == link->former)) {
         return;
     }
-    /* What moves the arm gives back the number of the run; without it a controller may introduce itself, or stop. */
+    /* A command that moves the arm must contain the number of the run; without it a controller may only introduce
+     * itself, or stop. */
     if ((run != link->run) && ((run != 0U) || (!off && (mode != MODE_IDLE)))) {
         return;
     }
-    /* The difference of the numbers, so that the count may wrap around. */
+    /* The difference of the sequence numbers, so that the count may wrap around. */
     if ((link->taken != 0U) && ((sequence - link->taken == 0U) || (sequence - link->taken > 0x7FFFFFFFU))) {
         return;
     }
@@ -126,7 +127,7 @@ static void obey(arm_link *link)
     link->voltage = ((mode != MODE_IDLE) && (finite != 0)) ? voltage : 0.0F;
 }
 
-/* Drop bytes from the front until what is left may begin a message. */
+/* Drop bytes from the front until the rest may be the beginning of a message. */
 static void align(arm_link *link)
 {
     for (uint8_t at = 0U; at < link->held; at++) {
@@ -155,7 +156,7 @@ void arm_link_take(arm_link *link, uint8_t byte)
         link->held = 0U;
         return;
     }
-    /* Behind a damaged message the next may begin at any byte. */
+    /* After a damaged message the next one may begin at any byte. */
     link->damaged++;
     link->held--;
     memmove(link->bytes, link->bytes + 1, link->held);

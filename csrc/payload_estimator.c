@@ -1,15 +1,15 @@
 /* The payload estimated while the arm moves. See payload_estimator.h for how to call it.
  *
- * Why it is made like this:
- *  - Each model sees the torque through a filter that forgets within half a vibration, so that its error is linear in
- *    the gauge's gain and offset: two equations of least squares a model, no covariance matrices, and every filter is
- *    stable whatever the data say. One estimate of all (frequency, gain, offset) at once would need an observer of the
- *    vibration that is right before the frequency is.
- *  - The models look at means of a few periods, one after the other: a vibration of 20 rad/s needs no 250 samples a
- *    second, and the work of a sample is spread over the periods until the next.
- *  - Evidence fades only while the arm moves; it fades by half in every sample where the best model fails twice
- *    in a row, for then the payload is another.
- *  - Memory is checked where it is used, by comparisons that NaN fails; what is not credible begins the estimate anew.
+ * Reasons for its structure:
+ *  - Each model reads the torque through a filter that forgets within half a vibration, so that its error is linear
+ *    in the gauge's gain and offset: two least-squares equations per model, no covariance matrices, and every filter
+ *    is stable for any data. A joint estimate of frequency, gain and offset would need an observer of the vibration
+ *    that is right before the frequency is known.
+ *  - The models use means over a few periods and are updated in turn: a vibration of 20 rad/s does not need 250
+ *    samples per second, and the work of a sample is spread over the periods until the next.
+ *  - Evidence fades only while the arm moves. It is halved in every sample in which the best model fails for the
+ *    second time in a row, since the payload has then changed.
+ *  - Memory is checked where it is used, by comparisons that NaN fails; implausible values restart the estimate.
  */
 #include "payload_estimator.h"
 
@@ -21,13 +21,13 @@
 #error "compile payload_estimator.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
 #endif
 
-#define PAYLOAD_TWICE 2U /* samples in a row: one alone may be a sensor's */
-#define PAYLOAD_FADES 10U /* such samples that forget; one that forgot for ever would never learn a wrong offset */
-#define PAYLOAD_DEVIATION ((law_real)1) /* largest relative standard deviation that is told */
-#define PAYLOAD_ROUNDS ((law_real)1.01F) /* room for rounding */
+#define PAYLOAD_TWICE 2U /* consecutive samples: a single one may be a sensor fault */
+#define PAYLOAD_FADES 10U /* such samples that fade the evidence; with more, a wrong offset could never be learnt */
+#define PAYLOAD_DEVIATION ((law_real)1) /* largest relative standard deviation that is reported */
+#define PAYLOAD_ROUNDS ((law_real)1.01F) /* margin for rounding */
 #define PAYLOAD_NONE ((law_real)1e30F)  /* larger than any cost */
 
-/* Whether a value is a number within +-`limit`: NaN fails the comparison, infinity squared too. */
+/* Whether a value is a number within +-`limit`: NaN fails the comparison, and so does the square of infinity. */
 static uint32_t sound(law_real value, law_real limit)
 {
     return ((value * value) <= (limit * limit)) ? 1U : 0U;
@@ -38,7 +38,7 @@ static uint32_t one_more(uint32_t count)
     return (count < 0x7FFFFFFFU) ? (count + 1U) : count;
 }
 
-/* Nothing is known. */
+/* Clear all knowledge. */
 static void know_nothing(payload_state *s)
 {
     const law_real zero = (law_real)0;
@@ -97,7 +97,7 @@ static void know_nothing(payload_state *s)
     s->high = zero;
 }
 
-/* Begin with a good reading of an arm that stands; one that moves is found out by its errors. */
+/* Begin with a good reading of an arm at rest; if it moves, the errors of the models will show it. */
 static void begin(payload_state *s, const payload_params *p, uint32_t tick, law_real angle, law_real torque)
 {
     know_nothing(s);
@@ -112,12 +112,13 @@ static void begin(payload_state *s, const payload_params *p, uint32_t tick, law_
     }
 }
 
-/* Make the models' next sample of the means, and learn the gauge's offset where nothing moves. */
+/* Form the next sample of the models from the means, and learn the gauge's offset while nothing moves. */
 static void sample(payload_state *s, const payload_params *p)
 {
     const law_real periods = (law_real)s->count;
     const law_real angle = s->angle_sum / periods;
-    /* the first sample is the offset to begin with: a mean, as one reading's noise would stay in every filter */
+    /* The first sample is the initial offset: a mean, since the noise of a single reading would stay in every
+     * filter. */
     s->offset = (s->samples == (law_real)0) ? (s->torque_sum / periods) : s->offset;
     const law_real torque = (s->torque_sum / periods) - s->offset;
     s->change = angle - s->angle;
@@ -140,7 +141,7 @@ static void sample(payload_state *s, const payload_params *p)
         s->offset += s->shift;
         s->torque -= s->shift;
         const law_real known = ((law_real)1 - part) * s->offset_variance;
-        const law_real least = (law_real)0.25F * p->variance; /* a zero that drifts */
+        const law_real least = (law_real)0.25F * p->variance; /* drift of the gauge's zero */
         s->offset_variance = (known > least) ? known : least;
     } else {
         s->flags &= ~PAYLOAD_FROZEN;
@@ -154,7 +155,7 @@ static void sample(payload_state *s, const payload_params *p)
     s->least = PAYLOAD_NONE;
 }
 
-/* Remember the cost of model `i` where it is the smallest so far, or one of the two behind that one. */
+/* Store the cost of model `i` if it is the smallest so far, or one of the two after the smallest. */
 static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift, law_real told, law_real error)
 {
     if (cost < s->cost[2]) {
@@ -176,7 +177,7 @@ static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift,
     s->before[0] = cost;
 }
 
-/* The filters of a model from one sample to the next, in the form that keeps what they will add to it. */
+/* The filters of a model from one sample to the next, in the form that stores their contribution to it. */
 static void pass_on(const payload_state *s, const payload_model *c, payload_memory *m, law_real seen, law_real told)
 {
     m->torque[0] = ((c->a1 * s->torque) - (c->c1 * seen)) + m->torque[1];
@@ -187,8 +188,8 @@ static void pass_on(const payload_state *s, const payload_model *c, payload_memo
     m->angle[2] = -(c->c3 * told);
 }
 
-/* Errors of a model in this sample, and its cost once gain and offset are those that suit it best: the minimum of
- * sum (e - x v - y rest)^2 + gain_weight x^2 + offset_weight y^2. Return whether everything was credible. */
+/* Errors of a model in this sample, and its cost with the best gain and offset: the minimum of sum (e - x v - y
+ * rest)^2 + gain_weight x^2 + offset_weight y^2. Returns whether everything was credible. */
 static uint32_t look(payload_state *s, const payload_params *p, uint32_t i, law_real offset_weight)
 {
     const payload_model *const c = &p->model[i];
@@ -213,19 +214,19 @@ static uint32_t look(payload_state *s, const payload_params *p, uint32_t i, law_
     const law_real cost = m->ee - ((x * m->ev) + (y * second));
     const law_real left = e - ((x * told) + (y * c->rest));
     const law_real error = left * left;
-    /* between two models of the bank a right payload errs by a part of the torque, too */
+    /* for a payload between two models of the bank, even the right model has an error proportional to the torque */
     const law_real size = (told * told) + (swing * swing);
     const law_real excess = error - (p->contact * size);
     s->least = (excess < s->least) ? excess : s->least;
     compare(s, i, cost, y, told, error - (p->surprise * size));
-    /* no product of two signals is larger than their squares allow */
+    /* no product of two signals exceeds the bound given by their squares */
     return ((((m->ee <= p->sum_limit) && (m->vv <= p->sum_limit)) && ((m->ev * m->ev) <= (PAYLOAD_ROUNDS * (m->ee * m->vv)))) &&
             ((cost >= -p->variance) && (cost <= p->sum_limit)))
                ? 1U
                : 0U;
 }
 
-/* A model where nothing moves: its filter goes on, its sums are those of before, seen from the new offset. */
+/* A model while nothing moves: its filter goes on, its sums remain those from before, relative to the new offset. */
 static uint32_t stand(payload_state *s, const payload_params *p, uint32_t i)
 {
     const payload_model *const c = &p->model[i];
@@ -234,7 +235,7 @@ static uint32_t stand(payload_state *s, const payload_params *p, uint32_t i)
     const law_real told = (c->b0 * s->change) + m->angle[0];
     const law_real step = s->shift * c->rest;
     pass_on(s, c, m, seen, told);
-    if (sound(told, (law_real)1e-15F) != 0U) { /* as denormals they would stay for ever */
+    if (sound(told, (law_real)1e-15F) != 0U) { /* they would remain as denormals for ever */
         m->angle[0] = (law_real)0;
         m->angle[1] = (law_real)0;
         m->angle[2] = (law_real)0;
@@ -248,23 +249,24 @@ static uint32_t stand(payload_state *s, const payload_params *p, uint32_t i)
     return ((m->ee >= -p->variance) && (m->ee <= p->sum_limit)) ? 1U : 0U;
 }
 
-/* Whether the estimate is narrow enough for the law. */
+/* Whether the estimate is accurate enough for the law. */
 static uint32_t usable(const payload_state *s, const payload_params *p)
 {
     return (((s->deviation > (law_real)0) && (s->deviation <= p->narrow)) && (s->estimate <= p->payload_limit)) ? 1U : 0U;
 }
 
-/* Whether the last samples are explained: by the best model, or by any. */
+/* Whether the last samples are explained by the best model, or by any. */
 static void judge(payload_state *s, const payload_params *p)
 {
-    s->odd = (s->best_error > ((law_real)16 * p->variance)) ? one_more(s->odd) : 0U; /* four and eight deviations */
+    /* four and eight standard deviations */
+    s->odd = (s->best_error > ((law_real)16 * p->variance)) ? one_more(s->odd) : 0U;
     s->touched = (s->least > ((law_real)64 * p->variance)) ? one_more(s->touched) : 0U;
     s->flags &= ~(PAYLOAD_CONTACT | PAYLOAD_CHANGED);
     s->flags |= (s->odd >= PAYLOAD_TWICE) ? PAYLOAD_CHANGED : 0U;
     s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
 }
 
-/* The estimate: the bottom of the curve through the costs of the best model and the two on either side of it. */
+/* The estimate: the minimum of the curve through the costs of the best model and the two on either side of it. */
 static void conclude(payload_state *s, const payload_params *p)
 {
     const uint32_t i = s->best;
@@ -278,7 +280,7 @@ static void conclude(payload_state *s, const payload_params *p)
         const law_real bulge = (cost[3] - cost[2]) + (cost[1] - cost[2]);
         law_real third = (law_real)0;
         law_real fourth = (law_real)0;
-        if ((i > 1U) && (i < (PAYLOAD_MODELS - 2U))) { /* at the ends of the bank a parabola has to do */
+        if ((i > 1U) && (i < (PAYLOAD_MODELS - 2U))) { /* at the ends of the bank a parabola has to suffice */
             third = ((cost[4] - cost[0]) - ((law_real)2 * tilt)) / (law_real)12;
             fourth = (((cost[4] - cost[2]) + (cost[0] - cost[2])) - ((law_real)4 * bulge)) / (law_real)24;
         }
@@ -288,7 +290,7 @@ static void conclude(payload_state *s, const payload_params *p)
         law_real bend = bulge;
         uint32_t round;
         /*@ loop unroll 2; */
-        for (round = 0U; round < 2U; round++) { /* Newton's method, from the bottom of the parabola */
+        for (round = 0U; round < 2U; round++) { /* Newton's method, starting at the minimum of the parabola */
             const law_real fall = first + (at * (((law_real)2 * second) + (at * (((law_real)3 * third) + (at * ((law_real)4 * fourth))))));
             bend = ((law_real)2 * second) + (at * (((law_real)6 * third) + (at * ((law_real)12 * fourth))));
             at -= fall / bend;
@@ -303,7 +305,7 @@ static void conclude(payload_state *s, const payload_params *p)
         const law_real variance = ((((law_real)2 * noise) / bend) * (slope * slope)) + p->doubt;
         if (((sound(at, (law_real)1) != 0U) && (bend > (law_real)0)) && (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION))) {
             deviation = ((deviation > (law_real)0) && (deviation <= PAYLOAD_DEVIATION)) ? deviation : PAYLOAD_DEVIATION;
-            /* Newton's square root comes from above and is never too narrow; the next samples bring it nearer */
+            /* Newton's square root converges from above and is never too small; the next samples refine it. */
             deviation = (law_real)0.5F * (deviation + (variance / deviation));
             deviation = (law_real)0.5F * (deviation + (variance / deviation));
             deviation = (law_real)0.5F * (deviation + (variance / deviation));
@@ -316,7 +318,7 @@ static void conclude(payload_state *s, const payload_params *p)
     }
 }
 
-/* Bring the next models up to date; behind the last one the sample has its answer. */
+/* Update the next models; after the last one the result of the sample is complete. */
 static void work(payload_state *s, const payload_params *p, uint32_t models)
 {
     const uint32_t frozen = s->flags & PAYLOAD_FROZEN;
@@ -334,10 +336,10 @@ static void work(payload_state *s, const payload_params *p, uint32_t models)
             }
         }
     }
-    s->stamp = (good != 0U) ? s->stamp : 0U; /* damaged memory: the next period begins anew */
+    s->stamp = (good != 0U) ? s->stamp : 0U; /* damaged memory: the estimator restarts in the next period */
 }
 
-/* Show what is known, in its limits whatever the memory holds. */
+/* Output the estimate, within its limits whatever the memory contains. */
 static void show(payload_state *s, const payload_params *p, payload_output *out)
 {
     const law_real most = (law_real)2 * p->payload_limit;
@@ -358,7 +360,7 @@ static void show(payload_state *s, const payload_params *p, payload_output *out)
     out->flags = s->flags;
 }
 
-/* CRC-32 of everything behind the crc field, bit by bit as in law.c. */
+/* CRC-32 of everything after the crc field, bit by bit as in law.c. */
 static uint32_t table_crc(const payload_params *params)
 {
     const unsigned char *bytes = (const unsigned char *)params;
@@ -416,7 +418,7 @@ void payload_step(payload_state *s, const payload_params *p, uint32_t tick, law_
         s->torque_sum += weight * s->last_torque;
         s->count += periods;
         if (s->count >= p->together) {
-            work(s, p, PAYLOAD_MODELS); /* what missed periods have left of the last sample */
+            work(s, p, PAYLOAD_MODELS); /* part of the last sample left by missed periods */
             sample(s, p);
         }
         work(s, p, p->chunk);

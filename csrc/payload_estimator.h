@@ -8,9 +8,10 @@
  *   payload_step(&memory, &payload_data, input.tick, input.motor_angle, input.torque, &estimate);
  *   input.payload = estimate.given;
  *
- * A bank of models, one for each of a row of payloads, predicts the torque from the motor angle; where the best of
- * them lies between its neighbours is the estimate. Each model has its gauge's gain and offset estimated along with it.
- * The law's feedback loop does not know of it: whatever stands in `given`, the law bounds it and slews towards it.
+ * A bank of models, one for each of several payloads, predicts the torque from the motor angle; the estimate is
+ * interpolated between the best model and its neighbours. The gain and offset of the gauge are estimated with each
+ * model. The feedback loop of the law does not depend on it: the law bounds the value in `given` and slews towards
+ * it.
  */
 #ifndef FRACLINK_PAYLOAD_ESTIMATOR_H
 #define FRACLINK_PAYLOAD_ESTIMATOR_H
@@ -22,15 +23,15 @@
 
 /* Flags of one period. */
 #define PAYLOAD_FROZEN 1U    /* nothing moves: the estimate is that of the last motion */
-#define PAYLOAD_OUTSIDE 2U   /* the whole interval lies outside the payloads that the certificate covers */
+#define PAYLOAD_OUTSIDE 2U   /* the whole interval lies outside the payloads covered by the certificate */
 #define PAYLOAD_CONTACT 4U   /* a torque that no payload explains: the tip or the link has touched something */
-#define PAYLOAD_GIVEN 8U     /* the interval is narrow: the law is given the estimate */
-#define PAYLOAD_CHANGED 16U  /* the payload is not what it was: the estimator forgets and looks again */
-#define PAYLOAD_SAMPLE 32U   /* a sample was rejected, and the last one taken in its place */
+#define PAYLOAD_GIVEN 8U     /* the interval is narrow: the law gets the estimate */
+#define PAYLOAD_CHANGED 16U  /* the payload has changed: the estimator forgets and starts again */
+#define PAYLOAD_SAMPLE 32U   /* a sample was rejected and replaced by the last one */
 
-/* One payload's model: torque over motor angle is (1 - 1/z)(b0 + b1/z + b2/z^2)/A with A = 1 + a1/z + a2/z^2 + a3/z^3,
- * a vibration and one real mode for what a fractional order adds to it. Its error is looked at through A/C with
- * C = 1 + c1/z + c2/z^2 + c3/z^3, which forgets where a vibration began. */
+/* Model of one payload: torque over motor angle is (1 - 1/z)(b0 + b1/z + b2/z^2)/A with A = 1 + a1/z + a2/z^2 +
+ * a3/z^3, a vibration and one real mode for the effect of a fractional order. Its error is filtered by A/C with C =
+ * 1 + c1/z + c2/z^2 + c3/z^3, which forgets the initial state of a vibration. */
 typedef struct {
     law_real a1;
     law_real a2;
@@ -41,42 +42,42 @@ typedef struct {
     law_real c1;
     law_real c2;
     law_real c3;
-    law_real rest; /* what of a constant torque is left in the error */
-    law_real mass; /* payload, with what the link weighs at its tip [kg] */
+    law_real rest; /* share of a constant torque that remains in the error */
+    law_real mass; /* payload plus the link's equivalent mass at the tip [kg] */
 } payload_model;
 
-/* Everything the exporter computed. `crc` is the CRC-32 of all bytes behind it, as in law_params. */
+/* Everything computed by the exporter. `crc` is the CRC-32 of all bytes after it, as in law_params. */
 typedef struct {
     uint32_t version;
     uint32_t size;
     uint32_t precision;
     uint32_t crc;
-    uint32_t together;     /* periods whose mean is one sample of the models */
-    uint32_t chunk;        /* models that are brought up to date in one period */
-    uint32_t quiet_limit;  /* samples without motion until the estimate is frozen */
-    uint32_t gap_limit;    /* periods without a good sample, or missed, until the estimator begins anew */
+    uint32_t together;     /* periods averaged to one sample of the models */
+    uint32_t chunk;        /* models updated in one period */
+    uint32_t quiet_limit;  /* samples without motion before the estimate is frozen */
+    uint32_t gap_limit;    /* missed periods or periods without a good sample before the estimator restarts */
     law_real angle_limit;  /* largest encoder angle [rad] */
     law_real torque_limit; /* largest credible gauge torque [N m] */
     law_real torque_moved; /* torque, measured or predicted, above which the arm moves [N m] */
-    law_real variance;     /* of a model's error where the model is right [(N m)^2] */
+    law_real variance;     /* variance of the error of a right model [(N m)^2] */
     law_real gain_weight;  /* `variance` over that of the gauge's gain */
-    law_real offset_variance; /* of the gauge's offset before anything is known of it [(N m)^2] */
-    law_real keep;         /* part of the evidence that is kept from sample to sample while the arm moves */
+    law_real offset_variance; /* variance of the gauge's offset before anything is known of it [(N m)^2] */
+    law_real keep;         /* share of the evidence that is kept from sample to sample while the arm moves */
     law_real sum_limit;    /* largest credible sum of squares [(N m)^2] */
-    law_real surprise;     /* part of the torque, squared, that a right model may err by */
+    law_real surprise;     /* square of the relative torque error that a right model may have */
     law_real contact;      /* the same for a torque that no payload explains */
-    law_real link;         /* what the link weighs at its tip [kg] */
-    law_real spread;       /* of a model's errors that follow each other, over that of independent ones, squared */
-    law_real doubt;        /* relative variance of the mass that no evidence makes smaller */
-    law_real narrow;       /* relative standard deviation up to which the law is given the estimate */
+    law_real link;         /* equivalent mass of the link at its tip [kg] */
+    law_real spread;       /* variance of consecutive errors of a model relative to that of independent ones */
+    law_real doubt;        /* relative variance of the mass that no evidence reduces */
+    law_real narrow;       /* largest relative standard deviation at which the law gets the estimate */
     law_real width;        /* half width of the interval in standard deviations */
     law_real payload_limit; /* largest payload [kg] */
-    law_real certified_low; /* payloads that the certificate covers [kg] */
+    law_real certified_low; /* payloads covered by the certificate [kg] */
     law_real certified_high;
     payload_model model[PAYLOAD_MODELS];
 } payload_params;
 
-/* What is remembered of one model: its filter, and sums over the errors e and the predicted torques v. */
+/* State of one model: its filter, and sums over the errors e and the predicted torques v. */
 typedef struct {
     law_real torque[3];
     law_real angle[3];
@@ -88,36 +89,36 @@ typedef struct {
 } payload_memory;
 
 typedef struct {
-    uint32_t stamp; /* crc of the parameters it was started with */
+    uint32_t stamp; /* crc of the parameters with which it was started */
     uint32_t tick;
-    uint32_t count;   /* periods in the sample that is being made */
-    uint32_t next;    /* model that is brought up to date next */
-    uint32_t gap;     /* periods in a row without a good sample */
-    uint32_t quiet;   /* samples in a row without motion */
-    uint32_t odd;     /* samples in a row that the best model does not explain */
-    uint32_t touched; /* samples in a row that no model explains */
-    uint32_t best;    /* model of the smallest cost of this sample */
+    uint32_t count;   /* periods in the sample being formed */
+    uint32_t next;    /* model to be updated next */
+    uint32_t gap;     /* consecutive periods without a good sample */
+    uint32_t quiet;   /* consecutive samples without motion */
+    uint32_t odd;     /* consecutive samples that the best model does not explain */
+    uint32_t touched; /* consecutive samples that no model explains */
+    uint32_t best;    /* model with the smallest cost of this sample */
     uint32_t flags;
     payload_memory model[PAYLOAD_MODELS];
     law_real angle_sum;
     law_real torque_sum;
     law_real last_angle; /* last good readings */
     law_real last_torque;
-    law_real angle;  /* mean angle of the sample before */
-    law_real change; /* of the mean angle, and the mean torque without its offset: what the models look at */
+    law_real angle;  /* mean angle of the previous sample */
+    law_real change; /* change of the mean angle, and the mean torque without its offset: the inputs of the models */
     law_real torque;
     law_real offset;
     law_real offset_variance;
-    law_real shift;      /* of the offset in this sample */
-    law_real drift;      /* of the offset from there, as the best model has it */
-    law_real samples;    /* in the sums, as far as they are kept */
-    law_real keep;       /* part of them that is kept in this sample */
-    law_real before[2];  /* costs of the two models before, of the best one and of the two on either side of it */
+    law_real shift;      /* change of the offset in this sample */
+    law_real drift;      /* further change of the offset according to the best model */
+    law_real samples;    /* effective number of samples in the sums */
+    law_real keep;       /* share of the sums that is kept in this sample */
+    law_real before[2];  /* costs of the two previous models, of the best one and of the two on either side of it */
     law_real cost[5];
-    law_real best_drift; /* of the best one: offset, predicted torque, and error over what a right model may err by */
+    law_real best_drift; /* for the best model: offset, predicted torque, and error relative to that of a right model */
     law_real best_told;
     law_real best_error;
-    law_real least;     /* smallest excess of the error over what is no contact [(N m)^2] */
+    law_real least;     /* smallest excess of the error over the limit for a contact [(N m)^2] */
     law_real deviation; /* relative standard deviation of the mass */
     law_real estimate;
     law_real low;
@@ -132,7 +133,7 @@ typedef struct {
     uint32_t flags;
 } payload_output;
 
-/* Return LAW_OK or why the parameter block must not be used. */
+/* Return LAW_OK, or the reason why the parameter block must not be used. */
 uint32_t payload_check(const payload_params *params);
 /* Clear the state and check the parameters. */
 uint32_t payload_init(payload_state *state, const payload_params *params);

@@ -1,4 +1,4 @@
-// Binding of the identification kernel: arrays in, arrays out, nothing else.
+// Binding of the identification kernel: arrays in, arrays out.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/tuple.h>
@@ -27,7 +27,7 @@ output_array owned(std::vector<double> values, std::initializer_list<size_t> sha
 }
 
 // The log on its grid of rates; the samples are copied once, since the input needs zeros on both sides. Increments
-// beyond the number of measured samples are those before the first.
+// beyond the number of measured samples are those before the first one.
 struct Problem {
     fit_problem p{};
     std::vector<double> input, output;
@@ -46,10 +46,10 @@ struct Problem {
              output.data(), grid_start, grid_step, modes, tail};
     }
 
-    // Columns of the predicted output for unit gain and of its derivatives; None where the shape has no pole.
+    // Columns of the predicted output for unit gain and of its derivatives; None if the shape has no pole.
     nb::object columns(input_array shape, unsigned mask) {
         check(shape);
-        std::unique_ptr<fit_table> table(new fit_table); // of this call: threads may share the problem
+        std::unique_ptr<fit_table> table(new fit_table); // local to this call: threads may share the problem
         int bad;
         std::vector<double> values;
         {
@@ -65,10 +65,10 @@ struct Problem {
         return nb::cast(owned(std::move(values), {(size_t)table->outputs, (size_t)p.count}));
     }
 
-    // Gram matrix of each row of shapes, rows x side x side; not numbers where a shape has no pole.
+    // Gram matrix of each row of shapes, rows x side x side; NaN where a shape has no pole.
     output_array grams(input_table shapes, unsigned mask) {
         if (shapes.shape(1) != FIT_SHAPE || shapes.shape(0) < 1) throw std::invalid_argument("shapes: 5 columns");
-        std::unique_ptr<fit_table> table(new fit_table); // of this call: threads may share the problem
+        std::unique_ptr<fit_table> table(new fit_table); // local to this call: threads may share the problem
         size_t count = shapes.shape(0), side = 3;
         for (unsigned bit = 0; bit < FIT_SHAPE; bit++) side += mask >> bit & 1;
         std::vector<double> values(count * side * side, NAN);
@@ -132,7 +132,7 @@ struct Problem {
                               owned(std::vector<double>(best.gram, best.gram + side * side), {side, side}));
     }
 
-    // A linear parameter that is not a number is free.
+    // A linear parameter that is NaN is free.
     static fit_request request(double gain, double offset) {
         fit_request r{};
         r.gain_free = std::isnan(gain);

@@ -33,7 +33,7 @@ nb::tuple begin_law(const nb::bytes &params, bool single) {
     return nb::make_tuple(bytes_of(state, port.sizes[LAW_STATE]), reason);
 }
 
-// Rows as law_port.h has them.
+// Rows as in law_port.h.
 nb::bytes run_law(const nb::bytes &params, const nb::bytes &before, Ticks ticks, Array<const double, 2> inputs,
                   Signals outputs, Array<std::uint32_t, 2> marks, bool single) {
     const law_port &port = port_of(single);
@@ -110,7 +110,7 @@ void bind_law(nb::module_ &m) {
         const int *const sizes = port_of(single).sizes;
         return nb::make_tuple(sizes[PAYLOAD_PARAMS], sizes[PAYLOAD_STATE]);
     });
-    // the headers' own numbers, so that no module writes them down again
+    // the headers' own numbers, so that no module repeats them
     m.attr("LAW_RUN") = unsigned(LAW_RUN);
     m.attr("LAW_FLAG_SATURATED") = unsigned(LAW_FLAG_SATURATED);
     m.attr("LAW_FLAG_STARTED") = unsigned(LAW_FLAG_STARTED);

@@ -44,7 +44,7 @@ struct Links {
         split(pair_weight.data(), pair_weight.size(), weight_re, weight_im);
     }
 
-    // The kernel's vectors run over modes, so that real and imaginary parts stand apart.
+    // The kernel's vectors run over modes, so real and imaginary parts are stored separately.
     static void split(const Complex *z, size_t count, std::vector<double> &re, std::vector<double> &im) {
         re.resize(count);
         im.resize(count);

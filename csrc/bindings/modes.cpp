@@ -1,4 +1,4 @@
-// Binding of the recursions of exponential modes: arrays in, arrays out, nothing else.
+// Binding of the recursions of exponential modes: arrays in, arrays out.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 

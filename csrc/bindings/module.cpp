@@ -1,5 +1,5 @@
-// The Python module of the C kernels. Each kernel file has a binding file of its own beside this one
-// that only moves arrays in and out; this file names them.
+// The Python module of the C kernels. Each kernel file has its own binding file next to this one, which only moves
+// arrays in and out; this file registers them.
 #include <nanobind/nanobind.h>
 
 namespace nb = nanobind;

@@ -1,4 +1,4 @@
-// The real-time loops from Python: a way to reach the arm, one call per run, arrays in and out.
+// The real-time loops from Python: a connection to the arm, one call per run, arrays in and out.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
@@ -29,11 +29,12 @@ namespace {
 using Record = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Marks = nb::ndarray<std::uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-// A way to the arm. Exactly one of the three is in use: a channel, the two functions of a library, two callables.
+// A connection to the arm. Exactly one of the three is in use: a channel, the two functions of a library, two
+// callables.
 struct Io {
     realtime_channel *channel = nullptr;
     nb::object read, write, seal;
-    std::exception_ptr failure;  // of a callable; C has no way to pass it on
+    std::exception_ptr failure;  // exception of a callable; C cannot pass it on
 
     Io() = default;
     Io(Io &&other) noexcept
@@ -86,7 +87,7 @@ Io channel_of(realtime_channel *channel) {
     return io;
 }
 
-// The tag of a message by a function of Python, which has the key.
+// The tag of a message, computed by a Python function that has the key.
 int seal_message(void *sealer, const std::uint8_t *bytes, std::uint8_t *tag) {
     const nb::gil_scoped_acquire acquire;
     try {
@@ -95,7 +96,7 @@ int seal_message(void *sealer, const std::uint8_t *bytes, std::uint8_t *tag) {
         std::memcpy(tag, made.data(), MESSAGE_TAG);
         return 0;
     } catch (...) {
-        return -1;  // the message is neither sent nor taken
+        return -1;  // the message is neither sent nor accepted
     }
 }
 
@@ -116,7 +117,7 @@ Io callables(nb::callable read, nb::callable write) {
     return io;
 }
 
-// One sample as (period_ns, motor_angle, torque), or None where no new one has come: for a loop in Python.
+// One sample as (period_ns, motor_angle, torque), or None if no new one has come: for a loop in Python.
 nb::object read_once(Io &io) {
     realtime_sample sample = {0U, {0.0, 0.0}};
     const realtime_io way = io_of(io);
@@ -127,7 +128,7 @@ nb::object read_once(Io &io) {
     return nb::make_tuple(sample.period_ns, sample.value.motor_angle, sample.value.torque);
 }
 
-// Whether the command was taken; a way that is broken raises OSError.
+// Whether the command was taken; a broken connection raises OSError.
 bool write_once(Io &io, double reference, double voltage, std::uint32_t tick, std::uint32_t mode, std::uint32_t reason,
                 std::uint32_t flags) {
     const arm_command command = {reference, voltage, tick, mode, reason, flags};
@@ -138,7 +139,7 @@ bool write_once(Io &io, double reference, double voltage, std::uint32_t tick, st
     return refused == 0;
 }
 
-// A virtual clock for some threads, or the one that another process keeps in a file; for none, the machine's.
+// A virtual clock for some threads, or the one that another process keeps in a file; for none, that of the machine.
 struct Clock {
     realtime_clock *clock;
     Clock(int threads, int file) : clock(nullptr) {
@@ -176,7 +177,7 @@ nb::dict told(const realtime_outcome &o) {
     return d;
 }
 
-// Rows of `path`: reference, acceleration, one value a period. `estimator` and `estimate`: empty, or the payload
+// Rows of `path`: reference, acceleration, one value per period. `estimator` and `estimate`: empty, or the payload
 // estimator's parameters and first state.
 nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, double payload,
              nb::bytes estimator, nb::bytes estimate, Record record,

@@ -1,4 +1,4 @@
-// Arrays in and out of the twin's kernel; every size is checked here, the kernel trusts them.
+// Arrays in and out of the twin's kernel; every size is checked here, because the kernel does not check them.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -84,8 +84,8 @@ nb::tuple sense(Vector rig_values, Vector input, Mutable state, Mutable gauge, M
     return nb::make_tuple(angle, torque);
 }
 
-// One period of an arm that a voltage drives, as realtime_arm.c has it: what acts leaves the queue, the twin moves on.
-// Returns tip angle, motor angle, speed and torque before it moved, and the voltage that acted.
+// One period of an arm driven by a voltage, as in realtime_arm.c: the acting voltage leaves the queue, the twin moves.
+// Returns tip angle, motor angle, speed and torque before the motion, and the voltage that acted.
 nb::tuple drive(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Mutable state,
                 Mutable gauge, Mutable voltage, Mutable sensed, Counters counters, double asked) {
     const twin_step step = step_of(transition, hub, tip, outputs);

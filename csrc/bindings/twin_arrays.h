@@ -1,4 +1,4 @@
-// What the bindings of the twin share: arrays become the kernel's structs; every size is checked here.
+// Shared by the bindings of the twin: arrays become the kernel's structs; every size is checked here.
 #ifndef FRACLINK_TWIN_ARRAYS_H
 #define FRACLINK_TWIN_ARRAYS_H
 
@@ -48,7 +48,7 @@ inline twin_rig rig_of(const Vector &values) {
     return rig;
 }
 
-// Buffers that the caller owns and the kernel continues from: link, gauge ring, voltage queue, counters.
+// Buffers owned by the caller, from which the kernel continues: link, gauge ring, voltage queue, counters.
 struct Memory {
     Mutable state, gauge, voltage, sensed;
     Counters counters;

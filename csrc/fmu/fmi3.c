@@ -1,8 +1,9 @@
 /* The functions of FMI 3.0 for co-simulation (FMI 3.0, sections 2.2 and 4.2) around fmu_core.h.
  *
- * The standard wants every function to be there, also those of capabilities that modelDescription.xml does not offer.
- * An importer that compiles this file may put fmi3Functions.h of the standard in front (-include); its compiler then
- * compares every declaration. Without it the declarations below serve, so that no header has to be shipped. */
+ * The standard requires every function to exist, including those of capabilities that modelDescription.xml does not
+ * offer. An importer that compiles this file may include fmi3Functions.h of the standard first (-include); its
+ * compiler then checks every declaration. Otherwise the declarations below apply, so that no header has to be
+ * shipped. */
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -49,7 +50,7 @@ typedef void (*fmi3LockPreemptionCallback)(void);
 typedef void (*fmi3UnlockPreemptionCallback)(void);
 #endif
 
-/* Sources that are linked, not loaded, get the importer's prefix, as in fmi3Functions.h. */
+/* Sources that are linked instead of loaded get the importer's prefix, as in fmi3Functions.h. */
 #if defined(FMI3_OVERRIDE_FUNCTION_PREFIX)
 #if defined(FMI3_ACTUAL_FUNCTION_PREFIX)
 #define FMU_PREFIX FMI3_ACTUAL_FUNCTION_PREFIX
@@ -82,7 +83,7 @@ typedef struct {
 
 #include "fmu_core.h"
 
-/* FMI 3 wants silence where logging is off: the status alone then tells of the error. */
+/* FMI 3 requires silence while logging is off: then only the status reports the error. */
 static void fmu_tell(const fmu_host *host, const char *message)
 {
     if (host->logging && (host->log != NULL))
@@ -109,7 +110,7 @@ FMU_EXPORT fmi3Instance FMI3(InstantiateCoSimulation)(fmi3String name, fmi3Strin
                                                       fmi3LogMessageCallback log,
                                                       fmi3IntermediateUpdateCallback update)
 {
-    /* why there is no instance is always told: it has no logging to switch off yet */
+    /* the reason why there is no instance is always reported, since there was no way yet to switch its logging off */
     fmu_host host = {log, environment, true};
     fmu_instance *me = NULL;
     (void)name;

@@ -1,8 +1,8 @@
 /* The functions of FMI 3.0 that modelDescription.xml does not offer: clocks, binary variables, event mode,
- * configuration, dependencies at run time, derivatives, model exchange, scheduled execution. Each ends in an error.
+ * configuration, dependencies at run time, derivatives, model exchange, scheduled execution. Each returns an error.
  *
- * One macro for each number of arguments: a definition in C99 names its parameters, and compilers warn of a name that
- * is not used. */
+ * One macro for each number of arguments: a definition in C99 must name its parameters, and compilers warn about
+ * unused names. */
 #ifndef FRACLINK_FMI3_NOT_OFFERED_H
 #define FRACLINK_FMI3_NOT_OFFERED_H
 

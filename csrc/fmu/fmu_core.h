@@ -25,9 +25,9 @@
 #define FMU_REALS 7U
 #define FMU_VALUES 10U /* mode, reason and flags are the marks in between */
 #define FMU_TIME 10U
-#define FMU_PAYLOAD 11U /* an input that came later: the references before it are those of every release */
+#define FMU_PAYLOAD 11U /* an input added later: the earlier references are the same in every release */
 
-/* An error ends the simulation, as FMI 3 has it: only reset, a restored state or freeing leads on. */
+/* An error ends the simulation, as FMI 3 requires: it only continues after a reset, a restored state or freeing. */
 #define FMU_INSTANTIATED 0U
 #define FMU_INITIALIZING 1U
 #define FMU_STEPPING 2U
@@ -35,9 +35,9 @@
 
 #define FMU_MESSAGE 160U
 
-/* Everything a simulation changes, and so everything a snapshot holds; plain data. */
+/* All state changed by a simulation, and therefore the content of a snapshot; plain data. */
 typedef struct {
-    uint32_t owner; /* CRC-32 of the parameters: a snapshot of another law is refused */
+    uint32_t owner; /* CRC-32 of the parameters: a snapshot of another law is rejected */
     uint32_t phase;
     uint32_t tick;
     uint32_t marks[FMU_VALUES - FMU_REALS];
@@ -52,7 +52,7 @@ typedef struct {
     fmu_memory memory;
 } fmu_instance;
 
-/* Hand a message to the importer's logger. */
+/* Pass a message to the importer's logger. */
 static void fmu_tell(const fmu_host *host, const char *message);
 
 static fmu_status fmu_refuse(fmu_instance *me, const char *message)
@@ -64,7 +64,7 @@ static fmu_status fmu_refuse(fmu_instance *me, const char *message)
 
 static void fmu_restart(fmu_instance *me)
 {
-    memset(&me->memory, 0, sizeof me->memory); /* padding too: equal simulations serialize to equal bytes */
+    memset(&me->memory, 0, sizeof me->memory); /* including padding: equal simulations serialize to equal bytes */
     me->memory.owner = law_data.crc;
     (void)law_init(&me->memory.law, &law_data);
 }
@@ -77,7 +77,7 @@ static fmu_instance *fmu_instantiate(const fmu_host *host, const char *token)
     } else if (law_check(&law_data) != LAW_OK) {
         fmu_tell(host, "the law refuses its parameters: the FMU is damaged");
     } else {
-        me = (fmu_instance *)calloc(1U, sizeof *me); /* the FMU's; the law itself allocates nothing */
+        me = (fmu_instance *)calloc(1U, sizeof *me); /* for the FMU; the law itself allocates nothing */
         if (me == NULL) {
             fmu_tell(host, "out of memory");
         } else {
@@ -120,8 +120,8 @@ static fmu_status fmu_terminate(fmu_instance *me)
     return FMU_OK;
 }
 
-/* Before the first step the outputs are those of an arm at rest where its encoder says: a drive that follows
- * motor_reference is not thrown to 0 for a period. */
+/* Before the first step the outputs are those of an arm at rest at the angle of its encoder, so that a drive that
+ * follows motor_reference does not jump to 0 for a period. */
 static void fmu_rest(fmu_memory *m)
 {
     const double angle = m->reals[FMU_MOTOR_ANGLE], torque = m->reals[FMU_TORQUE];
@@ -176,7 +176,7 @@ static fmu_status fmu_set_reals(fmu_instance *me, const uint32_t references[], s
     return FMU_OK;
 }
 
-/* A type that no variable has: nothing to read or to set. */
+/* A type that no variable has: there is nothing to read or to set. */
 static fmu_status fmu_no_variables(fmu_instance *me, size_t count)
 {
     return count == 0U ? FMU_OK : fmu_refuse(me, "no variable has the type that is read or set");
@@ -195,14 +195,15 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
     law_output out;
     if (m->phase != FMU_STEPPING)
         return fmu_refuse(me, "a step is asked for outside the simulation: initialize first, or reset after the end");
-    /* importers subtract communication points; at 1e5 s that rounds to 4e-9 of a period of 4 ms */
+    /* importers subtract communication points; at 1e5 s the rounding is 4e-9 of a period of 4 ms */
     if (!((step > FMU_PERIOD * (1.0 - 1e-6)) && (step < FMU_PERIOD * (1.0 + 1e-6)))) {
         (void)snprintf(message, sizeof message,
                        "the law runs at its period: set the communication step to %.9g s (it was %.9g s)", FMU_PERIOD,
                        step);
         return fmu_refuse(me, message);
     }
-    /* A step that is repeated or left out would be another law. Either is a whole period away: half of one tells. */
+    /* A repeated or omitted step would be another law. Either one is a whole period off, so half a period detects
+     * it. */
     if ((m->tick > 0U) && !((now - m->time < 0.5 * FMU_PERIOD) && (m->time - now < 0.5 * FMU_PERIOD))) {
         (void)snprintf(message, sizeof message,
                        "steps follow each other: the last one ended at %.9g s, this one begins at %.9g s", m->time,
@@ -210,7 +211,7 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
         return fmu_refuse(me, message);
     }
     in.tick = m->tick; /* from 0, as in the package's simulation */
-    /* a double beyond float becomes infinite, as in the package, and is refused by the law */
+    /* a double beyond the range of float becomes infinite, as in the package, and the law rejects it */
     in.reference = (law_real)m->reals[FMU_REFERENCE];
     in.reference_acceleration = (law_real)m->reals[FMU_REFERENCE_ACCELERATION];
     in.motor_angle = (law_real)m->reals[FMU_MOTOR_ANGLE];

@@ -37,7 +37,7 @@ static loop_rig rig_of(const loop_rig *shared, const double *row)
     return rig;
 }
 
-/* The row of `run`; a signal that is not kept stays so. */
+/* The row of `run`; a signal that is not recorded stays null. */
 static loop_trace trace_of(const loop_trace *first, int64_t at)
 {
     const loop_trace trace = {first->tip + at,

@@ -1,4 +1,5 @@
-/* Function multiversioning: the loader picks the widest vectors the machine has, one binary serves all. */
+/* Function multiversioning: the loader selects the widest vectors of the machine, and one binary serves all
+ * machines. */
 #ifndef FRACLINK_CLONES_H
 #define FRACLINK_CLONES_H
 

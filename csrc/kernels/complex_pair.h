@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-/* Own complex arithmetic: C's guards every product against infinities, which costs more than the product. */
+/* Complex arithmetic of our own: C guards every product against infinities, which costs more than the product. */
 typedef struct {
     double re, im;
 } cx;

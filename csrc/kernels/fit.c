@@ -6,7 +6,8 @@
 
 #define SIDE_MAX FIT_COLUMNS_MAX
 
-/* Solve A x = b in place by Cholesky for a symmetric positive definite A of order n; 0 where it is not definite. */
+/* Solve A x = b in place by Cholesky's method for a symmetric positive definite A of order n; 0 if it is not
+ * definite. */
 static int solve_definite(int n, double a[SIDE_MAX][SIDE_MAX], double *b) {
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) {
@@ -62,7 +63,7 @@ double fit_cost(const fit_problem *problem, const double *shape, fit_request *r,
     return evaluate(problem, shape, 0, r, work, gram, &cost) ? INFINITY : cost;
 }
 
-/* mu s^a + w must not pull backwards when the link stands still: w >= 0 bounds the damping ratio. */
+/* mu s^a + w must not have a negative stiffness for a link at rest: w >= 0 bounds the damping ratio. */
 static void project(double *shape, const fit_request *r) {
     for (int i = 0; i < FIT_SHAPE; i++)
         if (r->mask >> i & 1) shape[i] = fmin(fmax(shape[i], r->lower[i]), r->upper[i]);
@@ -73,7 +74,7 @@ static void project(double *shape, const fit_request *r) {
     }
 }
 
-/* The damped step at the current Gram matrix; returns the predicted decrease of the cost, or -1. */
+/* The damped step for the current Gram matrix; returns the predicted decrease of the cost, or -1. */
 static double make_step(const double *g, int side, const double *shape, const fit_request *r, double damping,
                         double *step) {
     int place[FIT_SHAPE], n = 0, column = 3;
@@ -92,7 +93,7 @@ static double make_step(const double *g, int side, const double *shape, const fi
     int shapes = n;
     if (r->gain_free) from[n++] = 1;
     if (r->offset_free) from[n++] = 2;
-    for (int i = shapes; i < n; i++) b[i] = 0; /* they are at their best already */
+    for (int i = shapes; i < n; i++) b[i] = 0; /* they are already optimal */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) {
             double scale = (i < shapes ? r->gain : 1) * (j < shapes ? r->gain : 1);
@@ -109,7 +110,8 @@ static double make_step(const double *g, int side, const double *shape, const fi
     return predicted;
 }
 
-/* A step of one in ln(resonance), or of half of what a shape can be, leaves the region where the slopes mean anything. */
+/* A step of one in ln(resonance), or of half the range of a shape parameter, leaves the region where the slopes are
+ * valid. */
 static void limit_step(double *step, double period_seconds) {
     const double most[FIT_SHAPE] = {0.25, 0.35, 0.2, 0.3, 0.15 * period_seconds};
     double worst = 1;
@@ -158,10 +160,10 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
             cost = trial_cost;
             continue;
         }
-        r->gain = gain; /* the rejected trial left its own */
+        r->gain = gain; /* the rejected trial left its own Gram matrix */
         r->offset = offset;
         damping = fmax(8 * damping, 1e-6);
-        if (damping > 1e12) { /* no step improves: as low as the arithmetic can tell */
+        if (damping > 1e12) { /* no step improves the cost: it is as low as the arithmetic can resolve */
             status = FIT_CONVERGED;
             break;
         }

@@ -1,25 +1,24 @@
 /* Identification kernel: predicted output of the link, its derivatives and their Gram matrix.
  *
- * The link's step response is h(t) = L^-1[s^(l-1)/(s^l + mu s^a + w)], a decaying pair of complex
- * exponentials plus an integral over real rates (the branch cut). The integral is a trapezoid sum in
- * ln(rate) on a grid that does not move while parameters do, so that one recursion of states serves the
- * output and every derivative. */
+ * The link's step response is h(t) = L^-1[s^(l-1)/(s^l + mu s^a + w)], a decaying pair of complex exponentials plus
+ * an integral over real rates (the branch cut). The integral is a trapezoidal sum in ln(rate) on a grid that does
+ * not depend on the parameters, so that one recursion of states serves the output and every derivative. */
 #ifndef FRACLINK_FIT_H
 #define FRACLINK_FIT_H
 
 #include <stddef.h>
 
 enum {
-    FIT_LANES = 8,          /* samples a block: one AVX-512 vector of doubles */
+    FIT_LANES = 8,          /* samples per block: one AVX-512 vector of doubles */
     FIT_GROUP = 4,          /* blocks that share every load of a coefficient */
-    FIT_MODES_MAX = 64,     /* real rates that are recursed */
-    FIT_TAIL_MAX = 64,      /* faster rates, folded into the coefficients of two inputs */
+    FIT_MODES_MAX = 64,     /* real rates with a recursion */
+    FIT_TAIL_MAX = 64,      /* faster rates, included in the coefficients of two inputs */
     FIT_SHAPE = 5,          /* order, ln(resonance), damping ratio, damping order, delay [s] */
     FIT_COLUMNS_MAX = 3 + FIT_SHAPE, /* measured, predicted, one, derivatives */
     FIT_STATES_MAX = FIT_MODES_MAX + 5
 };
 
-/* Viscous damping beyond is no vibration: its poles are real. */
+/* With more viscous damping there is no vibration: the poles are real. */
 #define FIT_RATIO_MOST 0.9
 
 enum { FIT_ORDER, FIT_RESONANCE, FIT_RATIO, FIT_DAMPING_ORDER, FIT_DELAY };
@@ -30,15 +29,16 @@ typedef struct {
     ptrdiff_t count;      /* samples */
     double period;        /* [s] */
     int hold;             /* 0: input is held, 1: input is linear between samples */
-    const double *input;  /* jump at (hold 0) or slope after (hold 1) sample k; readable for -before - pad <= k < count + pad */
+    /* jump at sample k (hold 0) or slope after it (hold 1); readable for -before - pad <= k < count + pad */
+    const double *input;
     ptrdiff_t before;     /* inputs before sample 0: they move the link, and no output is compared with them */
     ptrdiff_t pad;        /* zeros on both sides of these inputs */
     const double *output; /* measured, count */
     double grid_start, grid_step; /* ln(rate) of the first real mode, and the step */
-    int modes, tail;      /* recursed rates, and rates above them */
+    int modes, tail;      /* rates with a recursion, and rates above them */
 } fit_problem;
 
-/* Everything the pass over the data needs; made anew for every set of parameters. */
+/* Everything needed by the pass over the data; computed anew for every set of parameters. */
 typedef struct {
     int outputs;          /* 1 + derivatives */
     int modes, states;    /* states: modes, pole (re, im), its derivative (re, im), previous input */
@@ -62,14 +62,14 @@ typedef struct {
     unsigned mask;             /* free shape parameters */
     double lower[FIT_SHAPE], upper[FIT_SHAPE];
     int gain_free, offset_free;
-    double gain, offset;       /* values where they are not free, results where they are */
+    double gain, offset;       /* values where they are fixed, results where they are free */
     int iterations_max;
     double cost;               /* sum of squares */
     int evaluations;
     double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX]; /* at the result, side 3 + free */
 } fit_request;
 
-/* Sum of squares of one shape at its best gain and offset; infinite where it has no pole. */
+/* Sum of squares of one shape at its best gain and offset; infinite if it has no pole. */
 double fit_cost(const fit_problem *problem, const double *shape, fit_request *request, fit_table *work);
 
 /* Levenberg-Marquardt with the linear parameters (gain, offset) projected out; `shape` is start and result. */

@@ -5,7 +5,8 @@
 #include "fit.h"
 
 #if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC optimize("fp-contract=fast") /* half the instructions; no bit of a fit is promised across machines */
+/* half the instructions; a fit need not be identical to the bit across machines */
+#pragma GCC optimize("fp-contract=fast")
 #endif
 
 #define L FIT_LANES
@@ -26,8 +27,8 @@ static void single_step(const fit_table *t, pass_state *s, double v) {
     s->previous = v;
 }
 
-/* Vectors of four, always: the compilers' own vectoriser shuffles these loops instead of broadcasting, and
- * vectors of eight spill where the machine has only AVX2. A compiler without vectors gets the loops. */
+/* Always vectors of four: the compilers' own vectoriser shuffles these loops instead of broadcasting, and vectors of
+ * eight spill where the machine only has AVX2. A compiler without vectors uses the loops. */
 #if defined(__GNUC__) || defined(__clang__)
 #define INLINE static inline __attribute__((always_inline))
 typedef double quad __attribute__((vector_size(32), aligned(8), may_alias));
@@ -76,7 +77,8 @@ INLINE void group_outputs(const fit_table *restrict t, const pass_state *restric
                 add_scaled(&low[g], gain[modes + k], s[g].pole[k]);
                 add_scaled(&high[g], gain[modes + k] + 4, s[g].pole[k]);
             }
-        for (int l = 0; l < 4; l++) /* an input acts from its own sample on: the first half never sees the second */
+        /* an input acts from its own sample on: the first half does not depend on the second */
+        for (int l = 0; l < 4; l++)
             for (int g = 0; g < GROUP; g++) {
                 add_scaled(&low[g], direct[l], v[g * L + l]);
                 add_scaled(&high[g], direct[l] + 4, v[g * L + l]);
@@ -129,7 +131,8 @@ void fit_pass(const fit_problem *problem, const fit_table *table, double *gram, 
     int side = 2 + table->outputs;
     pass_state state[GROUP + 1] = {{{0}, {0}, 0}};
     const double *v = problem->input - table->shift;
-    /* What acts before the first output: the inputs before the log, and with a negative delay some of its own. */
+    /* The state before the first output: from the inputs before the log, and with a negative delay from some of its
+     * own. */
     for (ptrdiff_t k = -problem->before; k < -table->shift; k++) single_step(table, state, problem->input[k]);
     double(*model)[GROUP * L] = &out[2]; /* out: measured, one, predicted, derivatives; reordered at the end */
     for (int j = 0; j < GROUP * L; j++) out[1][j] = 1;
@@ -140,7 +143,7 @@ void fit_pass(const fit_problem *problem, const fit_table *table, double *gram, 
         state[0] = state[GROUP];
         if (left >= GROUP * L) {
             left = GROUP * L;
-        } else { /* samples past the end count nothing */
+        } else { /* samples past the end have no weight */
             for (int c = 1; c < side; c++)
                 for (int j = (int)left; j < GROUP * L; j++) out[c][j] = 0;
             for (int j = (int)left; j < GROUP * L; j++) out[0][j] = 0;

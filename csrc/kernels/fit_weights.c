@@ -7,17 +7,17 @@
 
 #define PI 3.14159265358979323846
 
-/* The formula's coefficients and how each free parameter moves them. */
+/* The coefficients of the formula and their derivatives with respect to each free parameter. */
 typedef struct {
     double order, damping, damping_order, restoring;
-    int has_friction; /* the term or its derivative is wanted */
-    int free; /* derivatives of link parameters; the delay is apart */
+    int has_friction; /* the term or its derivative is needed */
+    int free; /* derivatives of link parameters; the delay is treated separately */
     double d_order[4], d_damping[4], d_damping_order[4], d_restoring[4];
 } formula;
 
-/* mu and w from the damping ratio z at the resonance W: the denominator's real and imaginary parts at jW
- * give mu = 2 z W^(l-a)/sin(a pi/2) and w = W^l (1 - 2 z cot(a pi/2)) for l = 2. In (mu, a, w) themselves a
- * fit runs along a valley; in (z, a, W) the valley is an axis. */
+/* mu and w from the damping ratio z at the resonance W: the denominator's real and imaginary parts at jW give mu = 2
+ * z W^(l-a)/sin(a pi/2) and w = W^l (1 - 2 z cot(a pi/2)) for l = 2. In (mu, a, w) a fit moves along a valley; in
+ * (z, a, W) the valley is an axis. */
 static void make_formula(const double *shape, unsigned mask, formula *f) {
     double order = shape[FIT_ORDER], ln = shape[FIT_RESONANCE], ratio = shape[FIT_RATIO];
     double other = shape[FIT_DAMPING_ORDER];
@@ -54,7 +54,8 @@ static void make_formula(const double *shape, unsigned mask, formula *f) {
     }
 }
 
-/* Root of s^l + mu s^a + w with positive imaginary part; Newton in z = ln s, where the terms are exponentials. */
+/* Root of s^l + mu s^a + w with positive imaginary part, by Newton's method in z = ln s, where the terms are
+ * exponentials. */
 static int newton(const formula *f, cx z, cx *log_pole) {
     for (int i = 0; i < 40; i++) {
         cx moving = exponential(scale(f->order, z));
@@ -82,10 +83,10 @@ static int find_pole(const formula *f, const double *shape, cx *log_pole) {
     return newton(f, (cx){log(f->damping) / left, PI / left}, log_pole);
 }
 
-/* What one exponential contributes: e^{p t} after a time f of the input's interval, for held and linear inputs. */
+/* Contribution of one exponential: e^{p t} after a time f of the input's interval, for held and linear inputs. */
 typedef struct {
     cx rest, rest_slope;   /* e^{pf}, and d/dp */
-    cx begun, begun_slope; /* response to the running interval's input */
+    cx begun, begun_slope; /* response to the input of the present interval */
     cx begun_rate;         /* d/dt of the latter */
 } segment;
 
@@ -157,7 +158,8 @@ static void pole_part(const fit_problem *q, const formula *f, cx log_pole, doubl
                       fit_table *t, double *unit) {
     cx p = exponential(log_pole), b = exponential(scale(f->damping_order - f->order, log_pole));
     cx residue = invert(add((cx){f->order, 0}, scale(f->damping * f->damping_order, b)));
-    double turn = -2 * PI / q->grid_step; /* the trapezoid rule sees the pole beside its path: exact correction */
+    /* the trapezoidal rule is affected by the pole near its path: exact correction */
+    double turn = -2 * PI / q->grid_step;
     cx away = {log_pole.re - q->grid_start, log_pole.im - PI};
     cx image = exponential((cx){-turn * away.im, turn * away.re});
     cx factor = invert(add((cx){1, 0}, scale(-1, image)));
@@ -212,7 +214,8 @@ static void cut_weights(const formula *f, cx turn_order, cx turn_damping, double
     }
 }
 
-/* One real mode: its weights times e^{-r t} at the block's eight outputs, and its answer to the block's inputs. */
+/* One real mode: its weights times e^{-r t} at the eight outputs of the block, and its response to the inputs of the
+ * block. */
 static void mode_part(const fit_problem *q, const formula *f, int i, double ln, double fraction,
                       const double *weight, int outputs, double *past0, fit_table *t) {
     double rate = exp(ln), period = q->period, part = fraction * period;
@@ -222,7 +225,7 @@ static void mode_part(const fit_problem *q, const formula *f, int i, double ln, 
     double begun_rate = q->hold ? rest : -rate * rest;
     for (int c = 0; c < outputs; c++) {
         int is_delay = c > f->free;
-        double w = is_delay ? weight[0] * rate : weight[c]; /* d/d(delay) = -d/dt, and d/dt brings -rate */
+        double w = is_delay ? weight[0] * rate : weight[c]; /* d/d(delay) = -d/dt, and d/dt gives the factor -rate */
         t->input_gain[c][0][0] += is_delay ? -weight[0] * begun_rate : w * begun;
         double at = w * rest;
         if (i < q->modes) {
@@ -231,7 +234,7 @@ static void mode_part(const fit_problem *q, const formula *f, int i, double ln, 
                 past0[c * FIT_LANES + j] += at * full;
                 at *= step;
             }
-        } else { /* gone after one period: only the previous input is left of it */
+        } else { /* decayed after one period: only the effect of the previous input remains */
             past0[c * FIT_LANES] += at * full;
             t->state_gain[c][t->modes + 4][0] += at * full;
         }
@@ -258,7 +261,7 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
     if (!(fabs(whole) + 2 * FIT_LANES < (double)q->pad)) return FIT_DELAY_RANGE;
     t->shift = (ptrdiff_t)whole;
     t->outputs = outputs;
-    t->modes = (q->modes + 3) & ~3; /* whole vectors; the rows added are zero */
+    t->modes = (q->modes + 3) & ~3; /* whole vectors; the added rows are zero */
     t->states = t->modes + 5;
     memset(t->decay, 0, sizeof t->decay);
     memset(t->decay_block, 0, sizeof t->decay_block);
@@ -269,7 +272,7 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
         memset(t->input_gain[c], 0, sizeof t->input_gain[c]);
     }
     double past0[(1 + FIT_SHAPE) * FIT_LANES] = {0}, weight[1 + FIT_SHAPE], unit[1 + FIT_SHAPE] = {0};
-    double rest[1 + FIT_SHAPE] = {1}; /* what is left of h(0) = 1 and of its derivatives 0 */
+    double rest[1 + FIT_SHAPE] = {1}; /* the remainder of h(0) = 1 and of its derivatives 0 */
     cx turn_order = {cos(PI * f.order), sin(PI * f.order)};
     cx turn_damping = {cos(PI * f.damping_order), sin(PI * f.damping_order)};
     int count = q->modes + q->tail;
@@ -279,7 +282,7 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
         for (int c = 0; c <= f.free; c++) rest[c] -= weight[c];
         mode_part(q, &f, i, ln, fraction, weight, outputs, past0, t);
     }
-    for (int c = 0; c < outputs; c++) { /* modes are the same in every place of the block: copy along diagonals */
+    for (int c = 0; c < outputs; c++) { /* modes are the same at every position in the block: copy along diagonals */
         double now = t->input_gain[c][0][0];
         for (int l = 0; l < FIT_LANES; l++) {
             t->input_gain[c][l][l] = now;
@@ -287,7 +290,8 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
         }
     }
     pole_part(q, &f, log_pole, fraction, delay_free, t, unit);
-    if (q->hold == 0 && fraction == 0) /* rates beyond the grid answer a jump at once, and are gone a sample later */
+    /* rates beyond the grid follow a jump at once, and have decayed a sample later */
+    if (q->hold == 0 && fraction == 0)
         for (int c = 0; c <= f.free; c++)
             for (int l = 0; l < FIT_LANES; l++) t->input_gain[c][l][l] += rest[c] - unit[c];
     return FIT_OK;

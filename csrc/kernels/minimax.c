@@ -1,6 +1,7 @@
-/* See minimax.h. Why the p-norm: each is a smooth problem whose solution is a good start for the next, and at p = 128 its
- * worst error is within ln(rows)/128, 4 %, of the smallest there is; a method for the maximum itself (exchange, linear
- * programs) jumps between vertices while poles move, and needs its steps bounded by hand. */
+/* See minimax.h. Reason for the p-norm: each norm is a smooth problem whose solution is a good start for the next,
+ * and at p = 128 its worst error is within ln(rows)/128, 4 %, of the smallest possible. A method for the maximum
+ * itself (exchange, linear programs) jumps between vertices while poles move, and its steps have to be bounded by
+ * hand. */
 #include "minimax.h"
 
 #include <math.h>
@@ -10,10 +11,10 @@
 #include "clones.h"
 
 enum {
-    LANES = 8,        /* sums are formed in eight lanes on every machine: the same bits with any vectors */
-    STEPS = 12,       /* for each power; quadratic convergence needs 4 to 8 */
-    TRIALS = 8,       /* tenfold dampings that are tried before a step is given up */
-    MOST_TURNS = 200, /* of the power iteration; its quotient gains two digits a turn where columns differ */
+    LANES = 8,        /* sums are formed in eight lanes on every machine: identical bits with any vectors */
+    STEPS = 12,       /* Newton steps per power; quadratic convergence needs 4 to 8 */
+    TRIALS = 8,       /* tenfold increases of the damping before a step is given up */
+    MOST_TURNS = 200, /* turns of the power iteration; its quotient gains two digits per turn where columns differ */
     SIDE = MINIMAX_PARAMETERS
 };
 
@@ -21,11 +22,12 @@ static const double HALF_PI = 1.57079632679489661923;
 
 typedef struct {
     const minimax_target *target;
-    int reals, pairs, linear, side; /* linear: 1 + reals + 2 pairs parameters come before the poles' */
-    ptrdiff_t rows, half;           /* 2 half rows, half a multiple of LANES; what is beyond `count` stays zero */
-    double *shape_re, *shape_im;    /* s/(x + s) of each real pole, then q/(x + q), then its mirror; half each */
+    int reals, pairs, linear, side; /* linear: 1 + reals + 2 pairs parameters come before those of the poles */
+    ptrdiff_t rows, half;           /* 2 half rows, half being a multiple of LANES; rows beyond `count` stay zero */
+    /* s/(x + s) of each real pole, then q/(x + q), then its mirror image; half rows each */
+    double *shape_re, *shape_im;
     double *sum_re, *sum_im;        /* R/P */
-    double *columns;                /* side x rows: derivatives of the error, weighted */
+    double *columns;                /* side x rows: weighted derivatives of the error */
     double *weight;                 /* |e/peak|^(p/2 - 1) */
 } minimax_work;
 
@@ -60,7 +62,7 @@ static void add(const double *restrict re, const double *restrict im, ptrdiff_t 
     }
 }
 
-/* Shapes and R/P at `parameters`, and the weighted error into `error` (rows). */
+/* Shapes and R/P at `parameters`, and the weighted error in `error` (rows). */
 static void evaluate(minimax_work *work, const double *parameters, double *error)
 {
     const minimax_target *t = work->target;
@@ -96,7 +98,7 @@ static double largest(const double *values, ptrdiff_t count)
     return most;
 }
 
-/* Sum of |error/peak|^power; infinite beyond ten times the peak, where 10^128 would leave the range of double soon. */
+/* Sum of |error/peak|^power; infinite beyond ten times the peak, where 10^128 would soon overflow a double. */
 static double norm(const double *error, ptrdiff_t rows, double peak, int power)
 {
     double sum = 0.0;
@@ -195,7 +197,7 @@ static double largest_eigenvalue(const double a[SIDE][SIDE], int side)
 {
     double v[SIDE], image[SIDE], found = 0.0;
     for (int i = 0; i < side; i++)
-        v[i] = 1.0 + 0.01 * i; /* not orthogonal to anything by symmetry */
+        v[i] = 1.0 + 0.01 * i; /* not orthogonal to any eigenvector by symmetry */
     for (int turn = 0; turn < MOST_TURNS; turn++) {
         double square = 0.0, quotient = 0.0, size = 0.0;
         for (int i = 0; i < side; i++) {
@@ -219,7 +221,7 @@ static double largest_eigenvalue(const double a[SIDE][SIDE], int side)
     return found;
 }
 
-/* Solves (a + shift 1) x = b by Cholesky's method. A pivot that rounding has eaten is the shift's own. */
+/* Solves (a + shift 1) x = b by Cholesky's method. A pivot lost in rounding is replaced by the shift. */
 static void solve(const double a[SIDE][SIDE], int side, double shift, const double *b, double *x)
 {
     double l[SIDE][SIDE];
@@ -245,7 +247,7 @@ static void solve(const double a[SIDE][SIDE], int side, double shift, const doub
     }
 }
 
-/* Newton's equations (p - 1) J'W'W J x = -J'W'W e at one point. The square of the Jacobian loses half its digits, and
+/* Newton's equations (p - 1) J'W'W J x = -J'W'W e at one point. Squaring the Jacobian loses half of its digits, but
  * none that matter: its columns are scaled to one, and the damping stays above the square root of the rounding. */
 typedef struct {
     double a[SIDE][SIDE], right[SIDE], size[SIDE], scale;
@@ -279,7 +281,7 @@ static void equations(minimax_work *work, const double *parameters, double *erro
     made->scale = largest_eigenvalue(made->a, work->side);
 }
 
-/* `to` is `from` and a damped step; no pole moves by more than a factor e, so that none jumps over its neighbours. */
+/* `to` is `from` plus a damped step; no pole moves by more than a factor e, so that none jumps over its neighbours. */
 static void stepped(const minimax_work *work, const minimax_equations *made, double damping, double peak,
                     const double *from, double *to)
 {
@@ -296,7 +298,7 @@ static void stepped(const minimax_work *work, const minimax_equations *made, dou
 /* Newton's method with Marquardt's damping for one power; `error` belongs to `here` on return, `there` is scratch. */
 static void newton(minimax_work *work, int power, double *here, double *error, double *next)
 {
-    /* Little damping at first: the start is the solution of the norm before, and Newton's step nearly right. */
+    /* Little damping at first: the start is the solution of the previous norm, and Newton's step is nearly right. */
     double damping = 1e-3, there[SIDE];
     minimax_equations made;
     evaluate(work, here, error);
@@ -320,7 +322,7 @@ static void newton(minimax_work *work, int power, double *here, double *error, d
         memcpy(here, there, sizeof(double) * (size_t)work->side);
         memcpy(error, next, sizeof(double) * (size_t)work->rows);
         damping *= 0.1;
-        /* A relative change of the p-norm to the power p: 1e-4 of the worst error whatever p. */
+        /* A relative change of the p-norm to the power p: 1e-4 of the worst error for any p. */
         if (1.0 - reached / old < 1e-4 * power)
             return;
     }

@@ -35,7 +35,7 @@ size_t modes_scratch(const modes_system *system) {
 static tables layout(const modes_system *system, double *scratch) {
     ptrdiff_t states = padded(system);
     memset(scratch, 0, modes_scratch(system) * sizeof(double));
-    while ((size_t)scratch % 64) // whole cache lines: the scratch has 8 doubles to spare
+    while ((size_t)scratch % 64) // whole cache lines: the scratch memory has 8 doubles to spare
         scratch++;
     tables t;
     t.out = scratch;

@@ -1,4 +1,4 @@
-/* Gaussian noise that depends on (seed, counter) only, so that a run repeats whatever the order of the runs.
+/* Gaussian noise that depends on (seed, counter) only, so that a run can be repeated in any order of the runs.
  *
  * The counter is hashed (the finaliser of SplitMix64, Steele, Lea and Flood 2014) and the uniform number goes
  * through the inverse normal distribution (Wichura 1988, algorithm AS 241, relative error 1e-16). */
@@ -25,7 +25,7 @@ static double ratio(double r, const double *top, const double *bottom)
     return a / b;
 }
 
-#define MIDDLE 0.425 /* largest |p - 1/2| of the first of the three approximations */
+#define MIDDLE 0.425 /* largest |p - 1/2| for the first of the three approximations */
 
 static const double MIDDLE_TOP[8] = {3.3871328727963666080e0,  1.3314166789178437745e+2, 1.9715909503065514427e+3,
                             1.3731693765509461125e+4, 4.5921953931549871457e+4, 6.7265770927008700853e+4,
@@ -76,7 +76,8 @@ static double quantile(double p)
     return q < 0.0 ? -tail : tail;
 }
 
-/* Uniform number of a hash: 52 bits and a half, symmetric about 1/2, and never 0 or 1, where the quantile is infinite. */
+/* Uniform number from a hash: 52 bits and a half, symmetric about 1/2, and never 0 or 1, where the quantile is
+ * infinite. */
 static double uniform(uint64_t stream, uint64_t counter)
 {
     const uint64_t bits = mixed(stream + (counter + 1) * 0x9E3779B97F4A7C15ULL);
@@ -88,7 +89,7 @@ double loop_normal(uint64_t seed, uint64_t counter)
     return quantile(uniform(mixed(seed + 0x9E3779B97F4A7C15ULL), counter));
 }
 
-/* The middle's formula for all in vectors, then the tails, 15 in 100, one by one. */
+/* The approximation for the middle for all numbers in vectors, then the tails, 15 in 100, one by one. */
 FRACLINK_CLONES
 void loop_normals(uint64_t seed, double *out, int64_t length)
 {

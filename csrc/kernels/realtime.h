@@ -1,4 +1,4 @@
-/* The law in real time: a loop on absolute deadlines around some way to reach an arm. Linux only, desktop only. */
+/* The law in real time: a loop with absolute deadlines around some connection to an arm. Linux only, desktop only. */
 #ifndef FRACLINK_REALTIME_H
 #define FRACLINK_REALTIME_H
 
@@ -9,14 +9,14 @@
 
 /* ---- what goes to and fro in a period ---- */
 
-/* Modes of a command; the others are in law.h. In both of these the drive must be off, and the motor reference means
- * nothing: idle before the law has started, off for the safe stop, which is the last command of every run. */
+/* Modes of a command; the others are in law.h. In both of these the drive must be off and the motor reference is
+ * meaningless: idle before the law has started, off for the safe stop, which is the last command of every run. */
 #define ARM_MODE_IDLE 0U
 #define ARM_MODE_OFF 4U
 
 typedef struct {
     double motor_angle; /* at the gear's output [rad] */
-    double torque;      /* of the gauge at the link's root [N m] */
+    double torque;      /* at the strain gauge at the link's root [N m] */
 } arm_sample;
 
 typedef struct {
@@ -30,17 +30,17 @@ typedef struct {
 
 /* ---- the clock ---- */
 
-/* Time in nanoseconds. Every function below takes NULL for the machine's CLOCK_MONOTONIC, or a virtual clock for tests:
- * it stands still until each of its `threads` sleeps in it, goes on to the earliest wake-up, and lets that one thread
- * run. So threads take turns in an order that no load changes, what they do takes no time, and a minute of sleeping
- * passes at once. */
+/* Time in nanoseconds. Every function below takes NULL for the machine's CLOCK_MONOTONIC, or a virtual clock for
+ * tests: it stands still until each of its `threads` sleeps in it, advances to the earliest wake-up, and lets that
+ * one thread run. Threads thus take turns in an order independent of the load, their work takes no time, and a
+ * minute of sleep passes at once. */
 typedef struct realtime_clock realtime_clock;
 /* `file` is memory that another process opens with `threads` 0, so that its threads take their turns too; -1: none. */
 realtime_clock *realtime_clock_open(int threads, int file);
 void realtime_clock_close(realtime_clock *clock);
-/* The calling thread sleeps no more: the others go on without it. */
+/* The calling thread will not sleep any more: the others go on without it. */
 void realtime_clock_leave(realtime_clock *clock);
-/* Whether a thread slept 120 s of real time without its turn: one of the others forgot to leave. */
+/* Whether a thread has waited 120 s of real time for its turn: another one forgot to leave. */
 int realtime_clock_stalled(const realtime_clock *clock);
 
 int64_t realtime_now(realtime_clock *clock);
@@ -50,16 +50,16 @@ void realtime_sleep_until(realtime_clock *clock, int64_t time_ns);
 /* ---- how samples come and commands go ---- */
 
 typedef struct {
-    uint32_t period_ns; /* of an arm with a clock of its own; 0: it has none, and samples when it is asked */
+    uint32_t period_ns; /* period of an arm with its own clock; 0: it has none, and samples when requested */
     arm_sample value;
 } realtime_sample;
 
-/* `read` returns 1 with a sample that was not given before, 0 without one, negative where the way is broken;
- * `write` 0, 1 where the command may be lost, negative where the way is broken. */
+/* `read` returns 1 with a new sample, 0 without one, negative if the connection is broken; `write` returns 0, 1 if
+ * the command may be lost, negative if the connection is broken. */
 typedef struct {
     void *self;
-    int clocked; /* the arm has a clock of its own: samples come when it sends them */
-    int direct;  /* `write` is C and needs no interpreter: a fault's handler may call it */
+    int clocked; /* the arm has its own clock and sends samples by it */
+    int direct;  /* `write` is C code and needs no interpreter: a fault handler may call it */
     int (*read)(void *self, realtime_sample *sample);
     int (*write)(void *self, const arm_command *command);
 } realtime_io;
@@ -68,23 +68,23 @@ typedef struct {
 
 enum {
     REALTIME_FINISHED,
-    REALTIME_SIGNAL,    /* one that would have ended or stopped the process */
-    REALTIME_LAW_OFF,   /* the law asks for the drive to be switched off */
+    REALTIME_SIGNAL,    /* a signal that would have ended or stopped the process */
+    REALTIME_LAW_OFF,   /* the law requires the drive to be switched off */
     REALTIME_NO_SAMPLE, /* none before the patience was over: the law never ran */
     REALTIME_IO_FAILED,
-    REALTIME_OTHER_PERIOD /* the arm runs at another one */
+    REALTIME_OTHER_PERIOD /* the arm runs at another period */
 };
 
 /* Columns of the record: one row for every period that ran; the law's inputs and outputs in the order of its port. */
 enum {
-    REALTIME_DEADLINE, /* of this period, after the first one [s] */
-    REALTIME_LATENCY,  /* from the deadline that was slept for to being awake [s] */
+    REALTIME_DEADLINE, /* deadline of this period, after the first one [s] */
+    REALTIME_LATENCY,  /* from the deadline to being awake [s] */
     REALTIME_WORK,     /* from being awake to the command being written [s] */
     REALTIME_REFERENCE,
     REALTIME_ACCELERATION,
-    REALTIME_MOTOR_ANGLE, /* NaN where no sample came, as the law was told */
+    REALTIME_MOTOR_ANGLE, /* NaN where no sample came, as passed to the law */
     REALTIME_TORQUE,
-    REALTIME_PAYLOAD, /* that the law was given [kg]; 0: none */
+    REALTIME_PAYLOAD, /* payload given to the law [kg]; 0: none */
     REALTIME_MOTOR_REFERENCE,
     REALTIME_VOLTAGE,
     REALTIME_COMPENSATION,
@@ -99,17 +99,17 @@ typedef struct {
     int64_t length; /* periods */
     const double *reference;
     const double *acceleration;
-    double payload; /* that the law is given [kg]; 0: none */
-    const void *bank; /* payload_params of the law's precision, whose estimate the law is given; null: `payload` */
+    double payload; /* payload given to the law [kg]; 0: none */
+    const void *bank; /* payload_params in the law's precision, whose estimate is given to the law; null: `payload` */
     void *estimate;
     int64_t patience_ns; /* for the first sample */
-    int relative;        /* the reference counts from the angle of the first sample */
-    int priority;        /* of SCHED_FIFO; 0: none is asked for */
+    int relative;        /* the reference is relative to the angle of the first sample */
+    int priority;        /* of SCHED_FIFO; 0: not requested */
     int lock_memory;
     realtime_clock *clock;
 } realtime_plan;
 
-/* What a thread was before it was made ready for real time, and the errno of what was asked for and refused, else 0. */
+/* The state of a thread before it was prepared for real time, and the errno of a denied request, else 0. */
 typedef struct {
     int policy;
     int priority;
@@ -123,23 +123,23 @@ typedef struct {
 typedef struct {
     int stop;
     int64_t count;      /* rows of the record */
-    int64_t lost;       /* commands that the way did not take */
+    int64_t lost;       /* commands that the connection did not take */
     double origin;      /* added to the reference [rad] */
-    uint32_t period_ns; /* the arm's own; 0: it has none */
+    uint32_t period_ns; /* that of the arm; 0: it has none */
     realtime_privileges privileges;
 } realtime_outcome;
 
-/* Run; the last thing written is always a stop: voltage 0, the motor reference held, ARM_MODE_OFF. */
+/* Run; the last command is always a stop: voltage 0, the motor reference held, ARM_MODE_OFF. */
 void realtime_run(const realtime_plan *plan, const realtime_io *io, const law_port *law, void *state,
                   const void *params, double *record, uint32_t *marks, realtime_outcome *outcome);
 
-/* The bare loop to compare with: sleep on the same deadlines, note the latency [s], nothing else. */
+/* The bare loop for comparison: sleep on the same deadlines and record the latency [s]. */
 void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome *outcome);
 
 /* ---- messages of MESSAGE_BYTES, by a datagram or a serial line; docs/reference/file-formats.md ---- */
 
 #define MESSAGE_BYTES 56
-#define MESSAGE_TAG 16 /* bytes behind it where both sides share a key */
+#define MESSAGE_TAG 16 /* bytes of the tag after it, where both sides share a key */
 #define MESSAGE_SAMPLE 1U
 #define MESSAGE_COMMAND 2U
 
@@ -150,32 +150,33 @@ typedef struct {
     double first;  /* motor angle, or motor reference */
     double second; /* torque, or voltage */
     uint32_t words[3]; /* period_ns, 0, 0, or mode, reason, flags */
-    uint64_t run; /* drawn by the arm for one controller's visit and given back in its commands; 0: not known yet */
+    uint64_t run; /* drawn by the arm for one visit of a controller and returned in its commands; 0: not known yet */
 } realtime_message;
 
 void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES]);
-/* Return 1, or 0 for bytes that are no message: magic, version or checksum wrong. */
+/* Return 1, or 0 for bytes that are not a message: wrong magic, version or checksum. */
 int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *message);
 
-/* A way for messages between two processes. `receive` returns 1 with a message, 0 without; `send` 0, or 1 where it was
- * not taken. `keep` makes the sender of the last message the only one that is heard and answered, `forget` ends that. */
+/* A connection for messages between two processes. `receive` returns 1 with a message, 0 without; `send` returns 0,
+ * or 1 if it was not taken. `keep` restricts the connection to the sender of the last message, `forget` ends that. */
 typedef struct realtime_channel {
     int (*send)(struct realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES]);
     int (*receive)(struct realtime_channel *self, uint8_t bytes[MESSAGE_BYTES]);
     void (*keep)(struct realtime_channel *self);
     void (*forget)(struct realtime_channel *self);
     void (*close)(struct realtime_channel *self);
-    /* Give the tag of a datagram under the shared key, 0, or -1; NULL where there is no key. */
+    /* Compute the tag of a datagram with the shared key; 0, or -1. NULL without a key. */
     int (*seal)(void *sealer, const uint8_t bytes[MESSAGE_BYTES], uint8_t tag[MESSAGE_TAG]);
     void *sealer;
     uint32_t sent;
     uint32_t taken;    /* sequence of the last message that was used; 0: none yet */
     uint32_t rejected; /* messages that were damaged, of another kind or run, or too old */
-    uint64_t run;      /* the one that is going on; 0 at a controller that has heard no arm yet */
-    uint64_t former;   /* at an arm: the one before, whose stop may come more than once */
+    uint64_t run;      /* number of the present run; 0 at a controller that has heard no arm yet */
+    uint64_t former;   /* at an arm: the previous run, whose stop may be repeated */
 } realtime_channel;
 
-/* All return NULL with errno set; `file` stays the caller's. A controller's socket is connected, an arm's is bound. */
+/* All return NULL with errno set; the caller still owns `file`. A controller's socket is connected, an arm's is
+ * bound. */
 realtime_channel *realtime_open_socket(int file, int is_arm);
 realtime_channel *realtime_open_serial(int file, int is_arm);
 
@@ -192,8 +193,8 @@ enum {
     SERVED_TIP_ANGLE,
     SERVED_MOTOR_ANGLE,
     SERVED_TORQUE,
-    SERVED_VOLTAGE,   /* that acted in this period */
-    SERVED_CONNECTED, /* 1 where a controller is heard */
+    SERVED_VOLTAGE,   /* voltage that acted in this period */
+    SERVED_CONNECTED, /* 1 while a controller is connected */
     SERVED_COLUMNS
 };
 
@@ -203,8 +204,8 @@ typedef struct {
     int64_t watchdog;   /* periods without a command after which the drive is switched off */
     int queue;          /* further periods between a command and its effect, >= 0 */
     int once;           /* end when the first controller has left */
-    const double *gauge_error; /* [N m], one value a period */
-    int priority;       /* of SCHED_FIFO; 0: none is asked for */
+    const double *gauge_error; /* [N m], one value per period */
+    int priority;       /* of SCHED_FIFO; 0: not requested */
     realtime_clock *clock;
 } served_plan;
 
@@ -224,16 +225,17 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
 
 /* ---- the process ---- */
 
-/* A signal that would end or stop the process is noted instead of obeyed between these two; calls may nest and come from
- * any thread. SIGKILL and SIGSTOP cannot be caught: there the board's own watchdog must switch the drive off. */
+/* Between these two calls, signals that would end or stop the process are recorded instead of obeyed; calls may nest
+ * and come from any thread. SIGKILL and SIGSTOP cannot be caught: for them the board's own watchdog must switch the
+ * drive off. */
 void realtime_watch_signals(void);
 void realtime_release_signals(void);
 int realtime_signalled(void);
-/* A fault of the process (SIGSEGV, SIGABRT …) writes `stop` to `io` before it takes its course, if the way is `direct`;
- * NULL ends that. One loop at a time: the last one that asked. */
+/* A fault of the process (SIGSEGV, SIGABRT …) writes `stop` to `io` before it takes its course, if the connection is
+ * `direct`; NULL ends that. For one loop at a time: the last one that registered. */
 void realtime_stop_on_fault(const realtime_io *io, const arm_command *stop);
 
-/* Ask for SCHED_FIFO of a `priority` above 0 and for memory that stays; what is refused is noted, not fatal. */
+/* Request SCHED_FIFO with a `priority` above 0 and locked memory; a denied request is recorded and not fatal. */
 realtime_privileges realtime_prepare(int priority, int lock_memory);
 void realtime_relax(const realtime_privileges *before);
 

@@ -1,7 +1,7 @@
 /* The twin in real time, for a controller that reaches it by messages: the same steps as twin_law.c, on a clock.
  *
- * At the beginning of a period the arm takes the newest command, samples its sensors, sends the sample, and moves on for
- * a period under the voltage of that command: the one period of delay that a board has. It never waits for anybody. */
+ * At the beginning of a period the arm takes the newest command, samples its sensors, sends the sample, and moves
+ * for a period under the voltage of that command, which is the one period of delay of a board. It never waits. */
 #include "realtime.h"
 
 #ifdef __linux__
@@ -22,7 +22,7 @@ static void leave(realtime_channel *channel, served_controller *who)
     who->voltage = 0.0;
 }
 
-/* Hear the controller, or act for it where it has been silent for too long: the drive off. */
+/* Receive from the controller, or replace it after too long a silence: the drive off. */
 static void listen_once(const served_plan *plan, realtime_channel *channel, served_controller *who,
                         served_outcome *outcome)
 {
@@ -50,10 +50,10 @@ static void send_sample(const served_plan *plan, realtime_channel *channel, int6
                                      channel->run};
     uint8_t bytes[MESSAGE_BYTES];
     realtime_encode(&sample, bytes);
-    (void)channel->send(channel, bytes); /* nobody there, or it notices by the number */
+    (void)channel->send(channel, bytes); /* no controller, or it notices by the number */
 }
 
-/* What acts in this period: `queue` periods late, within the amplifier's limit. */
+/* The voltage of this period: `queue` periods old, within the amplifier's limit. */
 static double acting(const served_plan *plan, const twin_rig *rig, double asked, double *queue)
 {
     queue[plan->queue] = isfinite(asked) ? asked : 0.0;
@@ -99,7 +99,7 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
             twin_motor_step(step, rig, rig->torque_per_volt * voltage, 0.0, memory);
         outcome->count = k + 1;
         if (!(fabs(memory->state[0]) < 1e6))
-            break; /* diverged: the numbers behind it would be infinite */
+            break; /* diverged: later numbers would be infinite */
     }
     outcome->rejected = channel->rejected;
     realtime_relax(&outcome->privileges);

@@ -12,11 +12,12 @@
 enum { MOST_THREADS = 8, STALL_SECONDS = 120 };
 
 typedef struct {
-    pthread_cond_t turn; /* of its own, so that a thread without its turn never holds the lock: a process may freeze */
-    int used; /* until its thread has seen its turn */
+    /* of its own, so that a thread waiting for its turn never holds the lock: a process may freeze */
+    pthread_cond_t turn;
+    int used; /* until its thread has taken its turn */
     int asleep;
     int64_t until;
-    uint64_t order; /* of falling asleep, which decides between equal times */
+    uint64_t order; /* number of the sleep, which decides between equal times */
 } sleeper;
 
 struct realtime_clock {
@@ -29,7 +30,7 @@ struct realtime_clock {
     sleeper sleepers[MOST_THREADS];
 };
 
-/* The clock holds no pointer, so that it may lie in memory that processes share. */
+/* The clock holds no pointers, so that processes can share its memory. */
 static realtime_clock *mapped(int file)
 {
     const int flags = file < 0 ? MAP_SHARED | MAP_ANONYMOUS : MAP_SHARED;
@@ -57,13 +58,13 @@ realtime_clock *realtime_clock_open(int threads, int file)
     return clock;
 }
 
-/* Neither mutex nor condition is destroyed: another process may wait in them, and they own nothing. */
+/* Neither mutex nor condition is destroyed: another process may wait in them, and they hold no resources. */
 void realtime_clock_close(realtime_clock *clock)
 {
     munmap(clock, sizeof(*clock));
 }
 
-/* With everybody asleep, wake the one whose time comes first. */
+/* If all threads are asleep, wake the one whose time comes first. */
 static void pass_on(realtime_clock *clock)
 {
     sleeper *first = NULL;
@@ -111,7 +112,7 @@ static void take_turns(realtime_clock *clock, int64_t time_ns)
     pass_on(clock);
     while (me->asleep && !clock->stalled)
         clock->stalled |= pthread_cond_timedwait(&me->turn, &clock->lock, &limit) != 0 && me->asleep;
-    if (me->asleep) { /* nobody may hang for a mistake of another: let time run, and the test fail */
+    if (me->asleep) { /* no thread may hang because of an error in another: let time run, and the test fail */
         me->asleep = 0;
         clock->asleep--;
         clock->now = time_ns > clock->now ? time_ns : clock->now;

@@ -1,17 +1,18 @@
-/* The controller's loop: wake on an absolute deadline, take the newest sample, one period of the law, give the command.
+/* The controller's loop: wake up on an absolute deadline, take the newest sample, run one period of the law, write
+ * the command.
  *
  * Deadlines are multiples of the period after the first one, so that a late period does not shift the others. The
- * number of a period comes from the clock: where some were missed, the law sees its tick jump and does what its
- * guards say. Where no new sample has come, it is told NaN, its word for a lost sample. So everything that happens on
- * the way to the arm is judged by law.c alone, and a record replays through it to the last bit. */
+ * number of a period comes from the clock: after missed periods the tick of the law jumps, and its guards react.
+ * Without a new sample the law receives NaN, which stands for a lost sample. All transmission faults are thus judged
+ * by law.c alone, and a record replays through it to the last bit. */
 #include "realtime.h"
 
 #ifdef __linux__
 
 #include <math.h>
 
-/* An arm with a clock of its own takes the stop when its next period comes. It is told again then, should that message
- * have been lost, and nobody comes after this loop, to write over it or to be taken for it, before it was heard. */
+/* An arm with its own clock takes the stop when its next period begins. The stop is then repeated, in case that
+ * message was lost, and so that no later command overwrites it before it was received. */
 static void stop_drive(const realtime_plan *plan, const realtime_io *io, arm_command *command)
 {
     command->voltage = 0.0;
@@ -24,12 +25,12 @@ static void stop_drive(const realtime_plan *plan, const realtime_io *io, arm_com
     }
 }
 
-/* Wait for an arm that moves no motor yet: return how it ended, REALTIME_FINISHED for a sample. */
+/* Wait for an arm that moves no motor yet: return the reason for ending, REALTIME_FINISHED for a sample. */
 static int await_sample(const realtime_plan *plan, const realtime_io *io, const arm_command *rest,
                         realtime_sample *sample)
 {
     const int64_t last = realtime_now(plan->clock) + plan->patience_ns;
-    /* 16 looks in a period: the arrival, from which the deadlines count, is known to 6 % of it. */
+    /* 16 polls per period: the time of arrival, from which the deadlines count, is known to 6 % of it. */
     const int64_t step = plan->period_ns / (io->clocked ? 16 : 1);
     while (!realtime_signalled()) {
         const int64_t now = realtime_now(plan->clock);
@@ -39,7 +40,7 @@ static int await_sample(const realtime_plan *plan, const realtime_io *io, const 
         if (found > 0 && isfinite(sample->value.motor_angle))
             return sample->period_ns == 0U || sample->period_ns == (uint32_t)plan->period_ns ? REALTIME_FINISHED
                                                                                              : REALTIME_OTHER_PERIOD;
-        /* also how an arm learns whom to send its samples to */
+        /* from this message an arm also learns where to send its samples */
         if (io->write(io->self, rest) < 0)
             return REALTIME_IO_FAILED;
         if (now > last)
@@ -49,7 +50,7 @@ static int await_sample(const realtime_plan *plan, const realtime_io *io, const 
     return REALTIME_SIGNAL;
 }
 
-/* One period in `row` and `mark`: 0, or negative where the way to the arm is broken. */
+/* One period in `row` and `mark`: 0, or negative if the connection to the arm is broken. */
 static int run_period(const realtime_plan *plan, const realtime_io *io, const law_port *law, void *state,
                       const void *params, int64_t tick, double origin, realtime_sample *first, double *row,
                       uint32_t *mark, arm_command *command, int64_t *lost)
@@ -59,7 +60,7 @@ static int run_period(const realtime_plan *plan, const realtime_io *io, const la
     if (found < 0)
         return found;
     if (found == 0) {
-        /* An arm with a clock of its own has sent nothing since the sample that the deadlines were counted from. */
+        /* An arm with its own clock has sent nothing since the sample from which the deadlines were counted. */
         sample.value.motor_angle = first ? first->value.motor_angle : (double)NAN;
         sample.value.torque = first ? first->value.torque : (double)NAN;
     }
@@ -89,7 +90,8 @@ static void run_periods(const realtime_plan *plan, const realtime_io *io, const 
                         const void *params, realtime_sample *sample, double *record, uint32_t *marks,
                         arm_command *command, realtime_outcome *outcome)
 {
-    /* Half a period after a sample came, the next deadline lies where neither side's jitter changes whose turn it is. */
+    /* With the next deadline half a period after the arrival of a sample, jitter on either side does not change the
+     * order. */
     const int64_t start = realtime_now(plan->clock) + plan->period_ns / 2;
     int64_t next = 0;
     outcome->stop = REALTIME_FINISHED;
@@ -102,7 +104,7 @@ static void run_periods(const realtime_plan *plan, const realtime_io *io, const 
             return;
         }
         if (awake < deadline)
-            continue; /* a signal that is none of ours */
+            continue; /* a signal that is not recorded */
         const int64_t tick = (awake - start) / plan->period_ns;
         if (tick >= plan->length)
             return;

@@ -1,4 +1,4 @@
-/* Messages between controller and arm: little-endian whatever the machine, with a sequence and a checksum. */
+/* Messages between controller and arm: little-endian on every machine, with a sequence number and a checksum. */
 #include "realtime.h"
 
 #ifdef __linux__
@@ -9,7 +9,7 @@
 #define MAGIC 0x54524C46U /* "FLRT" */
 #define VERSION 2U
 #define CHECKED (MESSAGE_BYTES - 4) /* bytes before the checksum */
-/* A flood of datagrams must not hold up the period; a healthy peer sends one in each. */
+/* A flood of datagrams must not delay the period; a healthy peer sends one per period. */
 #define MOST_IN_A_PERIOD 64
 
 static void put(uint8_t *bytes, uint64_t value, int count)
@@ -40,7 +40,7 @@ static double value_of(uint64_t bits)
     return value;
 }
 
-/* CRC-32 of IEEE 802.3: UDP's own checksum is 16 bits and optional, a serial line has none. */
+/* CRC-32 of IEEE 802.3: the checksum of UDP has 16 bits and is optional, a serial line has none. */
 static uint32_t checksum(const uint8_t *bytes, int count)
 {
     uint32_t crc = 0xFFFFFFFFU;
@@ -82,9 +82,9 @@ int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *messag
     return 1;
 }
 
-/* Whether a message belongs to the run that is going on. A controller takes the number from the first sample. A command
- * that moves the arm must give it back, so that one from before a stop, late or replayed, moves nothing; idle commands
- * are how a controller introduces itself, and a stop of one that has heard no sample yet does no harm. */
+/* Whether a message belongs to the present run. A controller takes the number from the first sample. A command that
+ * moves the arm must return it, so that a command from before a stop, late or replayed, moves nothing; controllers
+ * introduce themselves by idle commands, and a stop from one that has received no sample yet does no harm. */
 static int of_this_run(realtime_channel *channel, const realtime_message *message)
 {
     if (message->kind == MESSAGE_SAMPLE && channel->run == 0U)
@@ -99,7 +99,7 @@ void realtime_next_run(realtime_channel *channel)
 {
     channel->former = channel->run;
     channel->forget(channel);
-    /* By chance, so that no recorded number comes again; without randomness, the next number is still another one. */
+    /* Random, so that no recorded number is repeated; without randomness the next number is still a different one. */
     if (getrandom(&channel->run, sizeof(channel->run), GRND_NONBLOCK) != (ssize_t)sizeof(channel->run))
         channel->run = channel->former + (uint64_t)realtime_now(NULL);
     channel->run += channel->run == 0U;
@@ -112,7 +112,7 @@ int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *
     int found = 0;
     for (int i = 0; i < MOST_IN_A_PERIOD && channel->receive(channel, bytes) > 0; i++) {
         const int readable = realtime_decode(bytes, &each) && each.kind == kind;
-        /* A stop is sent three times for safety; the second and third are of a run that has ended. */
+        /* A stop is sent three times for safety; the second and third belong to a run that has ended. */
         if (readable && kind == MESSAGE_COMMAND && each.words[0] == ARM_MODE_OFF && each.run != 0U &&
             each.run == channel->former)
             continue;
@@ -120,13 +120,14 @@ int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *
             channel->rejected++;
             continue;
         }
-        /* The difference of the numbers, so that the count may wrap around. What comes late would be a step back. */
+        /* The difference of the sequence numbers, so that the count may wrap around. Late messages would be a step
+         * back. */
         const int32_t newer = channel->taken == 0U ? 1 : (int32_t)(each.sequence - channel->taken);
         channel->rejected += newer < 0;
         if (newer <= 0)
             continue;
         channel->taken = each.sequence;
-        /* Who says goodbye is not taken for a new controller. */
+        /* A sender that leaves is not taken for a new controller. */
         if (kind == MESSAGE_COMMAND && each.words[0] != ARM_MODE_OFF)
             channel->keep(channel);
         *message = each;
@@ -163,7 +164,7 @@ static int write_command(void *self, const arm_command *command)
 
 realtime_io realtime_io_of(realtime_channel *channel)
 {
-    /* A tag needs the interpreter, which a fault's handler cannot wait for. */
+    /* A tag needs the interpreter, for which a fault handler cannot wait. */
     const realtime_io io = {channel, 1, channel->seal == NULL, read_sample, write_command};
     return io;
 }

@@ -1,4 +1,4 @@
-/* What the process needs for real time: signals that end a run in order, a priority, and memory that stays. */
+/* Requirements of real time on the process: signals that end a run in order, priority, and locked memory. */
 #define _GNU_SOURCE
 #include "realtime.h"
 
@@ -12,18 +12,18 @@
 #include <sys/mman.h>
 #include <sys/prctl.h>
 
-#define STACK_BYTES 65536 /* the deepest call of a period needs about 2 kB, a callback of Python more */
+#define STACK_BYTES 65536 /* the deepest call of a period needs about 2 kB, a Python callback needs more */
 
 /* ---- signals ---- */
 
-/* A signal handler reaches nothing but a static object. */
+/* A signal handler can only access a static object. */
 static volatile sig_atomic_t caught;
 static const realtime_io *volatile faulting_io;
 static const arm_command *volatile faulting_stop;
 static struct sigaction former[NSIG];
 static int taken[NSIG];
-/* Where the handler of a fault runs: a call without end leaves no room on the loop's own stack. One
- * for the process, like what its handler stops: of loops that run at once in several threads a fault stops one. */
+/* Stack of the fault handler: endless recursion leaves no space on the loop's own stack. There is one for the
+ * process; with several loops in threads a fault stops only one of them. */
 static unsigned char fault_stack[STACK_BYTES];
 static _Thread_local stack_t former_stack;
 static int watchers;
@@ -34,8 +34,8 @@ static void note(int number)
     caught = number;
 }
 
-/* The process is about to die of its own fault and nothing of it can be trusted but this: one last stop, then the fault
- * as if nobody had watched. A second fault in here finds the former handler. */
+/* The process is about to die of its own fault, and only this code can still be trusted: one last stop, then the
+ * fault takes its course as if it had not been caught. A second fault in here reaches the former handler. */
 static void stop_and_fall(int number)
 {
     const realtime_io *const io = faulting_io;
@@ -47,7 +47,7 @@ static void stop_and_fall(int number)
 
 void realtime_stop_on_fault(const realtime_io *io, const arm_command *stop)
 {
-    /* Given to the calling thread, which is the loop's; back to what it had, as faulthandler has one of its own. */
+    /* Assigned to the calling thread, which runs the loop; restored afterwards, since faulthandler has its own. */
     const stack_t own = {.ss_sp = fault_stack, .ss_size = sizeof(fault_stack)};
     if (io != NULL)
         sigaltstack(&own, &former_stack);
@@ -64,9 +64,9 @@ static int is_fault(int number)
            number == SIGTRAP || number == SIGSYS;
 }
 
-/* Whether a signal is to end the run: Ctrl-C, Ctrl-\, Ctrl-Z, a closed terminal and SIGTERM, whatever Python does about
- * them; and every other one whose default would end or stop the process, unless the program has a use of its own for
- * it. What is ignored stays ignored: nohup means it. */
+/* Whether a signal is to end the run: Ctrl-C, Ctrl-\, Ctrl-Z, a closed terminal and SIGTERM, whatever Python does
+ * with them; and every other one whose default would end or stop the process, unless the program has its own use for
+ * it. Ignored signals stay ignored, as nohup requires. */
 static int ends_the_run(int number, const struct sigaction *before)
 {
     if (before->sa_handler == SIG_IGN)
@@ -80,7 +80,7 @@ static int ends_the_run(int number, const struct sigaction *before)
         return 1;
     case SIGKILL: /* these two cannot be caught, */
     case SIGSTOP:
-    case SIGCHLD: /* and the default of these is to go on */
+    case SIGCHLD: /* and the default of these is to continue */
     case SIGCONT:
     case SIGURG:
     case SIGWINCH:
@@ -99,7 +99,7 @@ void realtime_watch_signals(void)
         caught = 0;
         for (int i = 1; i < NSIG; i++) {
             if (sigaction(i, NULL, &former[i]) != 0)
-                continue; /* kept by the C library */
+                continue; /* reserved by the C library */
             taken[i] = is_fault(i) || ends_the_run(i, &former[i]);
             action.sa_handler = is_fault(i) ? stop_and_fall : note; /* without SA_RESTART: a sleeping loop wakes up */
             action.sa_flags = is_fault(i) ? SA_ONSTACK : 0;
@@ -127,16 +127,16 @@ int realtime_signalled(void)
 
 /* ---- privileges ---- */
 
-/* Pages are kept from their first touch on. All of them at once would be a gigabyte with numpy loaded: stacks and
- * arenas of threads that never run. The first touch of a page in the loop costs a microsecond; what takes
- * milliseconds, and is avoided, is a page that was written to disk. */
+/* Pages are locked from their first use on. All of them at once would be a gigabyte with numpy loaded: stacks and
+ * arenas of threads that never run. The first use of a page in the loop costs a microsecond; a page that was swapped
+ * to disk would cost milliseconds, and is avoided. */
 #ifdef MCL_ONFAULT
 #define KEPT (MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
 #else
 #define KEPT (MCL_CURRENT | MCL_FUTURE)
 #endif
 
-/* Touch the stack that the loop will use, so that no page of it is missing in a period. */
+/* Touch the stack that the loop will use, so that none of its pages is missing in a period. */
 static void touch_stack(void)
 {
     volatile char room[STACK_BYTES];
@@ -151,7 +151,7 @@ realtime_privileges realtime_prepare(int priority, int lock_memory)
     pthread_getschedparam(pthread_self(), &before.policy, &parameters);
     before.priority = parameters.sched_priority;
     before.slack = prctl(PR_GET_TIMERSLACK);
-    /* An ordinary thread may be woken 50 us late to save power; SCHED_FIFO knows no such slack. */
+    /* An ordinary thread may be woken 50 us late to save power; SCHED_FIFO has no such slack. */
     prctl(PR_SET_TIMERSLACK, 1UL);
     if (priority > 0) {
         parameters.sched_priority = priority;

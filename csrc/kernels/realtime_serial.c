@@ -1,5 +1,6 @@
-/* Messages as bytes of a serial line, one behind the other. The port is opened and closed in Python, where its errors
- * have names. A line has no datagrams: a message begins with its four characters and is one if its checksum says so. */
+/* Messages as bytes of a serial line, one after the other. The port is opened and closed in Python, which reports
+ * errors by name. A line has no datagrams: a message begins with its four characters and is valid if its checksum is
+ * right. */
 #include "realtime.h"
 
 #ifdef __linux__
@@ -9,15 +10,15 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
-/* What a period of 0.1 s brings at 1 Mbaud; more has waited for longer than a sample is worth. */
+/* Bytes of a period of 0.1 s at 1 Mbaud; more would have waited for longer than a sample is useful. */
 #define ROOM 10240
 
 typedef struct {
     realtime_channel base;
     int file;
     int is_arm;
-    int kept;    /* a controller is heard */
-    size_t held; /* bytes that wait for the rest of their message */
+    int kept;    /* a controller is connected */
+    size_t held; /* bytes of an incomplete message */
     uint8_t bytes[ROOM];
 } serial_channel;
 
@@ -27,7 +28,8 @@ static int send_bytes(realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES]
     int waiting = 0;
     if (c->is_arm && !c->kept)
         return 0;
-    /* Queued messages would all come late: who introduces itself says so more often than the line can carry. */
+    /* Queued messages would all arrive late: a controller that introduces itself sends more often than the line can
+     * carry. */
     if (ioctl(c->file, TIOCOUTQ, &waiting) == 0 && waiting >= MESSAGE_BYTES)
         return 1;
     return write(c->file, bytes, MESSAGE_BYTES) == MESSAGE_BYTES ? 0 : 1;
@@ -39,7 +41,7 @@ static void drop(serial_channel *c, size_t count)
     memmove(c->bytes, c->bytes + count, c->held);
 }
 
-/* Drop what cannot begin a message; whether a whole one is left. */
+/* Drop bytes that cannot begin a message; return whether a complete one is left. */
 static int aligned(serial_channel *c)
 {
     static const uint8_t begin[4] = {'F', 'L', 'R', 'T'};
@@ -60,7 +62,7 @@ static int receive_bytes(realtime_channel *self, uint8_t bytes[MESSAGE_BYTES])
     while (aligned(c)) {
         const int whole = realtime_decode(c->bytes, &each);
         memcpy(bytes, c->bytes, MESSAGE_BYTES);
-        /* Behind a damaged one the next may begin at any byte. */
+        /* After a damaged message the next one may begin at any byte. */
         drop(c, whole ? MESSAGE_BYTES : 1);
         if (whole)
             return 1;

@@ -1,4 +1,4 @@
-/* Messages as UDP datagrams. The socket is opened and closed in Python, where its errors have names. */
+/* Messages as UDP datagrams. The socket is opened and closed in Python, which reports errors by name. */
 #define _GNU_SOURCE
 #include "realtime.h"
 
@@ -12,8 +12,8 @@ typedef struct {
     realtime_channel base;
     int file;
     int is_arm;
-    int kept;                     /* only `peer` is heard */
-    struct sockaddr_storage peer; /* of an arm: its controller */
+    int kept;                     /* restricted to `peer` */
+    struct sockaddr_storage peer; /* at an arm: its controller */
     struct sockaddr_storage last; /* sender of the last datagram */
     socklen_t peer_size;
     socklen_t last_size;
@@ -40,7 +40,7 @@ static int send_datagram(realtime_channel *self, const uint8_t bytes[MESSAGE_BYT
     return sent == (ssize_t)size ? 0 : 1;
 }
 
-/* Whether a datagram carries the tag of its bytes. Every byte is compared, so that the time tells nothing. */
+/* Whether a datagram carries the tag of its bytes. Every byte is compared, so that the time reveals nothing. */
 static int sealed(const realtime_channel *self, const uint8_t room[MESSAGE_BYTES + MESSAGE_TAG])
 {
     uint8_t tag[MESSAGE_TAG];
@@ -62,14 +62,14 @@ static int same(const socket_channel *c)
 static int receive_datagram(realtime_channel *self, uint8_t bytes[MESSAGE_BYTES])
 {
     socket_channel *const c = (socket_channel *)self;
-    uint8_t room[MESSAGE_BYTES + MESSAGE_TAG + 1]; /* one more, so that a longer datagram is seen to be one */
+    uint8_t room[MESSAGE_BYTES + MESSAGE_TAG + 1]; /* one byte more, so that a longer datagram is recognised */
     for (int i = 0; i < 64; i++) {
         c->last_size = sizeof(c->last);
-        memset(&c->last, 0, sizeof(c->last)); /* `same` compares bytes, padding included */
+        memset(&c->last, 0, sizeof(c->last)); /* `same` compares bytes including padding */
         const ssize_t size =
             recvfrom(c->file, room, sizeof(room), MSG_DONTWAIT, (struct sockaddr *)&c->last, &c->last_size);
         if (size < 0)
-            return 0; /* nothing there, or the last datagram found no listener: the silence will tell */
+            return 0; /* nothing there, or the last datagram found no listener, which the silence will show */
         if (size != (ssize_t)datagram_size(self) || (c->kept && !same(c)) || !sealed(self, room)) {
             self->rejected++;
             continue;
