@@ -188,7 +188,7 @@ CEILINGS = {
     "_design": 1560,
     "_export": 560,
     "_files": 585,
-    "_identify": 3114,
+    "_identify": 3093,
     "_law": 985,
     "_reading": 1075,
     "_simulate": 1271,

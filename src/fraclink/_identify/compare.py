@@ -455,9 +455,7 @@ def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], choice: Choice) 
         sentences.append(
             f"{names} would do for the fitted part, but predicts the held-out part worse."
         )
-    return " ".join(
-        [*sentences, *_of_the_delay(fits, still), *_of_the_parameters(fits)]
-    )
+    return " ".join([*sentences, *_of_the_delay(fits, still)])
 
 
 def _sentence(fits: Mapping[str, Fit], choice: Choice) -> str:
@@ -506,16 +504,3 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
             f"shows {VISCOUS} is at least as good."
         ]
     return []
-
-
-def _of_the_parameters(fits: Mapping[str, Fit]) -> list[str]:
-    sentences = []
-    order = fits[FRACTIONAL]
-    if "order" in order.at_bound:
-        sentences.append("λ is at its bound 2: this log shows no fractional order.")
-    interval = order.intervals.get("order")
-    if interval is not None and interval.high_open and "order" not in order.at_bound:
-        sentences.append("λ = 2 is not excluded by this log.")
-    if any(finding.code == "W308" for fit in fits.values() for finding in fit.findings):
-        sentences.append("α is not identifiable.")
-    return sentences

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,36 +29,6 @@ Limits = tuple[float, float]
 # Like `shape.HISTORY`, but shorter: every candidate is a response to all of it, and a
 # search with 50 000 earlier samples takes half a second.
 _HISTORY = 50_000
-
-
-class Samples(Protocol):
-    """What a structure's problem asks of the data."""
-
-    @property
-    def measured(self) -> Reals:
-        """All that was measured, weighted, shape (R,)."""
-        ...
-
-    @property
-    def constant(self) -> Reals:
-        """What an offset of one adds to `measured`, shape (R,)."""
-        ...
-
-    @property
-    def shortest(self) -> float:
-        """A delay [s] that the data just tell from none."""
-        ...
-
-    @property
-    def tangent(self) -> Samples:
-        """The data of whose responses slopes are differences."""
-        ...
-
-    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
-        """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
-        where nothing responds.
-        """
-        ...
 
 
 def _stacked(values: Complexes) -> Reals:
@@ -116,26 +86,28 @@ class Lines(Spectrum):
 
     @property
     def shortest(self) -> float:
-        """As of `Samples`."""
+        """A delay [s] that the data just distinguish from none."""
         return 1.0 / self.band[1]
 
     @property
     def tangent(self) -> Samples:
-        """As of `Samples`."""
+        """The data of whose responses the slopes are differences: itself."""
         return self
 
     @cached_property
     def measured(self) -> Reals:
-        """As of `Samples`."""
+        """All that was measured, weighted, shape (R,)."""
         return _stacked(self.weight * self.output)
 
     @cached_property
     def constant(self) -> Reals:
-        """As of `Samples`: none, as an offset is no line of a response."""
+        """None: an offset is no line of a response."""
         return np.zeros(self.measured.size)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
-        """As of `Samples`."""
+        """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
+        where nothing responds.
+        """
         return _stacked(self.weight * _of_many(structure, values, self.points))
 
 
@@ -212,23 +184,23 @@ class RecordStart:
 
     @property
     def measured(self) -> Reals:
-        """As of `Samples`."""
+        """All that was measured, weighted, shape (R,)."""
         return self.output
 
     @cached_property
     def constant(self) -> Reals:
-        """As of `Samples`."""
+        """What an offset of one adds to `measured`, shape (R,)."""
         return np.ones(self.output.size)
 
     @property
     def shortest(self) -> float:
-        """As of `Samples`."""
+        """A delay [s] that the data just distinguish from none."""
         return self.period
 
     @cached_property
     def tangent(self) -> Samples:
-        """As of `Samples`: by transforms, of which a hundred take as long as one exact
-        response.
+        """The data of whose responses the slopes are differences: transforms, of which
+        a hundred take as long as one exact response.
         """
         return self if self.exact else Blocks(self, 1)
 
@@ -238,7 +210,9 @@ class RecordStart:
         return Blocks(self, max(self.output.size // _BLOCKS, 1))
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
-        """As of `Samples`; every candidate by its exact response to the held input."""
+        """Responses of M candidates with parameters (M, 1), each the exact one to the
+        held input, shape (M, R); not finite where nothing responds.
+        """
         names, columns = [*values], np.broadcast_arrays(*values.values())
         rows = []
         for row in np.concatenate(columns, axis=1).tolist():
@@ -332,24 +306,24 @@ class Blocks:
 
     @cached_property
     def measured(self) -> Reals:
-        """As of `Samples`; white noise keeps its variance."""
+        """Sums of the blocks, scaled so that white noise keeps its variance."""
         output, width = self.data.output, self.width
         sums = output[: output.size // width * width].reshape(-1, width).sum(axis=1)
         return np.asarray(sums / math.sqrt(width))
 
     @cached_property
     def constant(self) -> Reals:
-        """As of `Samples`."""
+        """What an offset of one adds to `measured`, shape (R,)."""
         return np.full(self.measured.size, math.sqrt(self.width))
 
     @property
     def shortest(self) -> float:
-        """As of `Samples`."""
+        """A delay [s] that the data just distinguish from none."""
         return self.data.period
 
     @property
     def tangent(self) -> Samples:
-        """As of `Samples`."""
+        """The data of whose responses the slopes are differences: itself."""
         return self
 
     @cached_property
@@ -383,7 +357,9 @@ class Blocks:
         return self.data.earlier.size + 0.5 * (self.width - 1)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
-        """As of `Samples`."""
+        """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
+        where nothing responds.
+        """
         points, into, blocks = self._lines
         with np.errstate(all="ignore"):
             found = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
@@ -393,3 +369,6 @@ class Blocks:
         return np.asarray(
             found[:, : self.measured.size] * (grown / math.sqrt(self.width))
         )
+
+
+Samples = RecordStart | Blocks | Lines
