@@ -1,5 +1,5 @@
-"""Arms that fraclink did not write, tuned and then moved by the law that ships and by
-its rivals: what was promised, the worst that is printed, and what the tip truly did.
+"""Arms from outside fraclink, tuned and then moved by the law that ships and by its
+rivals: the promise, the worst printed figure, and the true motion of the tip.
 
 The arms are those of ../shared/arms (finite elements, friction, gear, sensors of their
 own); without that folder nothing is measured. Each rival is tuned by its rule of
@@ -31,7 +31,7 @@ NAMES = (
     "14-hardening",
     "21-plastic-link",
 )
-REST = 4.0  # [s] behind the reference
+REST = 4.0  # [s] after the reference
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def main() -> None:
         line("arms that fraclink did not write", "no ../shared/arms", "there", None)
         return
     sys.path.insert(0, str(place))
-    import arms  # its folder is beside the checkout
+    import arms  # its folder is next to the checkout
     from arm import Arm
 
     arms.Arm = Arm

@@ -1,10 +1,10 @@
-"""The box of a certificate: every claim against an own dense search for the worst
-point; leaves and times.
+"""The box of a certificate: every claim against an independent dense search for the
+worst point; leaves and times.
 
 The search evaluates the sampled loop of `fraclink._arm.sampled`, every alias summed, at
 random points and corners of each box and goes downhill from the closest by Nelder and
-Mead's method: it shares the law's coefficients with the proof and nothing else. Designs
-and boxes are random with a stated seed. Times are CPU seconds.
+Mead's method: it shares only the coefficients of the law with the proof. Designs and
+boxes are random with a stated seed. Times are CPU seconds.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ RIG = Rig.named("paper-2023")
 SEED = 15
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-# Of a case's point: payload [kg] and delay [s], and beside them the parameters of the
-# box in its own order.
+# Coordinates of a case: payload [kg] and delay [s], followed by the parameters of the
+# box in their own order.
 PARAMETERS = tuple(ParameterBox.__dataclass_fields__)
 
 
@@ -94,8 +94,8 @@ def distance(case: Case, point: Real, frequency: Real) -> Real:
     second = model.second_mode
     if second is not None:
         second = replace(second, frequency=mode_frequency, gain=mode_gain)
-    # What the law takes off per torque, times the true gauge: the compliance that ships
-    # is not exactly 1/c.
+    # The angle that the law subtracts per torque, times the true gauge gain: the
+    # compliance that ships is not exactly 1/c.
     read = gain * model.stiffness * float(case.law.coefficients["compliance"])  # type: ignore[arg-type]
     known = replace(model, payload=design.payload(model.natural_frequency))
     link = replace(
@@ -164,8 +164,8 @@ def worst(
     )
     second = case.design.model.second_mode
     if second is not None:
-        # The closed loop turns its resonance away from the mode, by several of its
-        # widths 2ζω: to either side, four points to a width.
+        # The closed loop shifts its resonance away from the mode by several of its
+        # widths 2ζω: four points per width on either side.
         near, far = np.multiply(case.box.mode_frequency, (0.8, 1.25))
         step = 0.5 * second.damping_ratio * near
         grid = np.unique(np.concatenate([grid, np.arange(near, far, step)]))
@@ -262,7 +262,7 @@ def random_case(rng: np.random.Generator) -> Case:
             "placement": "direct" if inner == "direct" else "tustin",
         }
         design = nearest_design(model, rig, wanted)
-        # Without a filter a correction of β > 0.9 amplifies noise without bound: its
+        # Without a filter a correction with β > 0.9 amplifies noise without bound: its
         # limits act at once.
         if design is None or (
             not design.controller.filter_time
@@ -274,7 +274,7 @@ def random_case(rng: np.random.Generator) -> Case:
         delay = (0.0, longest) if rng.random() < 0.7 else (rig.period, rig.period)
         name = f"{inner}, {1e3 * rig.period:g} ms" + (", mode 2" if second else "")
         law = design.law()
-        # Without the motor loop of the law the claim is about M(s) as it is written.
+        # Without the motor loop of the law, the claim is about M(s) as written.
         shipped = replace(law, motor_loop=None) if inner == "ideal" else law
         return Case(name, design, shipped, box_around(design, size), delay)
 
@@ -327,9 +327,8 @@ def against_search(count: int, seed: int) -> None:
         f"{count} random designs and boxes, seed {seed}: claim, truth, leaves, CPU seconds"
     )
     for number in range(count):
-        rng = np.random.default_rng(
-            [seed, number]
-        )  # every case by itself, so that one can be made again
+        # every case separately, so that each can be repeated
+        rng = np.random.default_rng([seed, number])
         case = random_case(rng)
         begin = time.process_time()
         certificate = case.certified()
@@ -345,7 +344,7 @@ def against_search(count: int, seed: int) -> None:
             gaps.append(truth - claim)
             note = "proved"
         else:
-            # What is no farther from -1 than a loop that passes needs no proof.
+            # A loop that comes no closer to -1 than one that passes needs no proof.
             unproved += truth > claim + 0.02
             note = certificate.verdict[:90]
         print(

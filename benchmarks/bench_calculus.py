@@ -1,6 +1,6 @@
-"""A half derivative of a sampled signal: its error against mpmath, and its time beside
-Grünwald and Letnikov's sum on the same samples, and beside differint's two where that
-is installed.
+"""A half derivative of a sampled signal: its error against mpmath, and its time next to
+the Grünwald-Letnikov sum on the same samples, and next to both methods of differint if
+that is installed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SAMPLES = 1001
 def exact(t: float) -> float:
     """The half derivative of t² + sin 3t, by quadrature of Caputo's integral."""
     with mpmath.workdps(30):
-        # τ = t − x² takes the singularity away.
+        # τ = t − x² removes the singularity.
         end = mpmath.sqrt(t)
         whole = mpmath.quad(
             lambda x: 2 * (t - x**2) + 3 * mpmath.cos(3 * (t - x**2)), [0, end]
@@ -66,7 +66,7 @@ def main() -> None:
     others = peers(y)
     for name, call in others.items():
         found = np.asarray(call(), dtype=float)
-        # At its first samples GLI has no value.
+        # GLI has no value at its first samples.
         away = np.abs(found[places] / truth - 1)[len(places) // 10 :]
         line(
             f"largest relative error of differint.{name}", f"{away.max():.1e}", "(none)"

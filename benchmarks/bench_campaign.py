@@ -134,7 +134,7 @@ def scaling(runs: int) -> None:
                     workers=workers,
                     watch=lambda _, f=finished: f.append(time.monotonic()),
                 )
-                # From the first part on: the start of processes is a constant of 2 s,
+                # From the first part on: starting the processes takes a constant 2 s,
                 # whatever the campaign.
                 took[workers] = (finished[-1] - finished[workers - 1]) / (
                     len(finished) - workers

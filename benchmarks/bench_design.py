@@ -1,7 +1,8 @@
 """Design and certificates: margins against mpmath, and the time of every answer.
 
-The sampled loop is computed once more in mpmath at 30 digits, with its aliases summed
-one by one. Every timed request is a new one: a repeated one is answered from a cache.
+The sampled loop is computed independently in mpmath with 30 digits, with its aliases
+summed one by one. Every timed request is a new one: a repeated one is answered from a
+cache.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def independent_margin(design: fl.Design, payload: float, aliases: int) -> float
 
 def margins(aliases: int) -> None:
     """The margins that a design states, against an own computation."""
-    # Behind M(s), which the own computation has: the loop with the PID that runs is
-    # computed once more in bench_box.
+    # With M(s), which the independent computation uses: bench_box repeats it for the
+    # loop with the PID that runs.
     options = {"gain_crossover": 12.0, "filter_time": 0.0, "motor_loop": "ideal"}
     design = fl.design(RIG.model, RIG, **WANTED, **options)
     for payload in WANTED["payloads"]:

@@ -1,8 +1,8 @@
-"""What it costs to come in: `import fraclink` beside `import numpy`, the main job on
-the bundled log.
+"""Start-up costs: `import fraclink` next to `import numpy`, and the main job on the
+bundled log.
 
-Every process is timed in processor seconds of itself and its children, so that other
-work on the machine does not count; the imports take turns, each in a fresh interpreter.
+Every process is timed in processor seconds including its children, so that other work
+on the machine does not count; the imports alternate, each in a fresh interpreter.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from harness import line, median, sizes
 
 ROOT = Path(__file__).resolve().parent.parent
-# Public names are loaded when they are first used, so the root alone costs less than
-# numpy does.
+# Public names are loaded when they are first used, so the root alone takes less time
+# than numpy.
 SESSION = "import fraclink as fl, fracsys; fl.Rig, fl.read_log, fl.identify, fl.design, fl.Law, fl.simulate, fracsys.s"
 DEMO = ("-m", "fraclink", "run", "--rig", "paper-2023-geared", "--log", "demo")
 
@@ -57,7 +57,7 @@ def imports(rounds: int) -> None:
 def main() -> None:
     given = sizes(__doc__, rounds=(15, 1), demos=(3, 0))
     imports(given.rounds)
-    if not given.demos:  # `make demo` is run by CI as it is
+    if not given.demos:  # CI runs `make demo` itself
         return
     with tempfile.TemporaryDirectory() as folder:
         command = (*DEMO, "--out", folder, "--force")

@@ -1,9 +1,9 @@
-"""The payload estimated while running: what it finds and when, what the moves gain,
+"""The payload estimated during a run: its values and times, the effect on moves,
 contacts.
 
 Twin of the geared rig: link 7.35 g, friction, 0.05 N·m gauge offset, 10 mN·m noise; 1
-rad in 0.5 s; law for 20 to 40 g. Figures are the worst of 20 seeds where nothing else
-is said.
+rad in 0.5 s; law for 20 to 40 g. Figures are the worst of 20 seeds unless stated
+otherwise.
 """
 
 from __future__ import annotations

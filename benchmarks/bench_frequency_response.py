@@ -1,10 +1,10 @@
 """Frequency responses of a link with its motor: 5 % relative noise, and bands that miss
-what is looked for.
+a feature.
 
 The arm is that of the bundled rig with its gear (paper-2023-geared) and the link of the
 paper (λ = 1.92, ω₀ = 10.02 s^(−λ/2)), voltage to motor angle, 2 ms of delay, 200 lines
 from 1 to 80 rad/s. The noise is complex and normal, 5 % of each line. A band misses a
-place where it ends below or begins above it.
+feature if it ends below or begins above it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What may be relied on of an identification: structure, gates, second mode, coverage
-under coloured noise.
+"""Reliability of an identification: structure, gates, second mode, coverage under
+coloured noise.
 
 Every log is simulated with known truth, see identify_random.py.
 """
@@ -208,7 +208,7 @@ def second_mode(masses: int) -> None:
 def mode_frequency(beam: Beam, damping: object) -> float:
     """Frequency of the second mode as a log shows it [rad/s]."""
     undamped = float(beam.modes(2).frequencies[1])
-    # Under a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω²
+    # With a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω²
     # |D(s)|.
     return (
         undamped ** (2 / damping.order) if isinstance(damping, PowerLaw) else undamped

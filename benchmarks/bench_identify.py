@@ -1,4 +1,4 @@
-"""Every figure of identification, measured beside the value that is wanted.
+"""All figures of identification, measured next to their goals.
 
 R is one `scipy.fft.rfft` of length 2N in the same run, N = 5000; timings are medians of
 interleaved calls, in processor time of the thread, so that other work on the machine
@@ -168,7 +168,9 @@ def coverage(count: int) -> None:
 def _short_motion(
     kind: str, resonance: float, count: int, random: np.random.Generator
 ) -> np.ndarray:
-    """A motion with little in it: one move, or a narrow band around the resonance."""
+    """A motion with little information: one move, or a narrow band around the
+    resonance.
+    """
     time_ = PERIOD * np.arange(count)
     if kind == "smooth move":
         return smooth_step(0.5, min(0.8 * time_[-1], random.uniform(1.0, 2.5))).angle(
@@ -209,7 +211,7 @@ def valleys(count: int) -> None:
             given = identify(
                 log, "UD-FOM", hold="first", details=False, fixed={"delay": delay}
             )
-            # Six: less is not told from the same by any test.
+            # Six: no test distinguishes a smaller difference.
             lost += fit.fitted_samples * np.log(fit.mse / given.mse) > 6.0
             truth = {
                 "order": order,

@@ -1,7 +1,7 @@
 """What ships is what passed: one law, judged by its proof, by the package's moves, and
-by an arm that shares nothing with them: lumped_arm.c around the files of an export.
+by an independent arm: lumped_arm.c around the files of an export.
 
-Each part is asked for by its size; 0 leaves it out. The number of a case is its seed.
+Each part has an option for its size; 0 omits it. The number of a case is its seed.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ def chain(tuned: int) -> None:
 
 
 def _fraclink(*words: str | Path) -> None:
-    """Run a command; its exit code is a verdict, and the files it wrote tell the rest."""
+    """Run a command; its exit code is a verdict, and its files contain the rest."""
     command = (sys.executable, "-m", "fraclink", *words)
     subprocess.run(command, check=False, capture_output=True)  # noqa: S603
 
@@ -221,7 +221,7 @@ def _tuned(folder: Path, seed: int) -> Path | None:
 
 
 def _checked_folder(folder: Path) -> str:
-    """Export the folder's design, and hold its certificate against that law."""
+    """Export the folder's design, and check its certificate against that law."""
     proof = folder / "certificate.json"
     if not proof.exists():
         return "no certificate"
@@ -265,7 +265,8 @@ PID = (
     "inner_direct", "inner_angle", "integral_now", "integral_before", "filter_now",
     "filter_before", "filter_angle_now", "filter_angle_before",
 )  # fmt: skip
-# The ways in which an earlier certificate was shown another law than the one that runs.
+# The ways in which an earlier certificate was presented with a law other than the one
+# that runs.
 KNOWN = (
     *(dict.fromkeys(PID, factor) for factor in (-1.0, 0.02, 30.0)),
     {"forward": 10.0, "forward_direct": 10.0},
@@ -301,7 +302,7 @@ def changed_laws(harness: Harness, design: fl.Design, drawn: int) -> None:
         if not _is_certified(design, made):
             continue
         certified += 1
-        # payloads told and not: the feed-forward's scale is a part of the law, too
+        # payloads told and not told: the feed-forward's scale is a part of the law too
         arms = (arm_of(RIG, m, ratio=0.03) for m in (0.02, 0.03, 0.04))
         for arm, told in ((arm, told) for arm in arms for told in (False, True)):
             mass = arm.tip_inertia / RIG.link.length**2 - RIG.link.tip_mass
@@ -334,11 +335,11 @@ def drawn_rig(seed: int) -> tuple[fl.Rig, ArmParams, str]:
     length = random.uniform(0.3, 1.0)
     tip = payload * length**2
     stiffness, hub = tip * frequency**2, tip * 10.0 ** random.uniform(-0.3, 1.0)
-    # A motor that can follow: twice the torque that 60 rad/s² ask of hub and link.
+    # A motor that can follow: twice the torque required by hub and link at 60 rad/s².
     decay, gear = random.uniform(3.0, 20.0), 50.0
     torque = 2.0 * (60.0 * (hub + tip) + 6.0 * decay * hub)
     structure = ("D-IOM", "UD-FOM")[seed % 2]
-    # UD-FOM's order λ has the damping ratio −cos(π/λ) at the resonance.
+    # The order λ of UD-FOM corresponds to the damping ratio −cos(π/λ) at the resonance.
     order = random.uniform(1.93, 1.995)
     ratio = (
         random.uniform(0.003, 0.06)
@@ -446,8 +447,8 @@ def late_gauges(harness: Harness, count: int) -> None:
         rig = replace(RIG, gauge=gauge)
         assert RIG.model is not None
         link = replace(RIG.model, gauge_delay=delay)
-        # A correction that does nothing: what is looked at is the guard, and no law for
-        # 60 ms passes its design.
+        # A correction without effect: the guard is under test, and no law for 60 ms
+        # passes its design.
         controller = fl.Controller(
             derivative_gain=1e-6, derivative_order=0.6, link=link
         )
@@ -455,14 +456,14 @@ def late_gauges(harness: Harness, count: int) -> None:
         arm = arm_of(
             rig, random.uniform(0.02, 0.04), ratio=0.06, delay=delay, seed=seed
         )
-        # From a quarter of the acceleration that the rig states to all of it.
+        # From a quarter of the rig's acceleration to all of it.
         amplitude = random.uniform(0.3, 1.5)
         wanted = random.uniform(0.25, 1.0) * rig.moves.acceleration
         move = fl.smooth_step(amplitude, math.sqrt(5.77 * amplitude / wanted))
         good = harness.move(law, arm, move)
         if np.any(good.reason == GAUGE_STUCK):
             false.append(seed)
-        # From the middle of the move on, while the torque that it asks for changes.
+        # From the middle of the move on, while the required torque changes.
         begin = round(0.5 * move.duration / rig.period)
         dead = harness.move(law, arm, move, stuck=begin)
         where = np.flatnonzero(dead.reason == GAUGE_STUCK)

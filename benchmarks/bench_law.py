@@ -28,18 +28,18 @@ ROOT = Path(__file__).resolve().parents[1]
 RIG = fl.Rig.named("paper-2023")
 CORE = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-DLAW_SINGLE")
 CLANG = ("clang", "--target=thumbv7em-none-eabihf", "-ffreestanding")
-# Compiler, flags, whether for the one design: every build gives the same bits.
+# Compiler, flags, whether built for the one design: every build gives the same bits.
 BUILDS: tuple[tuple[tuple[str, ...], tuple[str, ...], bool], ...] = (
     (("arm-none-eabi-gcc", "-mthumb"), ("-O2",), True),
     (("arm-none-eabi-gcc", "-mthumb"), ("-O3",), True),
-    # with the tables of a core whose VMLA is fast; on a Cortex-M4 it takes three
-    # cycles, VMUL and VADD two
+    # with the tables of a core with a fast VMLA; on a Cortex-M4 it takes three cycles,
+    # VMUL and VADD two
     (("arm-none-eabi-gcc", "-mthumb"), ("-O2", "-mtune=cortex-a5"), True),
     (CLANG, ("-O2",), True),
     (("arm-none-eabi-gcc", "-mthumb"), ("-O2",), False),
 )
-# What the checksum costs is what the law takes without it: nothing is damaged then, and
-# nothing is summed.
+# The cost of the checksum is the difference to the law without it: nothing is damaged
+# then, and nothing is summed.
 WITHOUT_CHECKSUM = {
     "return (credible(sum - s->sum, LAW_TINY) != 0U) ? 0U : 1U;": "(void)s; (void)sum; return 0U;",
     "    s->sum = left + kept(s);\n    return flags;": "    return flags;",

@@ -1,9 +1,10 @@
-"""Links of aluminium and steel, hardly damped in any mode: designs with nothing asked,
-and a move of the law that ships on the twin.
+"""Links of aluminium and steel with hardly any damping in any mode: designs without a
+request, and a move of the law that ships on the twin.
 
 A draw has a link of 10 to 65 g, payloads within 20 to 40 g and one damping ratio of 0.1
-to 1 % for every mode; the model is the beam's first two modes as a log at the middle
-payload would show them. The law runs on the twin with that payload and with both ends.
+to 1 % for every mode; the model is the first two modes of the beam as identified from a
+log at the middle payload. The law runs on the twin with that payload and with both
+ends.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from fraclink.errors import InfeasibleError
 from fraclink.extend import Beam, PowerLaw
 from harness import line, sizes
 
-# the motor of "paper-2023" has half a per cent of the inertia of these arms: what the
-# gauge tells it of the torque comes too late for a vibration at 90 rad/s
+# The motor of "paper-2023" has half a per cent of the inertia of these arms: its torque
+# reading arrives too late for a vibration at 90 rad/s.
 RIG = fl.Rig.named("paper-2023-geared")
 
 
@@ -34,7 +35,7 @@ def light_arm(seed: int) -> tuple[fl.Rig, LinkModel, fl.Twin, tuple[float, float
     ratio = float(10.0 ** draw.uniform(-3.0, -2.0))
     rig = replace(RIG, link=replace(RIG.link, mass=mass))
     assert rig.model is not None
-    # a power law s^λ = -ω² damps every mode alike, and moves each to ω^(2/λ)
+    # a power law s^λ = -ω² damps all modes equally, and shifts each to ω^(2/λ)
     law = PowerLaw(math.pi / math.acos(-ratio))
     undamped, sizes_ = modal_shares(Beam.from_rig(rig, payload=payload))
     frequencies = undamped ** (2.0 / law.order)

@@ -137,7 +137,8 @@ def estimated(
     path = there.then(fl.extend.hold(0.0, 3.0)).then(back)
     worst, arm = 0.0, ""
     for name, link in links_over(design.model, RIG).items():
-        # The rig's length and stiffness set the twin's ω₀: another is another mass.
+        # The rig's length and stiffness determine the twin's ω₀: another ω₀ is another
+        # mass.
         other = (design.model.natural_frequency / link.natural_frequency) ** 2
         for payload in payloads:
             twin = fl.Twin.from_rig(RIG, model=link, payload=payload * other)
@@ -183,7 +184,7 @@ def wrong_order(seeds: int, right: int) -> None:
     def named(arm: fl.Twin, moves: int, seed: int) -> tuple[str, ...]:
         try:
             return fl.lab.watch(record(arm, moves, seed), tuned).due
-        except fl.errors.FieldError:  # too little motion to tell
+        except fl.errors.FieldError:  # too little motion for a decision
             return ()
 
     assert NAMED.model is not None

@@ -1,14 +1,14 @@
-"""The same three problems in fraclink and in the tools that a reader may know, errors
-side by side.
+"""The same three problems in fraclink and in other tools, with their errors side by
+side.
 
 Problems of the paper: the step response of the link 100/(s^1.92 + 100), the phase
 margin of the loop 0.148 s^0.65 around it, the dominant pole of the loop that the
 default design closes. True values come from mpmath at 50 digits: the power series of
 the step response, roots of |L| = 1 and of the characteristic sum.
 
-MATLAB is not run. What FOMCON and the CRONE toolbox do is taken from their published
-sources and computed here by the same method, and is called so: a method, not the
-program. Octave (Debian: octave, octave-control) and numfracpy (PyPI) run where they are
+MATLAB is not run. The methods of FOMCON and the CRONE toolbox are taken from their
+published sources and computed here; they are labelled as methods, not as the programs.
+Octave (Debian: octave, octave-control) and numfracpy (PyPI) run where they are
 installed.
 
     python benchmarks/bench_peers.py            print
@@ -49,7 +49,7 @@ LINK = SQUARE / (fracsys.s**ORDER + SQUARE)
 LOOP = 0.148 * fracsys.s**0.65 * LINK
 PERIOD, DURATION = 0.004, 2.0
 TIME = np.arange(round(DURATION / PERIOD) + 1) * PERIOD
-# FOMCON's defaults: Oustaloup's filter of order 5 over 0.001 … 1000 rad/s is 2·5 + 1
+# Defaults of FOMCON: Oustaloup's filter of order 5 over 0.001 … 1000 rad/s is 2·5 + 1
 # pairs; a frequency response of 1000 points over ten decades; orders rounded to 0.01.
 BAND, PAIRS = (0.001, 1000.0), 11
 GRID = np.logspace(-5, 5, 1000)
@@ -364,7 +364,8 @@ def cost() -> Row:
 def rows() -> list[Row]:
     """Every row that the installed tools can make."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # python-control's notes on improper stand-ins
+        # python-control's warnings about improper approximations
+        warnings.simplefilter("ignore")
         return [*step_rows(), *margin_rows(), *pole_rows()]
 
 
@@ -375,7 +376,7 @@ def main() -> None:
     )
     parser.add_argument("--short", action="store_true", help="one problem of three")
     wanted = parser.parse_args()
-    # All rows are measured by the test of the page that shows them.
+    # The test of the page that shows the rows measures all of them.
     found = step_rows() if wanted.short else rows()
     for row in (*found, cost()):
         line(f"{row.problem}: {row.tool}", row.error, "printed")

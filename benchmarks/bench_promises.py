@@ -1,10 +1,10 @@
 """Whether `error_estimate` keeps its promise: random responses of random functions
 against mpmath.
 
-Every call is checked at a few of its times with an inversion of its own, in 50 digits
-and more: Talbot's contour with two numbers of nodes, the residues of the poles outside
-it added, repeated with more nodes until both agree. The true error must never exceed
-the estimate, and the estimate should be at most 100 times the true error in the median.
+Every call is checked at a few of its times by an independent inversion with 50 or more
+digits: Talbot's contour with two numbers of nodes, the residues of the poles outside it
+added, repeated with more nodes until both agree. The true error must never exceed the
+estimate, and the estimate should be at most 100 times the true error in the median.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fracsys import s as laplace
 from fracsys._terms import Term
 from harness import line, sizes
 
-AGREED = mpf(10) ** -19  # two contours, relative to the response
+AGREED = mpf(10) ** -19  # agreement of two contours relative to the response
 Terms = tuple[Term, ...]
 
 
@@ -59,7 +59,7 @@ class Exact:
 
     top: Terms
     bottom: Terms
-    logs: tuple[Any, ...]  # ln s of the poles of the upper half plane, polished
+    logs: tuple[Any, ...]  # ln s of the poles in the upper half plane, refined
 
     @classmethod
     def of(cls, top: Terms, bottom: Terms) -> Exact:
@@ -94,8 +94,8 @@ class Exact:
         raise UnknownError
 
     def _talbot(self, t: Any, degree: int, nodes: int) -> Any:
-        """Fixed Talbot (Abate and Valkó, 2004) plus the residues of the poles that it
-        leaves outside.
+        """Fixed Talbot method (Abate and Valkó, 2004) plus the residues of the poles
+        outside its contour.
         """
         scale = mpf(2) * nodes / (5 * t)
         direct = mpf(0)
@@ -371,7 +371,7 @@ def _sampled(
     found = time_response(G, u, period, hold=hold)
     chosen = np.unique(np.concatenate([g.integers(0, count, 2), [count - 1]]))
     parts, true = list(delay_series(G, count * period)), []
-    steps = np.diff(u, prepend=0.0)  # what is really in the doubles of the input
+    steps = np.diff(u, prepend=0.0)  # the exact values of the doubles of the input
     for i in chosen:
         exact = mpf(0)
         if hold == "zero":
@@ -388,8 +388,8 @@ def _sampled(
                 if j < i
             )
         true.append(abs(mpf(found.output[i]) - exact))
-    # The slopes of a linear input are known to the rounding of its values only: what G
-    # makes of that.
+    # The slopes of a linear input are only known to the rounding of its values; this is
+    # the effect on G.
     return _outcome(kind, mode, found, float(max(true)), G, seed)
 
 
@@ -425,7 +425,7 @@ def main() -> None:
 
 
 def report(done: list[Outcome], left: collections.Counter[str], seconds: float) -> None:
-    tiny = 1.1e-16  # what a double cannot state
+    tiny = 1.1e-16  # beyond the resolution of a double
     broken = [o for o in done if o.true > o.claimed]
     for title, key in (("kind", "kind"), ("mode", "mode"), ("method", "method")):
         for name in sorted({getattr(o, key) for o in done}):

@@ -1,9 +1,9 @@
-"""Real time on this machine: the loop with its law beside a bare clock_nanosleep loop.
+"""Real time on this machine: the loop with its law next to a bare clock_nanosleep loop.
 
-Loop and bare loop take turns in one run, with the same priority, timer slack and locked
-memory, on a machine that is left alone and beside two processes that compute; every
-figure is over all rounds. Times are wall-clock: on a busy or a virtual machine the tail
-is the machine's, which is why the bare loop stands beside it.
+Loop and bare loop alternate in one run, with the same priority, timer slack and locked
+memory, on an idle machine and next to two computing processes; every figure is over all
+rounds. Times are wall-clock times: on a busy or virtual machine the tail is due to the
+machine, which the bare loop shows.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ assert RIG.model is not None
 _OWN = RIG.model.natural_frequency
 # the box of the fit whose ω₀ moves with the payload alone
 SKETCH_BOX = replace(fl.ParameterBox.of(RIG.model, RIG), natural_frequency=(_OWN, _OWN))
-# What the sketch of one solver has, without the rows that it does not know, and what
-# the procedure and the searches before it had: worst noise gain over 20 to 40 g.
+# The figures of the one-solver sketch, without the rows that it does not know, and
+# those of the earlier procedure and searches: worst noise gain over 20 to 40 g.
 TABLE: tuple[tuple[str, dict[str, Any], float, str], ...] = (
     ("12 rad/s, 50°", {"phase_margin": fl.deg(50)}, 0.33, "1.41"),
     (
@@ -179,7 +179,7 @@ class Judge:
         motor = np.exp(self.motor(s)[0])
         for payload in self.payloads:
             link = self.model.at_payload(float(payload))
-            if payload == self.payloads[-1]:  # which no model was identified with
+            if payload == self.payloads[-1]:  # with which no model was identified
                 link = model_at(self.model, self.rig, float(payload))
             inertia, drag = s**model.order, model.damping * s**model.damping_order
             torque = inertia / (inertia + drag + link.natural_frequency**2)
@@ -317,7 +317,7 @@ class Judge:
         modes = higher_modes(self.model, self.rig, loop, np.geomspace(light, heavy, 3))
         assert modes is not None
         if self.model.second_mode is not None:
-            modes = modes.above(2)  # the table of the loop has the second
+            modes = modes.above(2)  # the table of the loop contains the second one
         gain = np.log(np.abs(self.outer(x, 1j * modes.frequency.ravel())))
         return np.min(math.log(0.5) - gain - modes.level.ravel(), axis=1)
 

@@ -1,4 +1,4 @@
-"""Every figure of the time responses, measured beside the value that is wanted.
+"""All figures of the time responses, measured next to their goals.
 
 R is one `scipy.fft.rfft` of length 2N in the same run; timings are medians of
 interleaved calls in CPU time (everything here runs on one thread; a busy machine's
@@ -105,8 +105,8 @@ def cost(samples: int, rounds: int) -> None:
 
 
 def _step_error(modes: DiscreteModes, samples: int) -> float:
-    """Error of the recursion's step response at 12 times, against one contour integral
-    for each.
+    """Error of the recursion's step response at 12 times, compared with one contour
+    integral each.
     """
     index = np.unique(np.geomspace(1, samples - 1, 12).astype(int))
     output = modes.respond(np.ones(samples))
@@ -182,8 +182,8 @@ def full_memory_errors() -> None:
 
 
 def _square_wave_error(output: np.ndarray, samples: int) -> float:
-    """Error at 20 samples against the sum of step responses of the jumps, each from a
-    contour integral.
+    """Error at 20 samples compared with the sum of the step responses to the jumps,
+    each from a contour integral.
     """
     u = np.sign(np.sin(0.3 * np.arange(samples) * PERIOD))
     jumps = np.flatnonzero(np.diff(u, prepend=0.0))
@@ -285,7 +285,7 @@ def main() -> None:
         rounds=(15, 1),
         decades=(5, 2),
     )
-    memory(10 * given.samples)  # first: a later peak would hide it
+    memory(10 * given.samples)  # first, because a later peak would mask it
     accuracy()
     cost(given.samples, given.rounds)
     linearity(given.decades)

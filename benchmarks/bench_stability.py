@@ -126,7 +126,9 @@ def _restarts(
     order: int,
     starts: int,
 ) -> None:
-    """The error that growth reaches over the best of random starts: 1 is as good."""
+    """The error of the growing fit relative to the best of random starts: 1 is equally
+    good.
+    """
     target = discrete_target(
         response, PERIOD, band, 1, 1.0, None, (0.1, 0.5), np.empty(0)
     )

@@ -1,13 +1,12 @@
-"""From a log that nobody has described to a first model: logs of many shapes through
-`start`.
+"""From a log without a description to a first model: logs of many forms in `start`.
 
-Every made log is of one motion of one arm (λ = 1.93, ω₀ = 10.02, c = 1.56 N·m/rad, 0.32
-m), so that the script knows what each column is: it compares the period, motor angle,
-output, voltage, units, signs, delay, frequency and order that `start` ends with. Where
-`start` refuses, its sentence must name the option, the line or the command that mends
-it; the script fills in the number that only the laboratory has and goes on as told, so
-that each answer is a decision. Bundled and recorded logs are compared with what their
-rig files state.
+Every generated log is of one motion of one arm (λ = 1.93, ω₀ = 10.02, c = 1.56 N·m/rad,
+0.32 m), so that the script knows the role of each column: it compares the period, motor
+angle, output, voltage, units, signs, delay, frequency and order that `start` ends with.
+Where `start` refuses, its message must name the option, the line or the command that
+helps; the script fills in the number known only to the laboratory and follows the
+message, so that each answer is a decision. Bundled and recorded logs are compared with
+what their rig files state.
 """
 
 from __future__ import annotations
@@ -289,7 +288,7 @@ def known() -> tuple[int, int, list[str]]:
     return count, fitted, wrong
 
 
-# What the person at each recorded rig would answer: their READMEs say so.
+# The answers of the person at each recorded rig, according to their READMEs.
 _ANSWERS = {
     "daisy_robot_arm/robot-arm.csv": {"time": "4 ms", "motor_angle": "none"},
     "ist_flexbar/1_test_deflection_model_2_final.mat": {"motor_angle": "none"},

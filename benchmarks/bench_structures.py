@@ -23,9 +23,8 @@ from __future__ import annotations
 
 import os
 
-os.environ["OPENBLAS_NUM_THREADS"] = (
-    "1"  # before numpy is loaded: both sides on one core, whoever shares it
-)
+# before numpy is loaded: both sides use one core, whatever else runs
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import time
 from dataclasses import dataclass, field
@@ -39,8 +38,9 @@ from fraclink._identify.expression import parse_expression
 from grunwald import grunwald_letnikov
 from harness import line, sizes
 
-SPLIT = 8  # steps of a sample
-NOISE = 0.02  # of the output's standard deviation; of each line of a frequency response
+SPLIT = 8  # steps per sample
+# relative to the output's standard deviation; for a frequency response to each line
+NOISE = 0.02
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ EXAMPLES = (
 )
 
 
-# More noise than a recording should have, and orders that are known.
+# More noise than a recording should have, with known orders.
 NOISY = Example(
     "time-domain demo of the CRONE toolbox, orders given",
     "b/(a*s**3 + c*s**1.5 + 1)",
@@ -186,8 +186,8 @@ def difference_fit(
         count += 1
         G = structure.function(dict(zip(names, (x * truth).tolist(), strict=True)))
         output = grunwald_letnikov(G, finer, record.period / split)
-        # A held input jumps behind its sample, the scheme's at it: the sample before
-        # the jump is compared.
+        # A held input jumps after its sample, that of the scheme at the sample: the
+        # sample before the jump is compared.
         return np.asarray(output[split - 1 :: split][:-1] - record.output[1:])
 
     start = time.process_time()
@@ -200,9 +200,8 @@ def difference_fit(
 def seconds_of(
     example: Example, data: fl.extend.Recording | fl.FrequencyResponse, *, details: bool
 ) -> tuple[float, fl.extend.StructureFit]:
-    heldout = (
-        0.0 if isinstance(data, fl.extend.Recording) else None
-    )  # a response has nothing to hold out
+    # a response has no part to hold out
+    heldout = 0.0 if isinstance(data, fl.extend.Recording) else None
     start = time.process_time()
     fit = fl.identify_structure(
         data,

@@ -107,7 +107,7 @@ def drags(page: Page, process: int, moves: int) -> None:
             page.run("performance.getEntriesByName('drag').map(e => e.duration)")
         )
         wanted = "<= 35 ms, p95 <= 70 ms; >= 20 redraws/s"
-        if not seen:  # too few moves for a frame between them, or a page that is stuck
+        if not seen:  # too few moves for a frame between them, or a page that hangs
             line(f"pointer to painted, {handle}", "no redraw seen", wanted, False)
             continue
         median, late = np.median(seen), np.quantile(seen, 0.95)
@@ -129,7 +129,7 @@ def in_browser(place: Path, moves: int) -> None:
         line("start, to the printed address", f"{start:.2f} s", "<= 1.5 s")
         with browser(place) as page:
             page.look()
-            page.open(address)  # once for the profile of the browser
+            page.open(address)  # once for the browser's profile
             page.until("document.querySelector('#h-crossover')")
             begin = time.perf_counter()
             page.open(address)
@@ -137,7 +137,7 @@ def in_browser(place: Path, moves: int) -> None:
             curves = time.perf_counter() - begin
             line("first curves", f"{curves:.2f} s", "<= 1.5 s")
             page.until("document.querySelector('.armbox')")
-            # Not measured: the first drag of a fresh engine.
+            # Not measured: the first drag of a new engine.
             page.drag("#h-margin-phase", (0, 4), moves=moves)
             time.sleep(1.0)
             drags(page, process.pid, moves)

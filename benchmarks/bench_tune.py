@@ -123,7 +123,7 @@ def draw(seed: int) -> Drawn:
     link = replace(rig.link, mass=random.uniform(0.0, 0.065))
     noise = rig.gauge.noise * random.uniform(0.5, 1.5)
     arm = replace(rig, motor=motor, link=link, gauge=replace(rig.gauge, noise=noise))
-    # η of a mode that is damped by ζ is 2ζ/ω.
+    # η of a mode with damping ratio ζ is 2ζ/ω.
     modes = fl.extend.Beam.from_rig(arm, payload=payload).modes(2).frequencies
     times = 2.0 * np.array([first, second]) / modes
     twin = fl.Twin.from_rig(
@@ -173,9 +173,8 @@ def truth(
     arm fail.
     """
     model, modes = design.model, drawn.twin.beam.modes(2)
-    sizes = (
-        modes.participation * modes.curvature
-    )  # Γ/θm of each mode far above it [N·m/rad]
+    # Γ/θm of each mode far above its frequency [N·m/rad]
+    sizes = modes.participation * modes.curvature
     second = float(modes.frequencies[-1])
     damped, other = drawn.ratios
     real = fl.LinkModel(
@@ -254,7 +253,7 @@ def arms(first: int, count: int) -> None:
         for seed in range(first, first + count):
             try:
                 found = one_arm(seed, Path(folder))
-            except Exception as error:  # a crash is a result, too  # noqa: BLE001
+            except Exception as error:  # a crash is a result too  # noqa: BLE001
                 found = {"seed": seed, "crash": f"{type(error).__name__}: {error}"}
             print(json.dumps(found), flush=True)
             results.append(found)
@@ -481,10 +480,10 @@ def main() -> None:
         records=(40, 0),
         windows=(180, 0),
     )
-    if given.arms:  # a tuning takes most of a minute; the tests tune, too
+    if given.arms:  # a tuning takes most of a minute, and the tests also tune
         arms(given.first, given.arms)
     wiring(given.wirings)
-    if given.records:  # a tuning of its own: 15 s
+    if given.records:  # a separate tuning: 15 s
         watching(given.records, given.windows)
 
 

@@ -1,5 +1,5 @@
-"""Figures of the twin: modes, speed, distance from the lumped model, and what
-identification makes of it.
+"""Figures of the twin: modes, speed, deviation from the lumped model, and the model
+identified from it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from state_space import of_law, of_plant, spectral_radius
 
 STIFFNESS, LENGTH, LINK_MASS, PERIOD = 1.56, 0.65, 0.00735, 0.004
 RIGIDITY = STIFFNESS * LENGTH / 3
-RATIO = 0.0654  # damping ratio of the mode at λ = 1.92, given to all three materials
+RATIO = 0.0654  # damping ratio of the mode at λ = 1.92, used for all three materials
 
 
 def modes() -> None:

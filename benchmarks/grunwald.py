@@ -1,4 +1,4 @@
-"""The sums of Grünwald and Letnikov, to compare with: FOMCON's `fode_sol` and `lsim`."""
+"""The Grünwald-Letnikov sums, as a reference: FOMCON's `fode_sol` and `lsim`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""What every benchmark shares: how a figure is printed, how calls are timed, and the sizes of the two forms.
+"""Shared by all benchmarks: printing of figures, timing of calls, and the sizes of the
+two forms.
 
-The short form (`--short`) takes the smallest sizes with which every line of a benchmark
-still runs; its times mean nothing.
+The short form (`--short`) uses the smallest sizes with which every line of a benchmark
+still runs; its times are meaningless.
 """
 
 from __future__ import annotations

@@ -15,9 +15,9 @@ from fraclink.extend import simulated_torque
 
 PERIOD = 0.004
 SAMPLES = 5000
-NOISE = 0.0052**0.5  # the paper's MSE, all of it white
+NOISE = 0.0052**0.5  # the paper's MSE, all of it as white noise
 TRUTH = LinkModel(stiffness=1.56, natural_frequency=10.02, order=1.92)
-FINE = 10  # inner steps of a simulated log: the motor is not linear between two samples
+FINE = 10  # inner steps of a simulated log: the motor is not linear between samples
 
 
 def smooth_pulse(time: NDArray[np.float64], rise: float = 0.3) -> NDArray[np.float64]:

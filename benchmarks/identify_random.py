@@ -16,7 +16,7 @@ from identify_logs import smooth_pulse
 
 PERIOD = 0.004
 SAMPLES = 5001
-FINE = 5  # inner steps of a sample: the motor is not linear between two samples
+FINE = 5  # inner steps per sample: the motor is not linear between samples
 COLOURS = (0.0, 0.9, 0.98)  # ρ of the noise's autoregression; 0 is white
 
 

@@ -1,13 +1,12 @@
 """Run every benchmarks/bench_*.py in a process of its own and print one table.
 
-A benchmark prints one line per figure: `ok` or `MISS`, the figure, what was measured
-with its spread, what is wanted. The exit code is 1 where a benchmark crashed or printed
-nothing; a missed figure is a result. `--short` takes the smallest sizes of each: a
-minute, to see that all of them run, and its times mean nothing.
+A benchmark prints one line per figure: `ok` or `MISS`, the figure, the measured value
+with its spread, the goal. The exit code is 1 if a benchmark crashed or printed nothing;
+a missed figure is a result. `--short` uses the smallest sizes: in a minute it shows
+that all of them run; its times are meaningless.
 
 `--record` appends the figures to history.csv with version, commit and processor, so
-that a figure can be followed over the releases. Record on a machine that does nothing
-else.
+that a figure can be followed over the releases. Record on an otherwise idle machine.
 """
 
 from __future__ import annotations

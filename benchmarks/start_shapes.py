@@ -18,7 +18,7 @@ import fracsys
 
 Array = NDArray[np.float64]
 PERIOD, COUNT, LENGTH, STIFFNESS = 0.004, 3000, 0.32, 1.56
-ORDER, FREQUENCY, DELAY = 1.93, 10.02, 0.008  # the delay of the logs that have one
+ORDER, FREQUENCY, DELAY = 1.93, 10.02, 0.008  # DELAY applies to the logs that have one
 DEG = 180 / np.pi
 
 
@@ -31,7 +31,8 @@ def motion() -> dict[str, Array]:
     angle = np.asarray(
         fl.prbs(0.4, 0.24, bits=45, register=9, start=0.3).angle(time), dtype=np.float64
     )
-    for _ in range(2):  # twice smoothed: the voltage needs the motor's acceleration
+    # smoothed twice, because the voltage needs the motor's acceleration
+    for _ in range(2):
         angle = np.convolve(
             np.concatenate((np.zeros(15), angle)), np.ones(16) / 16, "valid"
         )[:COUNT]

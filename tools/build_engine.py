@@ -2,8 +2,8 @@
 without a library.
 
 python tools/build_engine.py [--check] needs clang and wasm-ld (Debian: clang, lld). The
-package holds the result beside its SHA-256 and the compiler that made it, so that
-nobody needs a compiler to share an arm; a test builds it again and compares.
+package contains the result with its SHA-256 and the version of its compiler, so that no
+user needs a compiler to share an arm; a test builds it again and compares.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _FLAGS = (
     "--target=wasm32",
     "-std=c11",
     "-Oz",
-    "-msimd128",  # two rows of the twin at once, each with the bits it has alone
-    "-flto",  # a twentieth smaller: what is called once is inlined across files
+    "-msimd128",  # two rows of the twin at once, each with the same bits as alone
+    "-flto",  # a twentieth smaller: functions called once are inlined across files
     "-ffp-contract=off",
     "-ffreestanding",
-    # 7 kB of the payload estimator; the page tells the law its payload, and moves one
-    # arm
+    # 7 kB of the payload estimator; the page gives the law its payload, and moves a
+    # single arm
     "-DLAW_ALONE",
     "-DLOOP_LANES=1",
     "-nostdlib",

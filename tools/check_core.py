@@ -1,8 +1,8 @@
-"""Build the core in a copy without the packages around it, and run its own tests.
+"""Build the core in a copy without the satellite packages, and run its own tests.
 
-python tools/check_core.py [pytest options] leaves logs, lab, trials, view, studio and
-the commands out, runs the README's session with what is left, and then the tests that
-name none of those packages.
+python tools/check_core.py [pytest options] omits logs, lab, trials, view, studio and
+the commands, runs the README's session with the rest, and then the tests that name none
+of those packages.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 AROUND = ("lab", "logs", "trials", "view", "studio", "_cli")
-# What the top level lends from them.
+# Names of the top level that come from the satellites.
 LENT = ("Callback", "MotionLimits", "TuningPlan", "bode", "main", "tune")
 NAMES_AROUND = re.compile(
     rf"\b(?:fl|fraclink)\.(?:{'|'.join(AROUND + LENT)})\b"
     rf"|from fraclink import (?:\([^)]*|.*)\b(?:{'|'.join(AROUND + LENT)})\b"
 )
-# The finder of an editable install stands before the path, and would load the package
-# with everything around it.
+# The finder of an editable install precedes the path, and would load the package with
+# all satellites.
 ALONE = """
 import sys
 sys.meta_path[:] = [
@@ -52,7 +52,7 @@ def core_tests() -> list[str]:
     left_out = {
         path.stem for path in helpers if NAMES_AROUND.search(path.read_text("utf-8"))
     }
-    # Browsers show the page of the studio, and fraclink as a whole.
+    # Browsers show the page of the studio, which belongs to fraclink as a whole.
     left_out |= {"golden", "guard_sources", "benchmarks", "browser", "reproduce"}
     uses = re.compile(rf"^\s*(?:from|import) (?:{'|'.join(left_out)})\b", re.MULTILINE)
     return [

@@ -29,7 +29,7 @@ sys.exit(outcome.failed > 0 or outcome.attempted < 10)
 
 
 def run(*command: object, cwd: Path) -> None:
-    # An editable install of this checkout must not be what is imported.
+    # An editable install of this checkout must not be imported.
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     subprocess.run(  # noqa: S603
         [str(part) for part in command], cwd=cwd, env=environment, check=True
@@ -67,7 +67,7 @@ def main() -> None:
         run(*into, "--require-hashes", "--no-deps", "-r", "needed.txt", cwd=away)
         run(*into, "--no-deps", wheel, cwd=away)
         run(*into[:-1], "check", cwd=away)
-        # Line by line, without the fences: what a reader would paste.
+        # Line by line, without the fences: the text that a reader would paste.
         readme = (ROOT / "README.md").read_text("utf-8")
         (session,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
         (away / "session.txt").write_text(session, encoding="utf-8")

@@ -3,8 +3,7 @@
 
 libFuzzer with the address, undefined-behaviour and float sanitizers of clang on
 tests/firmware/fuzz.c, whose invariants (finite, in limits, slew, trips latch) are the
-oracle. Exit code 1 where one is violated; the input is then in the folder that is
-printed.
+oracle. The exit code is 1 if one is violated; the input is then in the printed folder.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Draw the README's animation: `python tools/make_animation.py`.
 
-docs/_static/arm.svg: the bundled arm with 30 g moves by 60° and back, on the twin with a
-link of 7.35 g: on the left under its motor's own PID, on the right under the law that is
-shipped; before the way back both lose their strain gauge. Every tip and every motor is a
-sample of such a run; the bow between them is drawn twice as deep. A viewer interpolates
-between samples 40 ms apart. One file without a script, for light and dark pages; who
-asks the system for less motion sees it stand still.
+docs/_static/arm.svg: the bundled arm with 30 g moves by 60° and back, on the twin with
+a link of 7.35 g: on the left under its motor's own PID, on the right under the law that
+is shipped; before the way back both lose their strain gauge. Every tip and every motor
+is a sample of such a run; the bow between them is drawn twice as deep. A viewer
+interpolates between samples 40 ms apart. A single file without a script, for light and
+dark pages; with the system setting for reduced motion it stands still.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fraclink._simulate import SensorFault, Twin
 from fraclink.trials._rivals import motor_alone
 
 PLACE = Path(__file__).resolve().parents[1] / "docs" / "_static" / "arm.svg"
-WIDTH, HEIGHT, LENGTH = 860, 330, 205  # LENGTH: of the link, in pixels
+WIDTH, HEIGHT, LENGTH = 860, 330, 205  # LENGTH: length of the link in pixels
 HUB = HEIGHT - 66  # below the top
 MOVE = math.radians(60)
 END, LOST = 4.0, 1.6  # [s]

@@ -1,8 +1,8 @@
 """Print the README's comparison: `python tools/make_comparison.py`.
 
 A move of 60° in 0.5 s on the twin of the bundled arm under fraclink and the rivals of
-`fraclink compare`, each tuned for 20 to 40 g by its rule. tests/test_readme.py holds
-the README to what this prints.
+`fraclink compare`, each tuned for 20 to 40 g by its rule. tests/test_readme.py compares
+the README with this output.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ FAMILIES = {
     "5": "law and simulation",
     "6": "the twin",
 }
-# One instance of every class: what it looks like is shown, and the guard is asked for
-# its exit code.
+# One instance of every class: its message is shown, and the guard determines its exit
+# code.
 EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
     (
         errors.FieldError(
@@ -101,7 +101,7 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
         "install the extra that the message names",
     ),
 )
-# One call makes several and takes their words from a loop or a caller.
+# One call creates several findings and takes their words from a loop or a caller.
 NAMED = {
     "W202": {
         "message": "the motor angle, or the torque or deflection, is constant or zero throughout",
@@ -142,7 +142,7 @@ def words(node: ast.expr | None, handed: Mapping[str, ast.expr] = NONE) -> str:
         return words(handed.get(node.value.id))
     if isinstance(node, ast.IfExp):
         return " / ".join(filter(None, (words(node.body), words(node.orelse))))
-    if isinstance(node, ast.Call):  # a table of remedies with a fall-back
+    if isinstance(node, ast.Call):  # a table of remedies with a default
         return words(node.args[-1]) if node.args else ""
     return ""
 

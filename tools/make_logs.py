@@ -4,9 +4,10 @@
 
 The rig is the paper's: c = 1.56 N·m/rad measured, L = 0.65 m, so EI = c L/3; a carbon
 rod of 7.35 g (3 mm diameter, 1600 kg/m³), power-law damping with λ = 1.92, the hub
-behind the motor servo M(s) with p = 80 rad/s, 20 s at 4 ms. What a laboratory adds is
-here too: 1 % of the signal's power as gauge noise, an offset, the steps of a 12-bit
-converter over ±2.5 N·m, an encoder of 20 000 counts, and 2 ms in the strain amplifier.
+behind the motor servo M(s) with p = 80 rad/s, 20 s at 4 ms. Typical imperfections of a
+laboratory are included: 1 % of the signal's power as gauge noise, an offset, the steps
+of a 12-bit converter over ±2.5 N·m, an encoder of 20 000 counts, and 2 ms in the strain
+amplifier.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from reproduce.twin_logs import simulate_log
 
 PERIOD, SAMPLES = 0.004, 5001
 STIFFNESS, LENGTH, LINK_MASS = 1.56, 0.65, 0.00735
-NOISE_SHARE = 0.012  # of the torque's mean square: the NMSE a perfect model would reach
+# relative to the mean square of the torque: the NMSE of a perfect model
+NOISE_SHARE = 0.012
 
 
 def prbs(

@@ -3,9 +3,9 @@ needs Chromium.
 
 result.svg, left and middle: a move of 1 rad in 0.5 s of the twin with the law that is
 shipped, at four payloads, without and with the payload as its input. Right: the phase
-margin that the published procedure promises, what is left of it in the loop that runs,
-and the same for a design that puts the loop into the equation. arm.png: the page that
-`fraclink report --arm` writes.
+margin promised by the published procedure, the margin that remains in the real loop,
+and the same for a design that includes the loop in its equations. arm.png: the page
+that `fraclink report --arm` writes.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from fracsys._margins import Margins
 
 STATIC = Path(__file__).resolve().parent.parent / "docs" / "_static"
 PLACE = STATIC / "result.svg"
-# Where the arm under its motor's PID alone swings farthest; the gauge is lost later, so
-# that the ribbon shows two modes.
+# The time at which the arm under its motor's PID alone swings farthest; the gauge is
+# lost later, so that the ribbon shows two modes.
 SETTINGS = "at=0.62&nan=310"
 
 

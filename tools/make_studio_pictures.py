@@ -2,8 +2,8 @@
 
     python tools/make_studio_pictures.py
 
-The log is a bundled one with two readings spoilt near its end, so that a finding has a
-place in it, and what is kept begins at rest.
+The log is a bundled one with two corrupted readings near its end, so that a finding has
+a location in it, and the kept part begins at rest.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import fraclink as fl
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from browser import Page, browser  # beside the tests  # noqa: E402
+from browser import Page, browser  # in the folder of the tests  # noqa: E402
 
 STATIC = ROOT / "docs" / "_static"
 
@@ -45,7 +45,7 @@ def pictures(page: Page, address: str) -> None:
     page.run("document.querySelector('#replay-at').value = 430")
     page.run("document.querySelector('#replay-at').dispatchEvent(new Event('input'))")
     page.drag("#h-cut-1", (-260, 0))
-    time.sleep(4.5)  # until the toast has gone
+    time.sleep(4.5)  # until the notification has disappeared
     page.picture(STATIC / "studio-channels.png")
     page.run("document.querySelector('#cut-keep').click()")
     page.until(

@@ -53,22 +53,20 @@ from mutation import HITS, Site, instrumented, mutated, sites
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "results" / "mutants"
 TREES = (ROOT / "src" / "fraclink", ROOT / "prove" / "src")
-SEED, COUNT, FEWEST = 1, 300, 8  # FEWEST of a room, and less of a small count
-LONGEST = 20.0  # s of processor time a test may need to take part
-SLOW_CASES = 2  # of a slow test with many parameters
+SEED, COUNT, FEWEST = 1, 300, 8  # FEWEST of a package, and fewer for a small count
+LONGEST = 20.0  # [s] processor time that a test may take to be included
+SLOW_CASES = 2  # cases of a slow test with many parameters
 COLD_FILES = 10
-BUDGET = 20.0  # s of processor time of the tests of one mutant
-# Tests of files, guards and pages: they read sources, or start what never runs the
-# mutant.
+BUDGET = 20.0  # [s] processor time of the tests of one mutant
+# Tests of files, guards and pages: they read sources, or start programs that never run
+# the mutant.
 UNCONCERNED = (
     "test_docs", "test_guards", "test_architecture", "test_studio_browser", "test_benchmarks_run",
     "test_readme", "test_reproduce", "test_examples", "test_export_gates", "test_export_firmware",
     "test_export_fmu_sources", "test_palette", "test_readers_mutants",
 )  # fmt: skip
-INTERFACE = (
-    "tests/test_interface.py"  # asks for every default and range, whatever it runs
-)
-# What a process needs to run a module's changed code although it starts anew.
+INTERFACE = "tests/test_interface.py"  # reads every default and range, whatever it runs
+# The code by which a new process runs the changed code of a module.
 SITE = f"""
 import builtins, json, marshal, mmap, os
 from importlib.machinery import SourceFileLoader
@@ -346,7 +344,7 @@ def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
             result.append(rng.choice(places[name][kind].pop(spot)))
             if not places[name][kind]:
                 del places[name][kind]
-    rng.shuffle(result)  # a run that is cut short has seen every room
+    rng.shuffle(result)  # so that a run that is interrupted has covered every package
     return result
 
 
@@ -399,7 +397,7 @@ class Choice:
         every = sorted(
             (float(self.costs[k]), self.names[k]) for k in np.flatnonzero(touched)
         )
-        # One of each file first: ten cheap tests of one file ask the same thing ten
+        # One of each file first: ten cheap tests of one file test the same thing ten
         # times.
         turn: collections.Counter[str] = collections.Counter()
         ranked = []
@@ -409,7 +407,7 @@ class Choice:
             turn[of] += 1
         chosen, spent = [], 0.0
         for _, name, cost in sorted(ranked):
-            # Each file of tests is collected anew for a change at import.
+            # Every file of tests is collected again for a change at import.
             many = (
                 site.block is None
                 and len({test.split("::")[0] for test, _ in chosen}) >= COLD_FILES
@@ -451,15 +449,14 @@ def in_a_fork(
     done, status, usage = 0, 0, None
     while not done:
         done, status, usage = os.wait4(child, os.WNOHANG)
-        if (
-            not done and time.monotonic() - begin > 30.0 + 15.0 * limit
-        ):  # who sleeps uses no processor time
+        # a sleeping process uses no processor time
+        if not done and time.monotonic() - begin > 30.0 + 15.0 * limit:
             os.killpg(child, signal.SIGKILL)
             done, status, usage = os.wait4(child, 0)
         elif not done:
             time.sleep(0.005)
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # what it left behind
+        os.killpg(child, signal.SIGKILL)  # processes that it left behind
     fate = (
         "stopped"
         if os.WIFSIGNALED(status)
@@ -506,7 +503,7 @@ class Judge:
     def trusted(self, item: Any) -> bool:
         """Whether the test that failed passes alone and without a mutant."""
         if item is None:
-            return True  # it was not a test that failed
+            return True  # the failure was not that of a test
         if item.nodeid not in self.alone:
 
             def run(_say: Callable[[str], None]) -> None:
@@ -630,9 +627,8 @@ def run(seed: int, count: int, minutes: float, only: str = "") -> None:
         names = [name for name, _ in tests]
         fate = in_a_fork(functools.partial(run_anew, dict([change]), names), limit)
         while fate[0] == "failed":
-            by = (
-                [fate[1]] if "::" in fate[1] else names[:1]
-            )  # else what was imported failed
+            # otherwise the import failed
+            by = [fate[1]] if "::" in fate[1] else names[:1]
             if by[0] not in trusted:
                 trusted[by[0]] = (
                     in_a_fork(functools.partial(run_anew, {}, by), 30.0)[0] == "passed"
@@ -663,8 +659,8 @@ def run_anew(
     install(codes, place, 0)
     silence()
     watch = Watch(say)
-    # Where a docstring's example is among the tests, pytest would rewrite that module's
-    # assertions, from the file and not from the mutant's code.
+    # If a docstring's example is among the tests, pytest would rewrite the assertions
+    # of that module from the file instead of the mutant's code.
     ended = pytest.main(options("--assert=plain", "-x", *names), plugins=[watch])
     shutil.rmtree(place, ignore_errors=True)
     if watch.failed or ended != pytest.ExitCode.OK:

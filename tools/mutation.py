@@ -1,9 +1,9 @@
-"""Mutants of Python sources: where a small change can be made, and which tests run the
+"""Mutants of Python sources: the places for small changes, and the tests that run each
 place.
 
 A mutant is one change of one node of a module's syntax tree. Docstrings, annotations,
-decorators, assertions and whatever stands in a `raise` are left alone: they are text
-for people or for the type checker.
+decorators, assertions and the contents of `raise` are left unchanged: they are text for
+people or for the type checker.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-# the builtin in which an instrumented module notes the blocks it ran
+# the builtin in which an instrumented module records the blocks that were run
 HITS = "__fraclink_hits__"
 REMOVED = "removed statement"
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 _BODIES = ("body", "orelse", "finalbody")
 
-# Either order of the first two arguments gives the same: a swap is no change.
+# Commutative in the first two arguments: swapping them is no change.
 _SYMMETRIC = {
     "min", "max", "minimum", "maximum", "hypot", "gcd", "isclose", "allclose", "array_equal", "isinstance",
     "logical_and", "logical_or", "multiply", "add", "zip",
 }  # fmt: skip
-# Keywords that no result depends on: `strict` of zip refuses lengths that differ only
-# by a defect elsewhere.
+# Keywords that affect no result: `strict` of zip only rejects lengths that differ
+# because of a defect elsewhere.
 _NO_RESULT = {"stacklevel", "maxsize", "indent", "strict"}
 
 _COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
@@ -51,11 +51,11 @@ class Site:
     node: ast.AST
     apply: Callable[[], Any]
     line: int
-    block: (
-        int | None
-    )  # the run of statements it stands in; None for what runs at import
-    function: str  # qualified name of the outermost function around it; "" at import
-    names: frozenset[str]  # what a change at import is known by elsewhere
+    # the block of statements that contains it; None for code run at import
+    block: int | None
+    # qualified name of the outermost function that contains it; "" at import
+    function: str
+    names: frozenset[str]  # names by which other modules refer to a change at import
 
 
 # --- blocks: runs of statements of which either all run or none, but for exceptions ---------------------
@@ -77,9 +77,9 @@ def number_blocks(tree: ast.Module, first: int) -> int:
             for part in inner:
                 visit(part, inside or isinstance(statement, FUNCTIONS))
             if inner and not isinstance(statement, (*FUNCTIONS, ast.ClassDef)):
-                block = (
-                    None  # a branch may have left: what follows is counted by itself
-                )
+                # a branch may have left: the following statements are counted
+                # separately
+                block = None
 
     visit(tree.body, False)
     return counter[0]
@@ -156,9 +156,7 @@ class Finder(ast.NodeVisitor):
     def _set(
         self, kind: str, node: Any, name: str, value: object, holder: Any = None
     ) -> None:
-        """A site that sets an attribute of the node (or of `holder`, which hangs in
-        it).
-        """
+        """A site that sets an attribute of the node (or of `holder`, a part of it)."""
         self._add(kind, node, lambda: setattr(holder or node, name, value))
 
     # statements
@@ -185,7 +183,7 @@ class Finder(ast.NodeVisitor):
         return None
 
     def _statements(self, node: Any) -> None:
-        """The bodies of a compound statement, each statement of which may also be
+        """The bodies of a compound statement, from which each statement may also be
         removed.
         """
         for body in _bodies(node):
@@ -370,7 +368,7 @@ class Finder(ast.NodeVisitor):
             self.visit(node.value)
 
     def visit_FormattedValue(self, node: ast.FormattedValue) -> None:
-        self.visit(node.value)  # not the format: text
+        self.visit(node.value)  # not the format, which is text
 
     def visit_Constant(self, node: ast.Constant) -> None:
         value = node.value

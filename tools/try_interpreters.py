@@ -1,8 +1,8 @@
 """Run the demo and the core's tests on the interpreters of this machine.
 
-python tools/try_interpreters.py installs into build/interpreters. The oldest Python gets
-the lowest versions that pyproject.toml allows of everything it names, the newest Python the
-newest ones, each with the core's tests; those between run `make demo` alone.
+python tools/try_interpreters.py installs into build/interpreters. The oldest Python
+gets the lowest versions allowed by pyproject.toml, the newest Python the newest ones,
+each with the core's tests; the versions in between only run `make demo`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def requirements(*, lowest: bool) -> list[str]:
     named += [row for name in extras if name != "all" for row in extras[name]]
     if lowest:
         named = [re.sub(r">=([^,]+).*", r"==\1", row) for row in named]
-    # The build backend calls these two, and takes those of the system where it can.
+    # The build backend runs these two, and uses those of the system if possible.
     return [*dict.fromkeys(named), "cmake", "ninja"]
 
 
@@ -82,7 +82,8 @@ class Attempt:
         self.log = HOME / f"{self.home.name}.log"
 
     def run(self, *command: object) -> None:
-        # The environment's own cmake and ninja; tests may skip what is not installed in it.
+        # The environment's own cmake and ninja; tests may skip what is not installed in
+        # it.
         environment = os.environ | {
             "PATH": f"{self.python.parent}{os.pathsep}{os.environ['PATH']}",
             "SKBUILD_BUILD_DIR": str(self.home / "build"),
