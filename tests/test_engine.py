@@ -187,17 +187,19 @@ def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages
     )
 
 
-def twin_of(design: Design, payload: float = 0.030, **sensors: float) -> fl.Twin:
+def twin_of(
+    design: Design, payload: float = 0.030, *, delay: int = 1, **gauge: float
+) -> fl.Twin:
     """The twin of a page, on a hub heavy enough to be held."""
-    delay = int(sensors.pop("delay", 1))
+    rig = replace(design.rig, gauge=replace(design.rig.gauge, **gauge))
     twin = fl.Twin.from_rig(
-        design.rig,
+        rig,
         model=design.model,
         payload=payload,
         link_mass=0.00735,
         modes=TWIN_MODES,
     )
-    return replace(twin, voltage_delay=delay, sensors=replace(twin.sensors, **sensors))
+    return replace(twin, voltage_delay=delay)
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +225,7 @@ def test_a_run_of_the_twin_has_the_packages_bits(
     engine, geared, precision, payload, noise, offset, delay
 ):
     law = geared.law().in_precision(precision)
-    twin = twin_of(geared, payload, gauge_noise=noise, gauge_offset=offset, delay=delay)
+    twin = twin_of(geared, payload, noise=noise, offset=offset, delay=delay)
     run = fl.simulate(law, MOVE, arm=twin, duration=END, seed=7, told=payload)
     same(engine.run_twin(twin, law, MOVE, duration=END, seed=7, told=payload), run)
 
@@ -248,7 +250,7 @@ def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(
 ):
     law = geared.law()
     for twin in (
-        twin_of(geared, gauge_delay=0.0063, gauge_gain=0.93),
+        replace(twin_of(geared), gauge_delay=0.0063, gauge_gain=0.93),
         replace(twin_of(geared), damping=KelvinVoigt(0.0118)),
         replace(twin_of(geared), beam=replace(twin_of(geared).beam, link_mass=0.0)),
     ):

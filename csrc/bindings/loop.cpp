@@ -119,21 +119,20 @@ void bind_loop(nb::module_ &m) {
              nb::arg("first"), nb::arg("second"));
     nb::class_<loop_rig>(m, "LoopRig")
         .def("__init__",
-             [](loop_rig *self, bool sampled, int substeps, double period, double pole, double coupling,
-                double encoder, double limit, double quantum, double start) {
+             [](loop_rig *self, bool sampled, int substeps, double period, double pole, double encoder,
+                double limit, double quantum, double start) {
                  new (self) loop_rig{};
                  self->sampled = sampled;
                  self->substeps = substeps;
                  self->period = period;
                  self->pole = pole;
-                 self->coupling = coupling;
                  self->encoder = encoder;
                  self->limit = limit;
                  self->quantum = quantum;
                  self->start = start;
              },
              nb::kw_only(), nb::arg("sampled"), nb::arg("substeps"), nb::arg("period"), nb::arg("pole"),
-             nb::arg("coupling"), nb::arg("encoder"), nb::arg("limit"), nb::arg("quantum"), nb::arg("start"));
+             nb::arg("encoder"), nb::arg("limit"), nb::arg("quantum"), nb::arg("start"));
     m.def("loop_run", &run, "Closed loops of one or many arms under one law.");
     m.def("loop_normal", &loop_normal);
     m.def("loop_weights", [](double decay, double period, int substeps) {

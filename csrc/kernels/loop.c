@@ -26,12 +26,11 @@ typedef struct {
     double re[LOOP_MODES];
     double im[LOOP_MODES];
     double tip;
-    double before; /* tip one period ago */
     double second_re;
     double second_im;
 } link_state;
 
-static const link_state STRAIGHT = {{0}, {0}, {0}, 0.0, 0.0, 0.0, 0.0};
+static const link_state STRAIGHT = {{0}, {0}, {0}, 0.0, 0.0, 0.0};
 
 static double rounded_to(double value, double quantum)
 {
@@ -60,19 +59,14 @@ static double servo_voltage(const motor_state *m, const loop_rig *rig, double re
 
 /* Motor under a held voltage with Coulomb friction as a proximal step: the friction force of a substep is the one
  * that shortens the speed by at most its impulse and never turns it around, which includes stiction. */
-static void follow_voltage(motor_state *m, const loop_rig *rig, const loop_weights *w, double held,
-                           const link_state *link)
+static void follow_voltage(motor_state *m, const loop_rig *rig, const loop_weights *w, double held)
 {
     const double impulse = rig->friction * w->first;
-    const double h = rig->period / rig->substeps;
     for (int i = 0; i < rig->substeps; i++) {
-        /* the coupling torque at the middle of the substep, with the tip on its straight line of the last period */
-        const double tip = link->tip + (link->tip - link->before) * (i + 0.5) / rig->substeps;
-        const double push = held - rig->coupling * (m->angle + 0.5 * h * m->speed - tip);
-        const double free = w->keep * m->speed + w->first * push;
+        const double free = w->keep * m->speed + w->first * held;
         const double left = fabs(free) - impulse;
         const double speed = copysign(left > 0.0 ? left : 0.0, free);
-        const double force = push + (speed - free) / w->first;
+        const double force = held + (speed - free) / w->first;
         if (i == 0)
             m->early = force - rig->decay * m->speed;
         m->angle += w->first * m->speed + w->second * force;
@@ -129,7 +123,6 @@ static void move_link(link_state *s, const loop_link *link, const double q[LOOP_
         s->im[i] = im;
         tip += re;
     }
-    s->before = s->tip;
     s->tip = tip;
     if (link->second) {
         const double *n = link->second;
@@ -251,7 +244,7 @@ typedef struct {
     double impulse[LOOP_LANES];
 } motor_lanes;
 
-/* follow_voltage without coupling, whose push is the same in all substeps. */
+/* follow_voltage of several arms at once. */
 FRACLINK_CLONES
 static void follow_voltages(motor_lanes *restrict m, int substeps)
 {
@@ -278,13 +271,13 @@ static motor_state motor_of(const motor_lanes *m, int l)
     return one;
 }
 
-/* Motors that are no lanes of one vector: behind the ideal motor loop, or pushed by their links. */
-static void follow_alone(const loop_arm *arm, motor_lanes *m, int l, const link_state *link, double applied, int64_t k)
+/* Motors that are no lanes of one vector: behind the ideal motor loop, or where a machine has none. */
+static void follow_alone(const loop_arm *arm, motor_lanes *m, int l, double applied, int64_t k)
 {
     const loop_rig *const rig = &arm->rig;
     motor_state one = motor_of(m, l);
     if (rig->sampled) {
-        follow_voltage(&one, rig, &rig->weights, rig->gain * applied, link);
+        follow_voltage(&one, rig, &rig->weights, rig->gain * applied);
     } else {
         arm->trace.voltage[k] = servo_voltage(&one, rig, applied);
         follow_reference(&one, rig, &rig->weights, applied);
@@ -359,14 +352,14 @@ static double decide(const loop_arm *arm, const law_port *law, const void *param
     if (!rig->sampled)
         return s->out[PORT_MOTOR_REFERENCE] - rig->start;
     /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
-    return s->out[PORT_VOLTAGE] - (rig->coupling > 0.0 ? 0.0 : s->out[PORT_COMPENSATION]);
+    return s->out[PORT_VOLTAGE] - s->out[PORT_COMPENSATION];
 }
 
 int loop_run(const loop_arm *arms, int count, const law_port *law, const void *params, int64_t length)
 {
     arm_state states[LOOP_LANES];
     motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
-    const int in_lanes = LOOP_LANES > 1 && arms[0].rig.sampled && arms[0].rig.coupling == 0.0;
+    const int in_lanes = LOOP_LANES > 1 && arms[0].rig.sampled;
     for (int l = 0; l < count; l++) {
         if (out_of_bounds(&arms[l].link, &arms[l].rig))
             return 1;
@@ -382,7 +375,7 @@ int loop_run(const loop_arm *arms, int count, const law_port *law, const void *p
             const double applied = s->pending[(k + 1) % slots]; /* written `delay` periods ago */
             motor.held[l] = arm->rig.gain * applied;
             if (!in_lanes)
-                follow_alone(arm, &motor, l, &s->link, applied, k);
+                follow_alone(arm, &motor, l, applied, k);
         }
         if (in_lanes)
             follow_voltages(&motor, arms[0].rig.substeps);

@@ -46,7 +46,6 @@ typedef struct {
     double gain;           /* A [rad/(s^2 V)] */
     double decay;          /* B [1/s] */
     double friction;       /* Coulomb deceleration [rad/s^2] */
-    double coupling;       /* 0: torque compensated ideally; else c/(n^2 J): it acts on the motor [1/s^2] */
     double encoder;        /* resolution [rad], 0 = exact */
     double offset;         /* gauge offset from the second period on [N m] */
     double noise;          /* standard deviation of a gauge sample [N m] */
@@ -95,7 +94,7 @@ typedef struct {
 #endif
 
 /* Run up to LOOP_LANES arms under one law, whose `params` are a law_params of its precision. Their rigs share `sampled`,
- * `substeps`, `period`, and whether `coupling` is zero. Return 0, or 1 where a bound above is exceeded. */
+ * `substeps` and `period`. Return 0, or 1 where a bound above is exceeded. */
 int loop_run(const loop_arm *arms, int count, const law_port *law, const void *params, int64_t length);
 
 loop_weights loop_weights_of(const loop_rig *rig);

@@ -18,7 +18,7 @@
 #define EXPORT(name) __attribute__((export_name(#name))) name
 
 /* A script fills both rigs as three whole numbers and, from byte 16 on, the doubles behind them. */
-_Static_assert(offsetof(loop_rig, period) == 16 && offsetof(loop_rig, estimator) == 16 + 18 * 8, "as the script fills it");
+_Static_assert(offsetof(loop_rig, period) == 16 && offsetof(loop_rig, estimator) == 16 + 17 * 8, "as the script fills it");
 _Static_assert(offsetof(twin_rig, torque_per_volt) == 16 && sizeof(twin_rig) == 16 + 12 * 8, "as the script fills it");
 
 /* The link as doubles behind one another: stiffness, first (6), second mode (15), then decay, weight, pair and its

@@ -147,8 +147,6 @@ def shared_rig(
         substeps=substeps,
         period=law.period,
         pole=law.motor_loop_pole,
-        # the coupling torque that the gauge measures is compensated without error
-        coupling=0.0,
         encoder=rig.encoder.resolution,
         limit=rig.gauge.limit,
         quantum=rig.gauge.quantum,

@@ -69,8 +69,8 @@ const N = DATA.periods + 1;
 const TS = DATA.period;
 const doubles = (place, count) => new Float64Array(ENGINE.memory.buffer, place, count);
 
-const RIG = 21, HEAD = 22, MOVE = 6, COLUMNS = 12, TWIN_RIG = 15, OUTPUTS = 6; // csrc/web/engine.c, csrc/kernels/twin.h
-const AT = {delay: 2, offset: 10, noise: 11, payload: 16};
+const RIG = 20, HEAD = 22, MOVE = 6, COLUMNS = 12, TWIN_RIG = 15, OUTPUTS = 6; // csrc/web/engine.c, csrc/kernels/twin.h
+const AT = {delay: 2, offset: 9, noise: 10, payload: 15};
 const INPUT = {reference: 0, acceleration: 2, gaugeError: 3, payload: 11};
 const FAULT = {bits: 5, encoderGain: 6, encoderError: 7, encoderValue: 8, gaugeGain: 9, gaugeValue: 10};
 const BIT = {encoderReplaced: 1, gaugeReplaced: 2, encoderFrozen: 4, gaugeFrozen: 8, tickMissed: 32};
