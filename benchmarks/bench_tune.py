@@ -230,7 +230,6 @@ def one_arm(seed: int, out: Path) -> dict[str, Any]:
         "rounds": []
         if found.link is None
         else [[round(x, 4) for x in r] for r in found.link.rounds],
-        "attempts": found.attempts,
         "mode": found.link is not None and found.link.fit.model.second_mode is not None,
         "motor": None
         if found.motor is None

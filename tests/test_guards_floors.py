@@ -192,7 +192,7 @@ CEILINGS = {
     "_law": 985,
     "_reading": 1054,
     "_simulate": 1271,
-    "lab": 1925,
+    "lab": 1910,
     "logs": 677,
     "studio": 1298,
     "trials": 1481,

@@ -24,7 +24,7 @@ from fraclink.lab._run import LOST_SHARE
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Guard, LimitReached
-from fraclink.lab._tune_link import LinkResult, shortfall, tune_link
+from fraclink.lab._tune_link import LinkResult, tune_link
 from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_moves import first_moves
@@ -34,14 +34,7 @@ from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
 
-# Largest number of experiments, where a gate or the proof fails. A repetition is twice
-# as long, and its errors are 0.7 of the previous ones: if three do not suffice, length
-# is not the problem.
-EXPERIMENTS = 3
 LAWS = 3  # largest number of laws tried on the arm: each takes a quarter of a minute
-# [s] of motion at most, including the next experiment: a person can watch at the
-# emergency stop for a minute and a half.
-_PATIENCE = 90.0
 # Largest relative difference between the first guesses of a tuning and of its
 # resumption: those of the same arm scatter by a tenth, half the payload changes ω₀ by
 # 41 %, and another gear changes K/J by more.
@@ -305,50 +298,31 @@ class _Session:
     def _link(
         self, guard: Guard, wiring: Wiring
     ) -> tuple[LinkResult, Built, Iterator[Built]]:
-        """The experiments on the link, up to three if a gate or the proof fails, and
-        the law.
-        """
+        """The experiments on the link, and the law."""
         plan = self.plan
-        for attempt in itertools.count(1):
-            self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
-            assert self.state.motor is not None  # measured  # noqa: S101
-            link = tune_link(
-                guard,
-                wiring,
-                self.state.motor,
-                plan.payload,
-                longer=1.0 if attempt == 1 else 2.0,
-                tell=self._told,
-            )
-            self._tell(tuple(str(link.fit).splitlines()))
-            again = link.motor
-            self._tell((f"motor, with the link's torque: {again}",))
-            self._write(guard, link=link, motor=again, attempts=attempt)
-            guard.learn(again.fit.gain, again.fit.delay)
-            self.begin("design, proof and law")
-            guard.release()
-            rig = measured_rig(
-                wiring,
-                link,
-                plan.limits,
-                plan.range,
-                plan.payload,
-                guard.period,
-                centre=guard.origin,
-                stated=plan.rig,
-                name=self.out.name[:100] or "arm",
-            )
-            laws = built_laws(rig, link, plan.limits)
-            built = next(laws)
-            self._wrote(guard, built, link)
-            spent = guard.count * guard.period + 2.0 * sum(
-                duration for _, duration, _ in link.rounds
-            )
-            # The next experiment would take twice as long as the last.
-            tired = attempt >= EXPERIMENTS or spent > _PATIENCE
-            if built.passed or tired or not _worth_repeating(built, link):
-                break
-            self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
+        self.begin("link")
+        assert self.state.motor is not None  # measured  # noqa: S101
+        link = tune_link(guard, wiring, self.state.motor, plan.payload, self._told)
+        motor = link.motor
+        self._tell(tuple(str(link.fit).splitlines()))
+        self._tell((f"motor, with the link's torque: {motor}",))
+        self._write(guard, link=link, motor=motor)
+        guard.learn(motor.fit.gain, motor.fit.delay)
+        self.begin("design, proof and law")
+        rig = measured_rig(
+            wiring,
+            link,
+            plan.limits,
+            plan.range,
+            plan.payload,
+            guard.period,
+            centre=guard.origin,
+            stated=plan.rig,
+            name=self.out.name[:100] or "arm",
+        )
+        laws = built_laws(rig, link, plan.limits)
+        built = next(laws)
+        self._wrote(guard, built, link)
         return link, built, laws
 
     def _causes(self, guard: Guard) -> tuple[str, ...]:
@@ -470,10 +444,3 @@ def _lateness(guard: Guard) -> str:
         f" (of {guard.count} samples {guard.lost} did not come in time: this machine, or the link, is too "
         f"busy for a period of {1e3 * guard.period:.3g} ms, and what was measured suffers)"
     )
-
-
-def _worth_repeating(built: Built, link: LinkResult) -> bool:
-    """Whether a longer experiment can help: a gate of the fit failed, or its errors are
-    far too large.
-    """
-    return (built.design is None and not link.fit.passed) or shortfall(link.fit) > 1.0

@@ -38,7 +38,8 @@ ENOUGH = {"order": 0.018, "natural_frequency": 0.012, "gain": 0.045, "delay": 0.
 # proportion to the amplitude, which is therefore increased first.
 _SHORTEST, _LONGEST = 4.0, 16.0
 _LARGER = 3.0  # largest factor by which an excitation grows at once
-_ROUNDS = 2
+# Largest number of excitations: if three do not suffice, length is not the problem.
+_ROUNDS = 3
 # [s] at most; [s]; share of the speed limit. A random voltage that changes every T has
 # half of its power below 2.8/T: 250 rad/s for 12 ms, up to the second mode of a link
 # that weighs an eighth of its payload. The smooth moves end at a tenth of that. A
@@ -71,42 +72,40 @@ def tune_link(
     wiring: Wiring,
     motor: MotorResult,
     payload: float,
-    *,
-    longer: float = 1.0,
     tell: Callable[[str], None] = lambda line: None,
 ) -> LinkResult:
-    """Excite the link until every standard error suffices, or the limits are reached.
+    """Excite the link until the fit passes and every standard error suffices, or the
+    limits are reached.
 
-    `longer` stretches every excitation, for an experiment that is repeated; `tell` is
-    told where one reached a limit, and is made again smaller.
+    `tell` is called if an excitation reached a limit and is repeated smaller, or if
+    another one follows.
     """
     limits = guard.limits
     model = _first_model(guard, wiring)
     law = motor_law(motor.gain, motor.loop, guard, friction=motor.compensation)
-    duration = longer * _SHORTEST
-    # Half of the sequence's power lies below the vibration.
-    bit = _HALF / abs(model.pole)
+    duration = _SHORTEST
     reach = min(FIRST, PLANNED * limits.angle)
     # The same sequence on the model: near the resonance the limit of the gauge is
     # reached before that of the angle.
-    path = _sequence(guard, motor, reach, bit, duration)
+    path = _sequence(guard, motor, model, reach, duration)
     bent = simulated_torque(model, path[0], guard.period, hold="first")
     reach *= min(PLANNED * limits.torque / float(np.max(np.abs(bent))), 1.0)
     rounds: list[tuple[float, float, float]] = []
-    for _ in range(_ROUNDS):
-        motion = partial(
-            _excited, guard, wiring, motor, law, model, reach, bit, duration
-        )
+    for number in range(1, _ROUNDS + 1):
+        if number > 1:
+            tell(f"experiment {number} on the link, larger or longer")
+        motion = partial(_excited, guard, wiring, motor, law, model, reach, duration)
         (record, whole), size = guard.sized(motion, wiring.gauge_noise, tell)
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
         model = fit.model
-        short, reach = shortfall(fit), size * reach
+        # A fit that fails a gate needs twice the motion at least.
+        short, reach = max(shortfall(fit), 1.0 if fit.passed else 2.0), size * reach
         rounds.append(
             (reach, record.duration, fit.standard_errors.get("order", math.nan))
         )
-        if fit.passed and short <= 1.0:
+        if short <= 1.0:
             break
         most = min(
             PLANNED * limits.angle / reach,
@@ -134,7 +133,6 @@ def _excited(
     law: Law,
     model: LinkModel,
     reach: float,
-    bit: float,
     duration: float,
     size: float,
 ) -> tuple[Record, Record]:
@@ -150,7 +148,7 @@ def _excited(
         noise=wiring.gauge_noise,
     )
     path = _sequence(
-        guard, motor, size * reach, bit, duration, start=guard.connect_angle()
+        guard, motor, model, size * reach, duration, start=guard.connect_angle()
     )
     record = follow(guard, law, path, origin=guard.origin)
     fast = max(guard.period, min(_BIT, _HALF / (_SECOND * resonance)))
@@ -166,8 +164,8 @@ def _excited(
 def _sequence(
     guard: Guard,
     motor: MotorResult,
+    model: LinkModel,
     reach: float,
-    bit: float,
     duration: float,
     start: float = 0.0,
 ) -> Real:
@@ -180,7 +178,8 @@ def _sequence(
         3.0 / motor.loop.pole,
         6 * guard.period,
     )
-    bit = max(bit, 1.2 * rise)
+    # Half of the sequence's power lies below the vibration.
+    bit = max(_HALF / abs(model.pole), 1.2 * rise)
     # Fewer than eight bits may leave out the frequency band of the resonance.
     bits = max(8, math.floor(duration / bit))
     return random_steps(reach, bit, rise, bits, guard.period, start=start)

@@ -158,9 +158,7 @@ class Tuning:
     design_passed
         whether the design keeps its requirements over the box.
     reasons
-        why there is no law, or why an experiment was repeated.
-    attempts
-        how many experiments on the link were made for it.
+        why there is no law.
     planned
         amplitude [rad] and duration [s] of the fastest move within the limits that
         passes in the simulation.
@@ -188,7 +186,6 @@ class Tuning:
     certified: str = ""
     design_passed: bool = False
     reasons: tuple[str, ...] = ()
-    attempts: int = 0
     planned: tuple[float, float] | None = None
     moves: tuple[FirstMove, ...] = ()
     stopped: str = ""
@@ -274,14 +271,11 @@ class Tuning:
         rows = (
             Row("stopped", "", self.stopped),
             Row("reasons", "", self.reasons),
-            Row("attempts", "", self.attempts),
             Row("verdict", "", verdict),
             *self._measured(),
         )
         return Overview(
-            f"stopped: {self.stopped}"
-            if self.stopped
-            else f"{self.attempts} experiments on the link, {time}",
+            f"stopped: {self.stopped}" if self.stopped else time,
             verdict.state,
             rows,
             (*((moves,) if self.moves else ()), *verdict.overview().tables),
