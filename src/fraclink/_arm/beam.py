@@ -276,14 +276,14 @@ def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def residual_inertia(beam: Beam, kept: BeamModes) -> float:
-    """Return what the modes leave of the beam's inertia about the hub [kg·m²], I − Σ
-    Γi².
+    """Return the part of the beam's inertia about the hub that the modes do not carry
+    [kg·m²], I − Σ Γi².
     """
     return max(beam.inertia - float(np.sum(kept.participation**2)), 0.0)
 
 
 def rigid_rotation(beam: Beam) -> Vector:
-    """Return the nodal values of w = x, the straight link that turns by one radian."""
+    """Return the nodal values of w = x, the straight link rotated by one radian."""
     size = beam.length / ELEMENTS
     rigid = np.full(2 * ELEMENTS, size)
     # The slope of w = x is 1; in the coordinate h·w′ it is h.
@@ -344,21 +344,21 @@ _MODES = 3
 
 @lru_cache(maxsize=64)
 def modal_shares(beam: Beam) -> tuple[Vector, Vector]:
-    """(ω_i [rad/s], Γi² ω_i² [N·m]) of the first three modes; every request for one rig
-    asks again.
+    """(ω_i [rad/s], Γi² ω_i² [N·m]) of the first three modes; cached, since every
+    request for a rig needs them.
     """
     modes = beam.modes(_MODES)
     return modes.frequencies, modes.participation * modes.curvature
 
 
 def modes_of(model: LinkModel) -> int:
-    """How many modes of the link a model has."""
+    """Number of modes of the link in a model."""
     return 1 if model.second_mode is None else 2
 
 
 def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
-    """Return the model at another `payload` [kg], its modes moved as those of the rig's
-    beam; as eq. (5) says where the link has no mass.
+    """Return the model at another `payload` [kg], with its modes shifted like those of
+    the rig's beam; by eq. (5) if the link has no mass.
 
     >>> rig = Rig.named("paper-2023")
     >>> model = replace(rig.model, natural_frequency=11.0, payload=0.03)
@@ -384,9 +384,9 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
 
 
 def assumed_ratio(model: LinkModel) -> float | None:
-    """The damping ratio of the modes that a model does not know: that of its second
-    mode where its own power law has less, an assumed one where it has no damping at all,
-    None where its law has one.
+    """The damping ratio of the modes that a model does not include: that of its second
+    mode if its power law has less, an assumed one without any damping, None if its law
+    defines it.
     """
     mode = model.second_mode
     if mode is not None and mode.damping_ratio > -math.cos(math.pi / model.order) > 0.0:
@@ -411,8 +411,8 @@ def material_law(
 def unmodelled_modes(
     model: LinkModel, rig: Rig, payload: float
 ) -> Callable[[Complex], Complex] | None:
-    """Return the part of Γ/(c θm) in the beam's modes 2 and 3 that the model has not,
-    at complex s.
+    """Return the part of Γ/(c θm) in the beam's modes 2 and 3 that the model does not
+    include, at complex s.
 
     None for a link without mass. `payload` [kg] > 0 is at its tip; the damping is the
     model's law.

@@ -29,8 +29,8 @@ _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
 
 
 def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
-    """Return the model as the control loop meets it: a delay of the logger alone is
-    left out.
+    """Return the model as part of the control loop, without a delay that only the
+    logger has.
 
     >>> from fraclink._arm.rig_parts import Gauge
     >>> rig = replace(Rig.named("paper-2023"), gauge=Gauge(delay_in_loop=False))
@@ -46,16 +46,16 @@ def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm of a box: its link and gauge, and its true over its assumed motor pole or
-    gain.
+    """One arm of a box: its link and gauge, and the ratio of its true to its assumed
+    motor pole or gain.
     """
 
     model: LinkModel
     motor_ratio: float = 1.0
 
     def loop(self, controller: Controller, rig: Rig) -> Loop:
-        """Return the loop that runs on this arm: the PID of a sampled motor loop is the
-        one of the rig.
+        """Return the loop on this arm; the PID of a sampled motor loop is that of the
+        rig.
         """
         # The PID was placed for the motor that the rig states, and runs on the true
         # one: the ratio changes the plant, never the controller.
@@ -77,10 +77,11 @@ class Arm:
         *,
         higher: Callable[[Complex], Complex] | None = None,
     ) -> SampledPlant:
-        """Return what the law sees of this arm from its motor reference to the tip
-        estimate, sampled.
+        """Return the sampled response of this arm from motor reference to tip estimate,
+        as seen by the law.
 
-        `higher` is what the model does not know of the link, see `sampled_plant`.
+        `higher` is the part of the link that the model does not include, see
+        `sampled_plant`.
         """
         if settings.kind == "ideal":
             # M(s) is the closed motor loop, whose pole varies with the motor's gain in
@@ -95,8 +96,8 @@ class Arm:
         return replace(plant, before=pid.voltage)
 
     def knowing(self, name: str, box: ParameterBox) -> Arm:
-        """Return the arm with one parameter, by its name in `ParameterBox`, as the
-        lower end of a box has it.
+        """Return the arm with one parameter, named as in `ParameterBox`, at the lower
+        end of a box.
         """
         value, model = getattr(box, name)[0], self.model
         if name == "motor_ratio":
@@ -224,8 +225,8 @@ def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
     """Return the arms at the corners of a box about `model`, each with the ω₀ of the
     model.
 
-    The interval of ω₀ widens a range of payloads and makes no corner; of a second
-    mode's gain the larger end is taken, which is the worse one at every frequency of
+    The interval of ω₀ widens a range of payloads and adds no corners; for the gain of a
+    second mode the larger end is taken, which is the worse one at every frequency of
     the mode.
     """
     names = (
@@ -334,7 +335,7 @@ def outward(low: float, high: float) -> tuple[float, float]:
     """The interval with ends of six digits, the first rounded down and the second up; a
     point as it is.
 
-    A sentence of thirty numbers is read where they are short.
+    A sentence of thirty numbers is readable only if they are short.
     """
     if low == high:
         return float(low), float(high)

@@ -63,11 +63,11 @@ class RigDraft:
 
 
 def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
-    """Return the rig of a file, or a draft where all that is missing are numbers of
-    motor, link or payloads.
+    """Return the rig of a file, or a draft if only numbers of motor, link or payloads
+    are missing.
 
-    Raises what `Rig.load` raises where anything else is wrong with the file, or it has
-    no [log] table.
+    Raises the errors of `Rig.load` if anything else is wrong with the file, or if it
+    has no [log] table.
     """
     try:
         return Rig.load(path)

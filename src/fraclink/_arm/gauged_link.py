@@ -63,7 +63,7 @@ class GaugedLink:
         )
 
     def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return ln B(jω): the link as encoder and gauge show it together."""
+        """Return ln B(jω) of the link as seen by encoder and gauge together."""
         ln_w = np.log(np.asarray(frequency))
         inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
@@ -170,8 +170,8 @@ class GaugedLink:
         return np.asarray(value, dtype=np.complex128)
 
     def turns(self, low: float, high: float, each: float) -> Real:
-        """Return frequencies from `low` to `high`, `each` a half turn of the delay: |B|
-        goes round in two.
+        """Return frequencies from `low` to `high` with `each` points per half turn of
+        the delay; |B| repeats after two.
         """
         count = int(each * abs(self.gauge_delay) * (high - low) / math.pi) + 2
         # 20 000 points: a delay of seconds, far beyond that of any gauge, must not fill
@@ -179,7 +179,7 @@ class GaugedLink:
         return np.linspace(low, high, min(count, 20_000))
 
     def about_mode(self, count: int) -> Real:
-        """Return `count` frequencies about the second mode, none where none is known."""
+        """Return `count` frequencies about the second mode, or none if it is not known."""
         if self.second_mode is None:
             return np.empty(0)
         return self.second_mode.about(count)
@@ -192,8 +192,8 @@ class GaugedLink:
         return GaugedLink(*(getattr(self, field.name) for field in fields(GaugedLink)))
 
     def mode_band(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
-        """Return the frequencies about the second mode that are nearer to it than to the
-        first, by ratio; empty where none is known.
+        """Return the frequencies closer, by ratio, to the second mode than to the
+        first; empty if it is not known.
         """
         if self.second_mode is None:
             never = np.full(np.shape(natural_frequency), math.inf)

@@ -329,10 +329,10 @@ def _not_understood(text: str, problem: str) -> FieldError:
 
 
 def parse_columns(texts: Iterable[str]) -> LogColumns:
-    """Return the columns that texts such as ``motor_angle=theta [deg]`` state; a minus
-    turns the sign.
+    """Return the columns stated by texts such as ``motor_angle=theta [deg]``; a minus
+    reverses the sign.
 
-    A factor stands behind the name: ``motor_angle=counts * 360/4096 [deg]``.
+    A factor follows the name: ``motor_angle=counts * 360/4096 [deg]``.
 
     Raises FieldError where a text has another form, a role is missing, unknown or
     stated twice, or where the unit in brackets does not measure its role.
@@ -365,8 +365,8 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
 
 
 def drive_columns(texts: Iterable[str]) -> LogColumns:
-    """Return the columns of a log for the motor alone: without an output, the angle
-    stands for it.
+    """Return the columns of a log of the motor alone; without an output, the angle
+    takes its place.
 
     >>> drive_columns(["time=t [s]", "motor_angle=enc [deg]", "voltage=u [V]"]).output.column
     'enc'

@@ -34,7 +34,7 @@ Real = NDArray[np.float64]
 
 
 class MotorConstants(Protocol):
-    """What a motor must tell: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the
+    """The constants of a motor: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the
     gear's output.
     """
 
@@ -56,7 +56,7 @@ class DiscretePid:
         u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε − ρ2 θm),
         H(z) = (now + before z⁻¹)/(1 − decay z⁻¹),
 
-    where H1 stands for 1/s and H2 for 1/(s + c).
+    where H1 represents 1/s and H2 represents 1/(s + c).
 
     >>> from types import SimpleNamespace
     >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0).discretize(0.004)
@@ -78,7 +78,7 @@ class DiscretePid:
 
     @property
     def stiffness(self) -> float:
-        """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
+        """Voltage per constant angle error, before the integral acts [V/rad]."""
         filtered = (
             self.filter_gain
             * (self.filter_now + self.filter_before)
@@ -235,8 +235,8 @@ def closed_poles(
 ) -> Complex:
     """Return the poles in z of the sampled PID around its motor, largest modulus first.
 
-    Eigenvalues, as the roots of the polynomial lose the poles of a short period: four
-    of them meet at 1.
+    Computed as eigenvalues: for a short period four poles coincide near 1, which
+    polynomial roots do not resolve.
     """
     found = np.linalg.eigvals(_closed_matrix(motor, pid, delay_samples))
     return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)

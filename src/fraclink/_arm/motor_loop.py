@@ -125,7 +125,7 @@ def _correction(
 
 @dataclass(frozen=True)
 class MotorGain:
-    """A and B of a motor that is not the one its PID was made for."""
+    """A and B of a motor other than the one for which the PID was placed."""
 
     gain: float
     decay: float
@@ -133,7 +133,7 @@ class MotorGain:
 
 @dataclass(frozen=True)
 class SampledMotorLoop:
-    """The PID at its period around its motor.
+    """The sampled PID with its motor.
 
     ``pid`` holds the coefficients that law.c runs; `delay_samples` whole periods pass
     between reading the encoder and the new voltage.
@@ -163,8 +163,8 @@ class SampledMotorLoop:
         return np.asarray((first + second) * x**self.delay_samples * self.plant(x))
 
     def voltage(self, frequency: ArrayLike) -> Complex:
-        """From θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2) z^{-d} P)``,
-        at ω [rad/s].
+        """Transfer from θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2)
+        z^{-d} P)``, at ω [rad/s].
         """
         x = np.exp(-1j * np.asarray(frequency) * self.pid.period)
         first, second = self.controllers(x)
@@ -178,11 +178,11 @@ class SampledMotorLoop:
         return closed_poles(self.motor, self.pid, self.delay_samples)
 
     def ratio(self, pole: float, frequency: ArrayLike) -> Complex:
-        """Return hold, PID and motor over their stand-in ``M(s)·e^{-(d+1/2)Ts s}``, at
-        ω [rad/s].
+        """Return the ratio of hold, PID and motor to the approximation
+        ``M(s)·e^{-(d+1/2)Ts s}``, at ω [rad/s].
 
-        The aliases are left out: at half the Nyquist frequency they are 1e-4 of it, at
-        the crossing 1e-9.
+        Aliases are omitted: they are 1e-4 of it at half the Nyquist frequency, and 1e-9
+        at the crossing.
         """
         w = np.asarray(frequency)
         s, period = 1j * w, self.pid.period
@@ -198,12 +198,12 @@ class SampledMotorLoop:
 def direct_placement(
     motor: MotorConstants, pole: float, period: float, delay_samples: int
 ) -> DiscretePid:
-    """Return the PID that has three closed-loop poles at ``z₀ = exp(-p Ts)``, its delay
-    in the equation.
+    """Return the PID with three closed-loop poles at ``z₀ = exp(-p Ts)``, with the
+    delay in the equation.
 
-    The PID has three feedback gains and one filter pole r; with d samples of delay 1 +
-    d poles are left over. r is chosen so that the slowest of them is as fast as it can
-    be. Both zeros of Cm1 lie at z₀.
+    The PID has three feedback gains and one filter pole r; with d samples of delay, 1 +
+    d poles remain. r is chosen such that the slowest of them is as fast as possible.
+    Both zeros of Cm1 lie at z₀.
 
     Parameters
     ----------

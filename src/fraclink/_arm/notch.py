@@ -22,7 +22,7 @@ Ratio = Annotated[float, Between(0.0, 1.0, low_open=True)]
 @dataclass(frozen=True)
 class Notch:
     """``N(s) = (s² + 2 ζ_z ω s + ω²)/(s² + 2 ζ_p ω s + ω²)``, which is ζ_z/ζ_p at ω and
-    one far from it.
+    1 far from it.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ class Notch:
             )
 
     def log(self, frequency: NDArray[Any]) -> Complex:
-        """Return ln N(jω): each quadratic turns by less than 180°, so that the
-        principal logarithm is continuous.
+        """Return ln N(jω): the phase of each quadratic changes by less than 180°, so
+        the principal logarithm is continuous.
         """
         at, w = 1j * np.asarray(frequency), self.frequency
         rest = at * at + w * w

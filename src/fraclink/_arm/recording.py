@@ -297,8 +297,8 @@ class FrequencyResponse:
 
 
 def coherence_weights(response: Complexes, coherence: Reals) -> Reals:
-    """Weight √(γ²/(1 − γ²))/|H| of each line's error: one over its spread, but for a
-    factor.
+    """Weight √(γ²/(1 − γ²))/|H| of each line's error: proportional to the inverse of
+    its standard deviation.
     """
     if not np.all(np.abs(response) > 0):
         raise FieldError(

@@ -101,8 +101,8 @@ class Path(Reference):
     """A piecewise polynomial: piece i holds from breaks[i] on, in powers of time −
     breaks[i].
 
-    Before the first break the first piece's constant holds. A jump of the angle has no
-    velocity: velocity and acceleration are those of the pieces.
+    Before the first break, the constant of the first piece applies. A jump of the angle
+    has no velocity: velocity and acceleration are those of the pieces.
 
     Parameters
     ----------

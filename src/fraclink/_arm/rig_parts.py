@@ -347,8 +347,7 @@ class Gauge:
 @checked(prefix="design.")
 @dataclass(frozen=True)
 class DesignDefaults:
-    """What a design for this rig reaches where the call does not say: the `[design]`
-    table.
+    """Defaults of a design for this rig: the `[design]` table.
 
     `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload
     range; `filter_time` δ [s] is 0 for no filter and None to choose it with the controller.
@@ -370,13 +369,13 @@ class DesignDefaults:
 @checked(prefix="tolerances.")
 @dataclass(frozen=True)
 class StatedTolerances:
-    """How far the arm may differ from its model: what a proof covers, at least, beyond
-    what a fit is sure of.
+    """Tolerances of the arm relative to its model: the least that a proof covers beyond
+    the intervals of a fit.
 
     natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute
     [1]; gauge_delay is the largest delay beyond the identified one [s]. The defaults
-    are a careful laboratory's: 3 % of ω₀², a strain gauge calibrated to 5 %, half a
-    period of an undeclared delay at 4 ms.
+    are those of a careful laboratory: 3 % of ω₀², a strain gauge calibrated to 5 %,
+    half a period of an undeclared delay at 4 ms.
 
     >>> StatedTolerances().order
     0.03

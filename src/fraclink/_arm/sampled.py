@@ -65,9 +65,9 @@ class SampledPlant:
 
     ``response(s)`` is F(s), vectorised over complex s; ``decay`` and ``leading`` its
     asymptote ``F(s)/s → leading · s^(-decay)``, which sums the far aliases, or
-    ``leading`` is None where it has no power for its asymptote (a delayed gauge).
-    ``delay`` [s] need not be whole samples. ``before`` is what acts ahead of the hold,
-    a function of ω.
+    ``leading`` is None if its asymptote is not a power (a delayed gauge). ``delay`` [s]
+    need not be a whole number of samples. ``before`` is the part before the hold, a
+    function of ω.
     """
 
     response: Callable[[Complex], Complex]
@@ -84,9 +84,8 @@ class SampledPlant:
         return self._summed(frequency, _UNSUMMED if self.leading is None else _TERMS)
 
     def near(self, frequency: ArrayLike) -> Complex:
-        """Return P_d of the nearest aliases alone: 1e-2 of it at the Nyquist frequency,
-        1e-5 at a tenth of that, at a tenth of the cost; for tables that say where to
-        look.
+        """Return P_d with the nearest aliases only, for coarse tables: the error is
+        1e-2 at the Nyquist frequency and 1e-5 at a tenth of it, at a tenth of the cost.
         """
         return self._summed(frequency, 1)
 
@@ -133,8 +132,8 @@ def sampled_plant(
     *,
     higher: Callable[[Complex], Complex] | None = None,
 ) -> SampledPlant:
-    """Return what the law sees from its motor reference to the tip estimate, exactly
-    sampled.
+    """Return the exactly sampled plant of the law, from motor reference to tip
+    estimate.
 
     Parameters
     ----------

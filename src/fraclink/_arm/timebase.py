@@ -27,8 +27,8 @@ _SLOWEST = 1.0
 
 @dataclass(frozen=True)
 class TimeBase:
-    """Uniform time of an experiment: `start` + k `period` [s], with what was found on
-    the way.
+    """Uniform time of an experiment: `start` + k `period` [s], and the findings about
+    it.
     """
 
     start: float
@@ -42,8 +42,8 @@ def time_base(
     """The uniform time base of `stamps`, shape (N,) [s], N >= 2.
 
     Raises LogError for decreasing or repeated stamps, gaps, or jitter above a quarter
-    of a period; with `resample` the last three are findings, and `resampled` makes the
-    uniform samples. `slowest` [s]: steps of it and longer are refused.
+    of a period; with `resample` the last three are findings, and `resampled` computes
+    the uniform samples. Steps of `slowest` [s] or longer are rejected.
     """
     if stamps.size < 2:
         raise LogError(
@@ -204,8 +204,8 @@ def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
 
 
 def uniform_before(stamps: NDArray[np.float64], first: int, period: float) -> slice:
-    """The samples before sample `first` that go on to it in steps of `period`, without
-    gap or repeat.
+    """The samples before sample `first` that lead to it in steps of `period`, without
+    gaps or repeated stamps.
     """
     steps = np.diff(stamps[: first + 1])
     # Each of the two stamps may be off by the tolerance.

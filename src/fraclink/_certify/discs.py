@@ -31,8 +31,8 @@ class Span:
 
     @staticmethod
     def around(first: Real, second: Real) -> Span:
-        """The intervals between computed ends, in either order, with what rounding may
-        have moved them.
+        """The intervals between computed ends, in either order, widened by their
+        rounding.
         """
         low, high = np.minimum(first, second), np.maximum(first, second)
         # Rounded outwards on both sides: an interval that is slightly too wide costs a
@@ -51,7 +51,7 @@ class Span:
         return Span.around(1.0 / self.high, 1.0 / self.low)
 
     def disc(self) -> Disc:
-        """The discs about the midpoints that hold the intervals."""
+        """The discs about the midpoints that contain the intervals."""
         middle = self.middle
         # The midpoint is rounded, so the two halves differ; the larger one covers both
         # ends.
@@ -60,8 +60,8 @@ class Span:
 
 
 class Disc:
-    """Discs |z − c| <= r; an infinite radius stands for the whole plane. `d`: their
-    slopes, by variable.
+    """Discs |z − c| <= r; an infinite radius means the whole plane. `d`: their slopes,
+    by variable.
     """
 
     __slots__ = ("c", "d", "r")
@@ -114,11 +114,11 @@ class Disc:
     __radd__, __rmul__ = __add__, __mul__
 
     def inverse(self) -> Disc:
-        """1/z; the whole plane where a disc holds zero.
+        """1/z; the whole plane for a disc that contains zero.
 
         The image of a disc is the disc of centre c*/(|c|² − r²) and radius r/(|c|² −
-        r²). What the difference loses to rounding is more, the closer the disc comes to
-        zero.
+        r²). The closer the disc comes to zero, the larger is the rounding error of the
+        difference.
         """
         # The divisor |c|² − r² cancels where the disc nearly contains zero. A disc
         # whose margin is below twice the rounding of the difference counts as
@@ -153,10 +153,10 @@ class Disc:
         )
 
     def closer(self, middle: Disc, steps: Mapping[str, Real]) -> Disc:
-        """The discs about the values at the middle of the variables, where their slopes
-        make them smaller.
+        """The discs about the values at the middle of the variables, if the slopes make
+        them smaller.
 
-        `steps`: how far each variable may be from its middle.
+        `steps`: largest distance of each variable from its middle.
         """
         # Mean value theorem along each variable: the slopes hold over the whole box,
         # which is convex. This is the tighter bound where a variable occurs several
@@ -173,7 +173,9 @@ class Disc:
         )
 
     def placed(self, where: NDArray[np.bool_]) -> Disc:
-        """One disc after the other at the places where that is so, zero at all others."""
+        """The discs in sequence at the places where the flag is set, zero at all
+        others.
+        """
         centre, radius = np.zeros(where.shape, dtype=complex), np.zeros(where.shape)
         centre[where], radius[where] = self.c, self.r
         return Disc(

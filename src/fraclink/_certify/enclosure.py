@@ -44,8 +44,8 @@ _ROOTS = 16  # roots of unity; the sampled motor loop has up to 14 coefficients
 
 @dataclass(frozen=True)
 class FrequencyWindow:
-    """Over frequencies: F of each shift but for delay and motor, what aliases share, x,
-    and y (Cm1 + Cm2).
+    """Over frequencies: F of each shift without delay and motor, the common factor of
+    the aliases, x, and y (Cm1 + Cm2).
     """
 
     fronts: tuple[Disc, ...]
@@ -55,7 +55,7 @@ class FrequencyWindow:
 
 
 class BoxLoop:
-    """The loop of a statement: a box is a row of lower and a row of upper ends, one a
+    """The loop of a statement: a box is a row of lower and a row of upper ends, one per
     parameter of `AXES`.
     """
 
@@ -102,7 +102,7 @@ class BoxLoop:
     def fronts(
         self, box: dict[str, Span], shifts: Shifts = _MAIN
     ) -> tuple[list[Disc], Real]:
-        """(F at ω + 2πn/Ts for the shifts n, bound of the aliases that L does not hold)
+        """(F at ω + 2πn/Ts for the shifts n, bound of the aliases not included in L)
         over boxes.
         """
         window = self._window(box["frequency"], shifts)
@@ -167,7 +167,7 @@ class BoxLoop:
         ).inverse()
 
     def held(self, frequency: Real) -> Flags:
-        """Whether L holds the nearest aliases of boxes from these frequencies on."""
+        """Whether L includes the nearest aliases for boxes from these frequencies on."""
         return np.asarray(frequency >= 0.5 * ALIASES_FROM * self.turn)
 
     def _kernel(self, z: Disc) -> Disc:
@@ -182,7 +182,7 @@ class BoxLoop:
         """(y Cm1, y (Cm1 + Cm2)) of the PID in the law's block, as polynomials in y
         over 1 − r x.
 
-        In x their large terms cancel, in y they do not.
+        In x their large terms would cancel, in y they do not.
         """
         p, y = self.pid, 1 - x
         r, late = p["filter_decay"], p["integral_before"]
@@ -217,8 +217,8 @@ class BoxLoop:
         return y * y * slow + window.both * held
 
     def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
-        """(n, n0, n2) of the motor under a voltage that is held, and late by part of a
-        period besides whole ones.
+        """(n, n0, n2) of the motor under a held voltage that is delayed by a fraction
+        of a period in addition to whole periods.
         """
         decay, period = self.statement.decay, self.period
         late = late - self.statement.whole * period
@@ -245,11 +245,11 @@ class BoxLoop:
     def forms(
         self, low: Real, high: Real, held: Flags | None = None
     ) -> tuple[Disc, Disc, Real]:
-        """(L, 1/L, bound of the aliases that L does not hold) over boxes, with their
+        """(L, 1/L, bound of the aliases not included in L) over boxes, with their
         slopes.
 
-        Those along the motor are along p or A. A point of a box must hold the aliases
-        that its box does: then `held` is the box's.
+        Slopes along the motor are with respect to p or A. A point of a box must include
+        the same aliases as the box: then `held` is that of the box.
         """
         # A box that is too wide gives infinities and NaN, which prove nothing.
         with np.errstate(all="ignore"):
@@ -356,7 +356,7 @@ class BoxLoop:
         return share * self._variable("mode_gain", box["mode_gain"])
 
     def alias_at(self, place: dict[str, float]) -> float:
-        """Bound at one point of the aliases that L does not hold."""
+        """Bound at one point of the aliases not included in L."""
         point = np.array([[place[name] for name in AXES]])
         return float(self.fronts(self.box(point, point))[1][0])
 
@@ -427,13 +427,13 @@ class BoxLoop:
 
     @property
     def mode_peak(self) -> float:
-        """Largest |R| over its gain, at any frequency."""
+        """Largest |R| relative to its gain, over all frequencies."""
         zeta = self.statement.mode_damping
         return 1 / (2 * zeta * math.sqrt(1 - zeta**2)) if zeta else 0.0
 
     def low_bound(self) -> float:
-        """Bound of |L| for ω in [0, lowest], aliases included: |M| and the hold are at
-        most one there.
+        """Bound of |L| for ω in [0, lowest], including aliases; |M| and the hold are at
+        most 1 there.
         """
         s, w = self.statement, self.statement.lowest
         # Below 1 rad/s the smallest order gives the largest power. Far below the
@@ -469,8 +469,8 @@ class BoxLoop:
         )
 
     def inner_is_stable(self) -> bool:
-        """Whether the sampled motor loop is stable at the least delay and motor gain:
-        Jury's reflections.
+        """Whether the sampled motor loop is stable at the smallest delay and motor
+        gain, by Jury's reflection coefficients.
 
         For every other delay and gain it follows from the tree: each leaf shows X ≠ 0
         on its part of the unit circle, so no pole can cross it while they grow.

@@ -27,8 +27,8 @@ _FREE = ("swing_angle", "stop_ringing", "payload_limit", "reference_rate")
 
 
 def check_guards(statement: Statement) -> None:
-    """FieldError where the moves of the claim would meet a guard, or a part of the law
-    beside its loop is not that of the claim's arm.
+    """FieldError if the moves of the claim would reach a guard, or if a part of the law
+    outside the loop does not belong to the arm of the claim.
     """
     link = statement.link
     for name, value, low, high in _parts(statement, link):

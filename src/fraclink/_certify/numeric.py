@@ -34,11 +34,12 @@ def loop_values(
     *,
     held: NDArray[np.bool_] | None = None,
 ) -> Complex:
-    """Return L at `frequency` [rad/s], up to Nyquist; `place` has every other axis of
-    the statement.
+    """Return L at `frequency` [rad/s], up to Nyquist; `place` contains all other axes
+    of the statement.
 
-    It holds the aliases that the proof does: `ALIASES` from `ALIASES_FROM` on, or where
-    `held`. "softness" is q = 1/ω₀², "motor" p or A. All of them broadcast.
+    It includes the same aliases as the proof: `ALIASES` from `ALIASES_FROM` on, or
+    where `held` is set. "softness" is q = 1/ω₀², "motor" p or A. All arguments are
+    broadcast.
     """
     w, at = (
         np.asarray(frequency, dtype=float),
@@ -97,7 +98,7 @@ def motor_loop(
     statement: Statement, frequency: Real, delay: ArrayLike, gain: ArrayLike
 ) -> tuple[Complex, Complex]:
     """Return (voltage, θm) over θm* of the sampled motor loop, ``Cm1/(1 + (Cm1 + Cm2)
-    P_τ)`` and P_τ times that, with the held motor late by any part of a period.
+    P_τ)`` and P_τ times that, with the held motor delayed by any fraction of a period.
     """
     c = statement.coefficients
     period, decay = float(c["period"]), statement.decay
@@ -169,8 +170,8 @@ def _corners(statement: Statement) -> dict[str, Real]:
 
 
 def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, float]]:
-    """Return (|1 + L|, place) where a search finds the loop closest to -1: corners,
-    then downhill.
+    """Return (|1 + L|, place) at which a search, over corners and then by descent,
+    finds the loop closest to -1.
     """
     w, place = _grid(statement, law, 240), _corners(statement)
     distance = np.abs(1.0 + _over_corners(statement, law, w, place))
@@ -232,11 +233,10 @@ def _over_corners(
 
 
 def windings(statement: Statement, law: Law) -> dict[str, float] | None:
-    """Return an unstable corner with the ω of the crossing left of -1, None where there
-    is none.
+    """Return an unstable corner with the ω of the crossing left of -1, or None.
 
-    -1 is encircled as often as the phase of 1 + L ends away from zero; L itself is
-    open-loop stable.
+    The final phase of 1 + L counts the encirclements of -1; L itself is open-loop
+    stable.
     """
     # Five times as fine as for the distance: if 1 + L turned by more than π between two
     # points, a turn would be lost.

@@ -36,8 +36,8 @@ _TURNED = (AXES.index("delay"), AXES.index("gauge_delay"))
 
 @dataclass(frozen=True)
 class MarginProof:
-    """A tree that covers the box: one letter a node in preorder, of an axis to cut
-    along or of a leaf.
+    """A tree that covers the box: one letter per node in preorder, for an axis to cut
+    along or for a leaf.
     """
 
     tree: str
@@ -47,8 +47,8 @@ class MarginProof:
 
 @dataclass(frozen=True)
 class MarginFailure:
-    """Where the proof stopped: the parameters by name, and |1 + L| there; `refuted`
-    where it is too small.
+    """The place where the proof stopped: the parameters by name, and |1 + L| there;
+    `refuted` if it is too small.
     """
 
     reason: str
@@ -57,7 +57,7 @@ class MarginFailure:
 
     @property
     def refuted(self) -> bool:
-        """Whether the loop is too close there, and not just not proved to be far
+        """Whether the loop is too close there, instead of merely not proved to be far
         enough.
         """
         return math.isfinite(self.distance)
@@ -211,8 +211,8 @@ def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
 
 
 def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
-    """Halve boxes: frequencies at their geometric mean, all else in the middle; first
-    halves come first.
+    """Halve boxes: frequencies at their geometric mean, all other axes in the middle;
+    first halves come first.
     """
     rows = np.arange(low.shape[0])
     a, b = low[rows, axis], high[rows, axis]
@@ -226,8 +226,8 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
 
 
 def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
-    """Cut the statement's box until every leaf is proved, or give up at `most` nodes
-    and say where.
+    """Cut the box of the statement until every leaf is proved, or give up at `most`
+    nodes and report the place.
 
     It is cut generation by generation; the letters of the tree are put into preorder at
     the end.

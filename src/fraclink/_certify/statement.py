@@ -503,8 +503,8 @@ def state(
 ) -> Statement:
     """Return the statement about `law` over `box`, around `model` with a known payload.
 
-    A law that closes the motor loop is proved with its own PID on the rig's motor; one
-    for a drive with a position servo of its own behind M(s).
+    A law that closes the motor loop is proved with its own PID on the rig's motor; a
+    law for a drive with its own position servo is proved with M(s).
     """
     _check_provable(law, model, rig, box)
     _check_law(law, model)

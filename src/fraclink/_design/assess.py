@@ -56,7 +56,9 @@ CurveKind = Literal["ideal", "motor", "loop", "sampled"]
 
 @dataclass(frozen=True)
 class PhaseShare:
-    """The phase [rad] that one element gives at the gain crossover; negative is lag."""
+    """The phase [rad] contributed by one element at the gain crossover; negative is
+    lag.
+    """
 
     element: str
     phase: float
@@ -181,7 +183,7 @@ def margin_curve(
 
 
 def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
-    """One number or a list of them as an array of shape (N,), N > 0, each in the range
+    """A number or a list of numbers as an array of shape (N,), N > 0, each in the range
     of its annotation.
     """
     axis = checked_series(field, np.atleast_1d(np.asarray(values)))
@@ -234,10 +236,10 @@ def mode_gains(
 @compared
 @dataclass(frozen=True, eq=False)
 class FeasibilityMap:
-    """Which crossovers [rad/s] and phase margins [rad] can be had together.
+    """The crossovers [rad/s] and phase margins [rad] that are feasible together.
 
-    ``noise_gain``, shape (len(phase_margin), len(gain_crossover)), is the least with
-    which `design` meets both; NaN where it meets none.
+    ``noise_gain``, shape (len(phase_margin), len(gain_crossover)), is the smallest with
+    which `design` meets both; NaN where it does not.
     """
 
     gain_crossover: Real
@@ -246,7 +248,7 @@ class FeasibilityMap:
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """Where a controller keeps every row."""
+        """The cells in which a controller meets every row."""
         return np.isfinite(self.noise_gain)
 
 

@@ -26,9 +26,8 @@ _WORDS = {
 
 
 def cost_of_box(design: Design) -> Finding:
-    """Return W407: the phase margin that the box of a design costs, and what each of its
-    intervals would give back, were its parameter exactly as the model has it at the
-    worst corner.
+    """Return W407: the phase margin that the box of a design costs, and the gain from
+    each interval if its parameter were exactly that of the model at the worst corner.
     """
     model, box = design.model, design.box
     assert box is not None  # noqa: S101

@@ -29,15 +29,16 @@ _COMPLETED = {
 def design_for(
     rig: Rig, model: LinkModel | None = None, **wanted: Any
 ) -> tuple[Design, tuple[str, ...]]:
-    """Design what is wanted, completed from the rig; also return what had to be
-    assumed, in sentences.
+    """Design with the given request, completed from the rig; also return the
+    assumptions as sentences.
 
     `wanted` are the options of `design`; None leaves one to the rig's ``[design]``
-    table. Where that is silent, too, the crossover is the highest that keeps every
-    requirement, and Ms at most 2. What request or rig states is never changed.
+    table. Without an entry there, the crossover is the highest that meets every
+    requirement, and Ms is at most 2. Values stated by the request or the rig are never
+    changed.
 
-    Raises InfeasibleError where what is stated cannot be met, FieldError where a value
-    is out of its range.
+    Raises InfeasibleError if the stated values cannot be met, FieldError if a value is
+    out of its range.
 
     >>> made, assumed = design_for(Rig.named("paper-2023"), filter_time=0.0)
     >>> round(made.controller.derivative_gain, 3), assumed

@@ -58,7 +58,7 @@ _REFUSED = 1e300  # finite, because the simplex method subtracts its values
 
 @dataclass(frozen=True)
 class Candidates:
-    """Controllers that cross one at ω_c with the margin that was asked for."""
+    """Controllers whose loop crosses |L| = 1 at ω_c with the requested margin."""
 
     gains: Real  # shape (M, 3): k_p, k_i, k_d
     places: Real  # shape (M, 4): λ, μ, d arg L/d ln ω at ω_c, ln ω_c
@@ -80,7 +80,7 @@ class Candidates:
         )
 
     def measured(self, figure: Callable[[Candidates], NDArray[np.generic]]) -> Real:
-        """A figure of each, `_TOGETHER` at a time."""
+        """A figure of each candidate, `_TOGETHER` at a time."""
         parts = np.split(np.arange(self.count), range(_TOGETHER, self.count, _TOGETHER))
         return np.concatenate([figure(self[part]) for part in parts])
 
@@ -92,7 +92,7 @@ class Candidates:
         return np.asarray(kp + ki * parts[1] + kd * parts[2])
 
     def controller(self, place: int) -> FractionalPid:
-        """The controller at one place; a part with the gain 0 has the order 1."""
+        """The controller with the given index; a part with gain 0 has order 1."""
         kp, ki, kd = (float(x) for x in self.gains[place])
         lam, mu = (float(x) for x in self.places[place, :2])
         return FractionalPid(
@@ -107,10 +107,10 @@ class Candidates:
 
 @dataclass(frozen=True)
 class PidProblem:
-    """What is asked for, and the plant with the delay of the sampling.
+    """The request, and the plant with the delay of the sampling.
 
     `spans` are the ranges of λ, μ, the slope of arg L over ln ω at ω_c, and ln ω_c;
-    equal ends are a value that is given.
+    equal ends mean a given value.
     """
 
     plant: FractionalTransferFunction
@@ -125,7 +125,7 @@ class PidProblem:
 
     @property
     def has_order_for_phase(self) -> bool:
-        """Whether two gains leave the order to make the phase flat with."""
+        """Whether, with two gains, the order is left to make the phase flat."""
         return self.flat and not (self.integral and self.derivative)
 
     @cached_property
@@ -151,8 +151,8 @@ class PidProblem:
         return np.unique(np.concatenate(w))
 
     def solved(self, places: Real) -> Candidates:
-        """The candidates at these places, with the slope that each has; gains that are
-        nan where none follow.
+        """The candidates at these places, each with its slope; gains are NaN where the
+        equations have no solution.
         """
         lam, mu, slope = places[:, :3].T
         w = np.exp(places[:, 3])
@@ -181,8 +181,8 @@ class PidProblem:
         return Candidates(gains, found, lag)
 
     def admitted(self, found: Candidates) -> Candidates:
-        """Those without negative gains whose closed loop is stable, and that keep every
-        bound, on the scan.
+        """The candidates without negative gains whose closed loop is stable and meets
+        every bound on the scan.
         """
         # Candidates with negative gains are dropped rather than clipped to 0: clipped,
         # the controller no longer crosses at ω_c with the margin.
@@ -283,7 +283,7 @@ def itae(
     each candidate.
 
     e is the Fourier series of Dubner and Abate on Re s = ln(1e5)/(2 horizon). 1/(s +
-    ω_c) is taken out, so that the jump at t = 0 does not ring.
+    ω_c) is subtracted, so that the jump at t = 0 causes no ringing.
     """
     shift = _DAMPING / (2.0 * horizon)
     s = np.asarray(shift + 1j * math.pi / horizon * np.arange(samples // 2 + 1))
@@ -308,8 +308,8 @@ def itae(
 
 
 def searched(problem: PidProblem, *, every: int = 1) -> Candidates:
-    """Every candidate of the grid that keeps what is asked for; of the crossovers each
-    `every`-th.
+    """All candidates of the grid that meet the request, with every `every`-th
+    crossover.
     """
     # 21 × 21 orders, or 11 × 11 with ten slopes each: some thousand linear systems of
     # three equations, a few milliseconds.
@@ -344,7 +344,7 @@ def _flat(problem: PidProblem, grid: Real, axis: int) -> Real:
 
 
 def best_of(problem: PidProblem, found: Candidates, horizon: float) -> Candidates:
-    """The candidate of least ITAE, from the grid on by Nelder and Mead."""
+    """The candidate with the least ITAE, from the grid by the Nelder-Mead method."""
     best = found[[int(np.argmin(itae(problem, found, horizon)))]]  # type: ignore[index]
     varied = [low < high for low, high in problem.spans]
     if problem.has_order_for_phase or not any(varied):

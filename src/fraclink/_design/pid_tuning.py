@@ -43,8 +43,8 @@ _FLAT = 1e-6  # [rad] change of phase over ln ω due to rounding and search
 
 
 class PidStep(NamedTuple):
-    """Answer to a step of the reference: time [s], measurement and controller's output,
-    shape (N,).
+    """Response to a step of the reference: time [s], measurement and controller's
+    output, shape (N,).
     """
 
     time: Real

@@ -158,8 +158,8 @@ def request_of(
     spec: Mapping[str, Any],
     box: ParameterBox | bool | None,
 ) -> Request:
-    """Return what the solver is asked: every number settled, FieldError for what
-    contradicts the arm.
+    """Return the request to the solver with all numbers resolved; FieldError for values
+    that contradict the arm.
     """
     known = with_payload(link, rig)
     asked = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
@@ -369,7 +369,7 @@ def _floored(value: float) -> float:
 
 
 def link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
-    """The link of a model or a fit, with the gauge that the control loop has."""
+    """The link of a model or a fit, with the gauge as part of the control loop."""
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     # A fit knows its own doubts; any other model is trusted.
     found = (

@@ -61,11 +61,11 @@ class ClosedForm:
     slope_high: float  # the same at (ω₀ high, ω̄_c)
 
     def violated(self, link_order: float) -> str | None:
-        """Name the first condition of Theorem 1 that fails, None where all are met.
+        """Name the first condition of Theorem 1 that fails, None if all are met.
 
-        Right of the peak of |L| is the exact condition: the denominator of (49) is
-        minus the slope times a positive factor, so its sign is what makes ω_c rise and
-        φ_m fall with ω₀. (39) is only sufficient.
+        The exact condition is to lie right of the peak of |L|: the denominator of (49)
+        is minus the slope times a positive factor, so its sign determines that ω_c
+        rises and φ_m falls with ω₀. (39) is only sufficient.
         """
         # β < λ is a condition of Theorem 1, and β < 2 holds for every controller; for λ
         # = 2 they coincide.

@@ -48,12 +48,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Arms:
-    """The loops that a request looks at, and their tables: those of a model, of the arms
-    of a box, and of the empty gripper.
+    """The loops of a request and their tables: those of a model, of the arms of a box,
+    and of the empty gripper.
 
     ``payloads`` (lightest, heaviest) [kg], ``natural_frequencies`` of the heaviest and
-    of the lightest. ``modes_above`` is the number of the mode above which each is judged
-    by its gain; None where none is.
+    of the lightest. Modes with a number above ``modes_above`` are judged by their gain;
+    None if there are none.
     """
 
     model: LinkModel
@@ -97,7 +97,7 @@ class Arms:
 
     @cached_property
     def loops(self) -> tuple[Loop, ...]:
-        """The loop beside Ĉ of every case."""
+        """The loop without Ĉ of every case."""
         unit = Controller(
             derivative_gain=1.0,
             derivative_order=1.0,
@@ -111,7 +111,7 @@ class Arms:
 
     @cached_property
     def table(self) -> Table:
-        """The loops beside Ĉ of every link."""
+        """The loops without Ĉ of every link."""
         motor = self.rig.motor
         return stacked(
             tabulated(
@@ -157,9 +157,9 @@ def _same(arms: Arms) -> Arms:
 class Request:
     """A specification on one arm, or on every arm of a box; frequencies in rad/s.
 
-    ``soft`` names the rows that may be eased: what was asked for, or stands for it.
-    ``loud`` says whether a second mode that the model knows may be loud, where its phase
-    keeps it from -1.
+    ``soft`` names the rows that may be eased: the requested ones, or their defaults.
+    ``loud`` allows a known second mode to have a large gain if its phase keeps it from
+    -1.
     """
 
     model: LinkModel  # with a known payload
@@ -175,7 +175,7 @@ class Request:
     def of(
         model: LinkModel, rig: Rig, spec: Mapping[str, Any], box: ParameterBox | None
     ) -> Request:
-        """Return a request; FieldError for what contradicts the arm."""
+        """Return a request; FieldError for values that contradict the arm."""
         soft = {"phase_margin", "mode_gain"}.union(spec)
         if "phase_margin" not in spec:
             soft.add("max_sensitivity")
@@ -184,15 +184,15 @@ class Request:
         return request
 
     def asking(self, **wanted: Any) -> Request:
-        """Return the request for something else."""
+        """Return the request with other values."""
         return replace(self, spec={**self.spec, **wanted}, aim=None)
 
     def aiming(self, key: str, value: float) -> Request:
-        """Return the request for as much of one row as there is, up to a value."""
+        """Return the request for as much of one row as possible, up to a value."""
         return replace(self, aim=(key, value), soft=frozenset({key}))
 
     def check(self) -> None:
-        """Raise FieldError for what contradicts the arm."""
+        """Raise FieldError for values that contradict the arm."""
         known = self.rig.link.mass > 0.0 or self.model.second_mode is not None
         if not known and "mode_gain" in self.spec:
             raise FieldError(
@@ -240,7 +240,7 @@ class Request:
 
     @property
     def speed(self) -> float | None:
-        """The crossover that is asked for; ``2π/t_s`` (section 6) for a settling time."""
+        """The requested crossover; ``2π/t_s`` (section 6) for a settling time."""
         time = self.spec.get("settling_time")
         return self.spec.get("gain_crossover") or (
             2.0 * math.pi / time if time else None
@@ -248,8 +248,8 @@ class Request:
 
     @property
     def gain_crossover(self) -> float | None:
-        """The least gain crossover: the heaviest payload's resonance where no speed is
-        asked for, as a loop that crosses below it leaves the vibration as it is.
+        """The least gain crossover: the resonance of the heaviest payload if no speed
+        is requested, since a loop that crosses below it does not affect the vibration.
         """
         return self.spec.get("gain_crossover") or (
             None if self.speed else self.arms.resonance
@@ -257,19 +257,19 @@ class Request:
 
     @property
     def highest(self) -> float:
-        """Where nothing may cross any more: the motor loop's pole."""
+        """The highest allowed crossing: the pole of the motor loop."""
         return min(self.rig.motor_loop.pole, 0.9 * math.pi / self.rig.period)
 
     @property
     def phase_margin(self) -> float:
-        """The least phase margin [rad]: the one that Ms allows where none is asked for."""
+        """The least phase margin [rad]: the one implied by Ms if none is requested."""
         asked = self.spec.get("phase_margin")
         most = self.spec.get("max_sensitivity") or SENSITIVITY
         return asked or 2.0 * math.asin(0.5 / most)
 
     @property
     def max_sensitivity(self) -> float:
-        """The bound on Ms: the customary one where no margin is asked for, and beside a
+        """The bound on Ms: the customary one if no margin is requested, and with a
         margin the distance from -1 that the law has to keep.
         """
         asked = self.spec.get("max_sensitivity")
@@ -279,14 +279,14 @@ class Request:
 
     @property
     def mode_gain(self) -> float | None:
-        """The bound on the loop gain at the higher modes, where one is judged by it."""
+        """The bound on the loop gain at the higher modes, if one is judged by it."""
         if self.rig.link.mass <= 0.0 and (self.model.second_mode is None or self.loud):
             return None
         return self.spec.get("mode_gain") or MODE_LIMIT
 
     @cached_property
     def wanted(self) -> list[tuple[Row, float]]:
-        """Every row of the table with what is wanted of it."""
+        """Every row of the table with its wanted value."""
         aims = dict([self.aim] if self.aim else [])
         pairs = [(row, aims.get(row.key, row.wanted(self))) for row in ROWS]
         return [(row, wanted) for row, wanted in pairs if wanted is not None]
@@ -323,7 +323,7 @@ class Request:
 
     @cached_property
     def arms(self) -> Arms:
-        """The loops that are looked at."""
+        """The loops to be evaluated."""
         above = None if self.mode_gain is None else 2 if self.loud else 1
         low, high = self.payloads
         return _same(
@@ -340,7 +340,9 @@ class Request:
 
     @property
     def reference(self) -> float:
-        """ω_r: the crossover asked for, or just above the heaviest payload's resonance."""
+        """ω_r: the requested crossover, or a frequency just above the heaviest
+        payload's resonance.
+        """
         return self.speed or 1.1 * self.arms.resonance
 
     @property
@@ -350,7 +352,7 @@ class Request:
 
     @property
     def filter_orders(self) -> tuple[int, ...]:
-        """The n to try: with a free δ two poles can do what one does."""
+        """The values of n to try: with a free δ, two poles are at least as good as one."""
         time, order = self.spec.get("filter_time"), self.spec.get("filter_order")
         if order is not None:
             return (order,)
@@ -358,8 +360,8 @@ class Request:
 
     @property
     def notches(self) -> tuple[tuple[float, float] | None, ...]:
-        """The intervals of a notch to try: none first, then about the second mode, as
-        far as half way to the first, where it is below the Nyquist frequency.
+        """The intervals of a notch to try: none first, then about the second mode, up
+        to half way to the first, if it is below the Nyquist frequency.
         """
         known = self.model.second_mode
         if known is not None:

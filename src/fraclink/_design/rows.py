@@ -250,7 +250,8 @@ _HINTS: Mapping[str, Any] = get_type_hints(Specification, include_extras=True)
 
 
 def specification(wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is wanted with every value in its range; None leaves one to its rule.
+    """Return the request with every value checked for its range; None leaves a value to
+    its rule.
 
     Raises TypeError for an unknown name, FieldError for a value out of its range.
     """

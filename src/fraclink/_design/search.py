@@ -33,11 +33,12 @@ _IDLE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A request over some links of its table, with n and with a notch in an interval
-    [rad/s], where there is one.
+    """A request over some links of its table, with n, and possibly with a notch in an
+    interval [rad/s].
 
-    ``reserves`` is what is aimed at beyond a row, by its key. ``ringing`` says whether
-    the damping of the vibration is looked at: it costs as much as all the rest.
+    ``reserves`` are the additional margins of the rows, by key. ``ringing`` says
+    whether the damping of the vibration is evaluated, which costs as much as everything
+    else.
     """
 
     request: Request
@@ -50,7 +51,7 @@ class Search:
 
     @cached_property
     def table(self) -> Table:
-        """The loops beside Ĉ of these links."""
+        """The loops without Ĉ of these links."""
         return self.request.arms.table.rows(np.array(self.links))
 
     @cached_property
@@ -75,14 +76,14 @@ class Search:
         return low_ends, high_ends
 
     def outer(self, x: Real) -> Outer:
-        """Return Ĉ of parameters (P, K)."""
+        """Return Ĉ for parameters (P, K)."""
         return Outer(x, self.request.reference, self.filter_order)
 
     def trial(self, x: Real) -> Trial:
-        """Return these links under Ĉ of each of some parameters (P, S), one after the
-        other.
+        """Return these links with the Ĉ of each of the parameter sets (P, S), one after
+        the other.
 
-        The last one is kept: a search asks for where it ended several times.
+        The last result is cached, since a search evaluates its end point several times.
         """
         key = x.tobytes()
         if key not in self._last:
@@ -95,7 +96,7 @@ class Search:
         return self._last[key]
 
     def kept(self, trial: Trial) -> dict[str, Figure]:
-        """Return by how much each row is kept at the links it is asked of."""
+        """Return the margin of each row at the links to which it applies."""
         found = {}
         for row, wanted in self.request.wanted:
             if row.key == "damping" and not self.ringing:
@@ -106,7 +107,7 @@ class Search:
         return found
 
     def rows(self, x: Real) -> list[Rows]:
-        """Return the rows of each of some parameters (P, S)."""
+        """Return the rows for each of the parameter sets (P, S)."""
         kept = self.kept(self.trial(x))
         figures = kept.values()
         value = np.concatenate([figure.value for figure in figures])
@@ -121,15 +122,15 @@ class Search:
         ]
 
     def noise(self, x: Real) -> Real:
-        """Return ln of the noise gain at the worst link for each of some parameters
+        """Return ln of the noise gain at the worst link for each of the parameter sets
         (P, S).
         """
         value = self.trial(x).noise.value
         return np.asarray(np.max(value.reshape(x.shape[1], -1), axis=1))
 
     def noise_and_rows(self, x: Real) -> tuple[Rows, Rows]:
-        """Return the noise of every link, and the rows: of each the least at every link,
-        so that their number stays when a loop gains a crossing.
+        """Return the noise of every link, and the rows with their smallest value at
+        every link, so that their number does not change when a loop gains a crossing.
         """
         trial = self.trial(x[:, None])
         count, noise = len(self.links), trial.noise
@@ -152,10 +153,10 @@ class Search:
 
     @property
     def starts(self) -> Real:
-        """Parameters to begin from, (P, S): at the heaviest payload |L| is one at ω_r, or
-        where the lightest resonates; β at the quarters of its range; and the filter's
-        corner at the ends and in the middle of the band between the heaviest payload's
-        resonance and where nothing may cross any more.
+        """Starting parameters (P, S): at the heaviest payload |L| = 1 at ω_r, or at the
+        resonance of the lightest; β at the quarters of its range; and the corner of the
+        filter at the ends and in the middle of the band between the heaviest payload's
+        resonance and the highest allowed crossing.
         """
         low, high = self.bounds
         request, loop = self.request, self.request.arms.loops[0]
@@ -189,8 +190,8 @@ class Search:
     # ---- the search
 
     def over_links(self, starts: Real) -> Solution:
-        """Return where a search ends from some starts (P, S), the links that are worst
-        taken in as they turn up.
+        """Return the end of a search from some starts (P, S), adding the worst links as
+        they turn up.
         """
         search = self
         while True:
@@ -209,10 +210,10 @@ class Search:
             search, starts = wider, x[:, None]
 
     def quieter(self, x: Real) -> Real:
-        """Return parameters with less noise that keep every row: descents within the
+        """Return parameters with less noise that meet every row, by descents within the
         radius of a step, as long as they reduce it.
 
-        A descent that left the rows at a kink is led back to them.
+        A descent that violates the rows at a kink is led back to them.
         """
         before = self.noise(x[:, None])[0]
         low, high = self.bounds
@@ -230,7 +231,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a search ended."""
+    """The end of a search."""
 
     search: Search
     x: Real
@@ -242,20 +243,20 @@ class Solution:
 
     @property
     def slack(self) -> float:
-        """0 where every row is kept, with half of what is kept in reserve."""
+        """0 if every row is met with half of its reserve."""
         missed = -float(np.min(self.rows.value, initial=0.0))
         return 0.0 if missed <= 0.5 * RESERVE else self.rows.slack
 
     @property
     def crossovers(self) -> tuple[float, float]:
-        """Of the heaviest and of the lightest payload [rad/s]."""
+        """Crossovers of the heaviest and of the lightest payload [rad/s]."""
         heavy, _, light, _ = self.search.request.first_links
         reached = np.exp(self._trial.crossover.value)
         return float(reached[heavy]), float(reached[light])
 
     @property
     def eases(self) -> bool:
-        """Whether all that is missed may be eased."""
+        """Whether all missed rows may be eased."""
         return self.rows.missed <= 0.5 * RESERVE
 
     @property
@@ -287,8 +288,8 @@ class Solution:
 
     @cached_property
     def worst(self) -> dict[str, tuple[float, int]]:
-        """(by how much it is kept, the link) where each row is kept least; the damping
-        at the links that are worst in another row, and at those of the search.
+        """(margin, link) at which each row is worst; the damping at the links that are
+        worst in another row, and at those of the search.
         """
         found = {}
         kept = replace(self.search, ringing=False).kept(self._trial)
@@ -305,8 +306,8 @@ class Solution:
         return found
 
     def wider(self) -> Search | None:
-        """Return the search with the links that are worse than its own; None where there
-        are none.
+        """Return the search extended by the links that are worse than its own; None if
+        there are none.
         """
         search, easing = self.search, self.rows.easing
         soft = search.request.soft
@@ -323,7 +324,7 @@ class Solution:
 
     @cached_property
     def measured(self) -> tuple[tuple[Row, Requirement], ...]:
-        """Every row, and what is achieved where it is worst."""
+        """Every row, and the achieved value where it is worst."""
         request, found = self.search.request, []
         for row, wanted in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
@@ -336,7 +337,7 @@ class Solution:
         return tuple(found)
 
     def tightened(self, reserves: dict[str, float]) -> Solution:
-        """Return the solution with more in reserve for some rows."""
+        """Return the solution with larger reserves for some rows."""
         own = self.search.reserves
         more = {key: own.get(key, 0.0) + value for key, value in reserves.items()}
         search = replace(self.search, reserves={**own, **more})
@@ -346,9 +347,9 @@ class Solution:
 def solved(request: Request, *, patient: bool) -> Solution:
     """Return the best controller of a request, or the one nearest to it.
 
-    Every n without a notch, then with one; and only where none of these keeps every
-    row, and the caller is patient, the same from other starts. What aims at a row out
-    of reach begins from all of them.
+    Every n without a notch, then with one; if none of these meets every row and
+    `patient` is set, the same from other starts. A request with an unreachable aim
+    starts from all of them.
     """
     searches = [
         Search(request, request.first_links, order, notch)

@@ -49,28 +49,28 @@ class Rows:
 
     @cached_property
     def easing(self) -> float:
-        """By how much the soft rows have to be eased."""
+        """The amount by which the soft rows have to be eased."""
         return -float(np.min(self.value[self.soft], initial=0.0))
 
     @cached_property
     def missed(self) -> float:
-        """By how much a row is missed that may not be eased."""
+        """The amount by which a row that may not be eased is missed."""
         return max(-float(np.min(self.value[~self.soft], initial=0.0)) - KEPT, 0.0)
 
     @cached_property
     def slack(self) -> float:
-        """Both as one number, zero where every row is kept; what may not be eased comes
-        first.
+        """Both as one number, zero if every row is met; rows that may not be eased
+        dominate.
         """
         return self.easing + _FIRST * self.missed
 
     @property
     def near(self) -> float:
-        """Both, as a step weighs them that is judged by them."""
+        """Both, with the weights by which a step is judged."""
         return self.easing + _NEAR * self.missed
 
     def beside(self, other: Rows) -> bool:
-        """Whether these rows are better than others in one of the two."""
+        """Whether these rows are better than others in one of the two amounts."""
         less = other.easing - 0.1 * self.missed
         return self.missed < 0.99 * other.missed or self.easing < less
 
@@ -108,11 +108,11 @@ def least_distance(rows: Real, least: Real) -> Real:
 def eased(
     rows_at: Callable[[Real], list[Rows]], starts: Real, low: Real, high: Real
 ) -> tuple[Real, list[Rows]]:
-    """Return the parameters (P, K) that were reached from some starts (P, S) at once and
-    keep every row, or the one where the slack is least; and their rows.
+    """Return the parameters (P, K) reached from some starts (P, S) that meet every row,
+    or those with the least slack; and their rows.
 
-    After every four steps the worse half of the starts is dropped, and the search ends if
-    one of them keeps every row.
+    After every four steps the worse half of the starts is dropped; the search ends when
+    one of them meets every row.
     """
     x = np.clip(starts, low[:, None], high[:, None])
     rows = rows_at(x)
@@ -159,10 +159,11 @@ def lowest(
     low: Real,
     high: Real,
 ) -> tuple[Real, bool]:
-    """Return where the largest of some costs is least while rows are kept, by sequential
-    quadratic programming, and whether it got there; both keep their number. What it ends
-    at may miss rows. A cost is flat at its minimum, so that a last step as short as that
-    of a search towards the rows changes it by the square of the step.
+    """Return the point at which the largest of some costs is smallest subject to the
+    rows, by sequential quadratic programming, and whether it was reached; the numbers
+    of costs and rows are fixed. The end point may miss rows. Since a cost is flat at
+    its minimum, a last step as short as in a search towards the rows changes it by the
+    square of the step.
     """
 
     @lru_cache(maxsize=1)

@@ -167,7 +167,7 @@ def tabulated(
     modes: HigherModes | None = None,
     empty: bool = False,
 ) -> Table:
-    """Return the table of one arm's loop beside Ĉ (`bare`, k = 1 and β = 0) at its
+    """Return the table of one arm's loop without Ĉ (`bare`, k = 1 and β = 0) at its
     links.
 
     `motor` is (A, B) of A/(s(s + B)); an `empty` gripper has no noise to judge.
@@ -225,7 +225,7 @@ def tabulated(
 
 
 def stacked(tables: Iterable[Table]) -> Table:
-    """Return one table of all links, shorter rows continued at their last frequency."""
+    """Return one table of all links, with shorter rows padded at their last frequency."""
     parts = list(tables)
     columns = []
     for field in fields(Table):
@@ -248,7 +248,7 @@ def _widened(name: str, value: NDArray[Any], width: int) -> NDArray[Any]:
 
 class Figure:
     """Values (M,) of some links, their gradients (P, M), the link of each, and its
-    number where a link has several of a kind.
+    number if a link has several of a kind.
     """
 
     def __init__(
@@ -258,7 +258,7 @@ class Figure:
         self.number = np.zeros_like(link) if number is None else number
 
     def at(self, kept: NDArray[np.bool_]) -> Figure:
-        """Return some of the entries."""
+        """Return the entries at the given indices."""
         return Figure(
             self.value[kept], self.gradient[:, kept], self.link[kept], self.number[kept]
         )
@@ -270,9 +270,9 @@ class Figure:
 
 
 class Trial:
-    """The loops of a table under one Ĉ each.
+    """The loops of a table with one Ĉ each.
 
-    `loops` are the loops beside Ĉ of the table's arms.
+    `loops` are the loops of the table's arms without Ĉ.
     """
 
     def __init__(self, table: Table, outer: Outer, loops: tuple[Loop, ...]) -> None:
@@ -341,7 +341,7 @@ class Trial:
 
     @cached_property
     def margin(self) -> Figure:
-        """What each crossing keeps from the edges of its band [rad], negative on the
+        """Distance of each crossing from the edges of its band [rad], negative on the
         wrong side.
         """
         link, w, _, slope, _ = self._crossings
@@ -361,9 +361,9 @@ class Trial:
 
     @cached_property
     def crossover(self) -> Figure:
-        """ln of the frequency at which |L| of each link first falls to one behind its
-        resonance; −∞ where |L| is less there. What rises again on a lobe of a late gauge
-        is not the tip's crossover.
+        """ln of the frequency at which |L| of each link first falls to 1 beyond its
+        resonance; −∞ if |L| is smaller there. A later crossing on a lobe of a delayed
+        gauge is not the crossover of the tip.
         """
         link, w, *_, rising = self._crossings
         beyond = np.flatnonzero(w > self.table.mode[link])
@@ -372,8 +372,8 @@ class Trial:
 
     @cached_property
     def last_crossing(self) -> Figure:
-        """ln of the last frequency at which |L| of each link is one, but for its second
-        mode; −∞ where it nowhere is.
+        """ln of the last frequency with |L| = 1 of each link, except at its second
+        mode; −∞ if there is none.
         """
         link, w, *_ = self._crossings
         own = np.flatnonzero(~self._at_mode(w, link))
@@ -391,8 +391,9 @@ class Trial:
         return Figure(value, gradient, np.arange(len(self.table)))
 
     def crossed_beyond(self, frequency: float) -> Figure:
-        """ln of the crossover over a frequency [rad/s], of the resonance where there is
-        none; and ln|L| at the resonance, without which there is none.
+        """ln of the ratio of the crossover, or of the resonance without one, to a
+        frequency [rad/s]; and ln|L| at the resonance, which must be positive for a
+        crossover.
         """
         figure, table = self.crossover, self.table
         level = self.log.real[figure.link, table.mode_column]
@@ -412,7 +413,7 @@ class Trial:
         return np.asarray((w > low) & (w < high))
 
     def quiet_beyond(self, frequency: float) -> Figure:
-        """−ln|L| where it is largest beyond a frequency [rad/s], but for the second
+        """−ln|L| at its largest value beyond a frequency [rad/s], except at the second
         mode.
         """
         every, w = np.arange(len(self.table)), self.table.w
@@ -433,7 +434,7 @@ class Trial:
 
     @cached_property
     def sensitivity(self) -> Figure:
-        """ln of each peak of 1/|1 + L|, where that is above 2/3."""
+        """ln of each peak of 1/|1 + L| above 2/3."""
         one = 1.0 + self._loop
         # half of d|1 + L|²/d ln ω; a change from minus to plus is a local minimum
         turn = (np.conj(one) * self._loop * self.slope).real
@@ -458,8 +459,8 @@ class Trial:
 
     @cached_property
     def gain_margin(self) -> Figure:
-        """ln of the factor by which |L| may grow where its phase passes -180° below
-        one.
+        """ln of the factor by which |L| may grow where the phase passes -180° with |L|
+        below 1.
         """
         half = np.floor((self.log.imag + math.pi) / (2.0 * math.pi))
         link, i = np.nonzero(half[:, :-1] != half[:, 1:])
@@ -518,8 +519,9 @@ class Trial:
 
     @cached_property
     def damping(self) -> Figure:
-        """The damping ratio of every vibration near the resonance of its link: of the
-        roots of 1 + 1/L beside the axis, by Newton's method from each dent of |1 + L|.
+        """The damping ratio of every vibration near the resonance of its link, i.e. of
+        the roots of 1 + 1/L near the axis, by Newton's method from each local minimum
+        of |1 + L|.
         """
         distance, w = np.abs(1.0 + self._loop), self.table.w
         parts = []
