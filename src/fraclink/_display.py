@@ -89,7 +89,8 @@ def _fixed(value: float, places: int) -> str:
 
 
 def uncertain(value: float, error: float) -> str:
-    """Return `value ± error`, both with the digits that the error leaves meaningful.
+    """Return `value ± error`, both with the digits that are significant according to
+    the error.
 
     >>> uncertain(1.918734, 0.000213), uncertain(116.0, 145.0)
     ('1.91873 ± 0.00021', 'undetermined')
@@ -106,7 +107,7 @@ def uncertain(value: float, error: float) -> str:
 
 
 def size_of(unit: str) -> float:
-    """A unit in which people read, in SI units.
+    """The size of a display unit in SI units.
 
     >>> size_of("mrad"), size_of("rad/s")
     (0.001, 1.0)
@@ -135,7 +136,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
 
 
 def span(low: float, high: float, unit: str) -> str:
-    """Return an interval with its unit; of no length one value.
+    """Return an interval with its unit; a single value if it has no length.
 
     >>> span(0.02, 0.04, "kg"), span(0.03, 0.03, "kg")
     ('20 to 40 g', '30 g')
@@ -358,7 +359,7 @@ class Overview:
 
 
 def source_name(source: str) -> str:
-    """The name of a file without the folders of one machine.
+    """The name of a file without the folders of this machine.
 
     >>> source_name("C:\\\\logs\\\\run.csv"), source_name("")
     ('run.csv', 'unnamed log')
@@ -447,12 +448,12 @@ def displayed(kind: Kind) -> Kind:
 
 @displayed
 class Listed(tuple[Item, ...]):
-    """A tuple of like things that have `rows`, which a prompt and a notebook show as
-    one table.
+    """A tuple of similar objects with `rows`, shown as one table at a prompt and in a
+    notebook.
     """
 
     def overview(self) -> Overview:
-        """Its table, and how many it has."""
+        """Its table and the number of entries."""
         table = Table.of("", (item.rows for item in self))  # type: ignore[attr-defined]
         passed = all(getattr(item, "passed", True) for item in self)
         return Overview(str(len(self)), state_of(passed), tables=(table,))

@@ -256,8 +256,8 @@ def _forward_row(law: Law) -> str:
 
 
 def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str:
-    """Return the text of the exported README.md; with `proof`, its claims are those of
-    this very folder.
+    """Return the text of the exported README.md; with `proof`, its claims are about
+    this folder.
     """
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""

@@ -70,7 +70,7 @@ def identifier(field: str, name: object) -> str:
 
 
 def title_text(title: object) -> str:
-    """Return `title` if it cannot end or change the comment it stands in.
+    """Return `title` if it cannot end or change the comment that contains it.
 
     >>> title_text("Arm 2, 20-40 g")
     'Arm 2, 20-40 g'
@@ -157,8 +157,8 @@ def _modes(law: Law) -> dict[str, int]:
 
 
 def exact_flags(law: Law) -> tuple[str, ...]:
-    """Return the compiler flags that build law.c for this law alone; none where it has
-    no modes of a kind that C needs an array for.
+    """Return the compiler flags that build law.c for this law alone; none if it lacks
+    modes of a kind for which C needs an array.
     """
     modes = _modes(law)
     # C99 has no arrays of length 0. The preprocessor removes pairs from the structs;

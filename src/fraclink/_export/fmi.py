@@ -32,9 +32,9 @@ class Variable(NamedTuple):
     """One variable; its position in `VARIABLES` is its value reference, which
     csrc/fmu/fmu_core.h knows.
 
-    `start_from` names what its value before the first step follows from; in a step no
-    output depends on the inputs at the step's end, so that an importer need not look
-    for algebraic loops.
+    `start_from` names the variables from which its value before the first step follows;
+    in a step no output depends on the inputs at the end of the step, so that an
+    importer need not search for algebraic loops.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Variable(NamedTuple):
 
     @property
     def real(self) -> bool:
-        """Whether it is a real number, not a whole one."""
+        """Whether it is real, not an integer."""
         return bool(self.unit)
 
 
@@ -157,9 +157,10 @@ UNITS: Mapping[str, Unit] = {
 class FmuModel:
     """The model that modelDescription.xml describes.
 
-    `name` is the model's C identifier, `token` ties the description to
-    the library, `period` [s] is the only communication step, `digest` identifies the
-    law, `connected` says which output to use, `variables` are `VARIABLES` or those of a PID, in the same order.
+    `name` is the model's C identifier, `token` ties the description to the library,
+    `period` [s] is the only communication step, `digest` identifies the law,
+    `connected` names the output to use, `variables` are `VARIABLES` or those of a PID,
+    in the same order.
     """
 
     name: str
@@ -199,8 +200,8 @@ class FmuModel:
 
 
 def token_of(sources: Mapping[str, str]) -> str:
-    """Return the token of an FMU made of these sources: another law or another wrapper,
-    another token.
+    """Return the token of an FMU with these sources, which differs for every law and
+    wrapper.
     """
     # The texts are joined by a character that C does not contain, so that moving a
     # boundary between them changes the hash.

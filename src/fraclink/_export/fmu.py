@@ -199,9 +199,7 @@ _FLAGS = (
 
 
 def found(compiler: str, remedy: str = "install it, or export sources only") -> str:
-    """Return the path of a compiler; FieldError, with its `remedy`, where it is not
-    installed.
-    """
+    """Return the path of a compiler; FieldError with `remedy` if it is not installed."""
     path = shutil.which(
         checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc")
     )
@@ -217,7 +215,7 @@ def found(compiler: str, remedy: str = "install it, or export sources only") -> 
 
 
 def complaint(command: Sequence[str], folder: Path) -> str:
-    """Run a compiler in `folder`; return its first error, or "" where it has none."""
+    """Run a compiler in `folder`; return its first error, or "" if there is none."""
     # Show the line with the error, since those before it only name the function; in
     # English, so that the word "error" can be found.
     answer = subprocess.run(  # noqa: S603
@@ -237,7 +235,7 @@ def complaint(command: Sequence[str], folder: Path) -> str:
 
 
 def platform_of(compiler: str) -> str:
-    """Return what a compiler compiles for, as FMI 3 names it: "x86_64-linux",
+    """Return the target of a compiler in the notation of FMI 3: "x86_64-linux",
     "aarch64-darwin" ...
     """
     answer = subprocess.run(  # noqa: S603
@@ -252,8 +250,8 @@ def platform_of(compiler: str) -> str:
 
 
 def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
-    """Return the shared library of all.c; FieldError with the compiler's first
-    complaint where it fails.
+    """Return the shared library of all.c; FieldError with the first error of the
+    compiler if it fails.
     """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)

@@ -106,8 +106,8 @@ def _words(outputs: LawOutputs, single: bool) -> list[int]:
 
 
 def expected(law: Law) -> int:
-    """Run the package's own law.c on the self-test's inputs and return the hash of what
-    it gave.
+    """Run the package's own law.c on the self-test's inputs and return the hash of its
+    outputs.
     """
     single = law.precision == "single"
     state, source = law.initial_state(), _Inputs(law)
@@ -124,8 +124,8 @@ def expected(law: Law) -> int:
 
 
 def selftest_source(law: Law, *, name: str, data: str) -> str:
-    """Return the text of law_selftest.c for `law`, whose block `name` stands in the
-    header `data`.
+    """Return the text of law_selftest.c for `law`, whose block `name` is in the header
+    `data`.
     """
     inputs = (
         _OF_ARM

@@ -111,7 +111,7 @@ class _Writing(_Plain):
         return _Writing().anything(rule, values.tolist())
 
     def anything(self, rule: Rule, value: Any) -> Any:
-        """Whatever JSON holds itself, non-finite reals as words, tuples as lists."""
+        """Any value of JSON itself, with non-finite reals as words and tuples as lists."""
         value = value.item() if isinstance(value, np.generic) else value
         if isinstance(value, Mapping):
             return {str(k): self.entry(rule, item, k) for k, item in value.items()}
@@ -135,7 +135,7 @@ class _Writing(_Plain):
 
 
 class Reading(_Plain):
-    """Values as JSON has them, or as an archive with `arrays` does."""
+    """Values from JSON, or from an archive with `arrays`."""
 
     def __init__(
         self, *, hex_floats: bool = False, arrays: Mapping[str, Any] | None = None
@@ -182,7 +182,7 @@ class Reading(_Plain):
         return _stored(kind)
 
     def fields(self, rule: Rule, data: Any) -> Any:
-        """The instance that a table holds; every fault of it is found at once."""
+        """The instance described by a table; all its faults are reported together."""
         kind, name = rule.of, rule.of.__name__
         if not isinstance(data, Mapping) or (rule.named and data.get("type") != name):
             raise _misfit(data, "not a table", rule)
@@ -220,7 +220,9 @@ def _missing(key: str, rule: Rule) -> Refused:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """``did you mean 'x'?`` for the nearest known word, or nothing where none is near."""
+    """``did you mean 'x'?`` for the nearest known word, or an empty string if none is
+    near.
+    """
     original = {name.lower(): name for name in known}
     # At least half of the letters in common: this admits a typing error or a missing
     # unit, but not another word.
@@ -291,9 +293,9 @@ def faults_of(
 def plain(
     value: Any, kind: Any, *, hex_floats: bool = False, arrays: Arrays | None = None
 ) -> Any:
-    """Return a value of type `kind` as JSON holds it.
+    """Return a value of type `kind` in the form of JSON.
 
-    With `arrays`, its arrays are put there, by their path in the value.
+    With `arrays`, its arrays are stored there under their path in the value.
     """
     form = _Writing(hex_floats=hex_floats, arrays=arrays is not None)
     members: Arrays = {} if arrays is None else arrays

@@ -159,8 +159,8 @@ def write_text(path: Path | str, text: str) -> None:
 
 
 def first_bytes(path: Path | str, what: str, count: int) -> bytes:
-    """Return at most `count` bytes of a file; FileFormatError where there is none that
-    can be read.
+    """Return at most `count` bytes of a file; FileFormatError if there is no readable
+    file.
     """
     place = Path(path)
     # Opening a pipe without a writer would block for ever, and a device never ends.
@@ -262,8 +262,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def json_text(value: object, level: int = 0) -> str:
-    """JSON with one line for a key or a list of numbers; ``indent=1`` would break the
-    line at each number.
+    """JSON with one line per key or list of numbers; ``indent=1`` would break the line
+    at every number.
     """
     inner, outer = "\n" + " " * (level + 1), "\n" + " " * level
     if isinstance(value, dict) and value:
@@ -328,7 +328,7 @@ def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[An
 
 
 def header_of(path: Path | str) -> str:
-    """Return the header's text of an NPZ archive alone; an empty text where it is
+    """Return the header's text of an NPZ archive alone; an empty string if it is
     damaged or foreign.
     """
     try:

@@ -98,7 +98,7 @@ class document:
 
 
 def document_of(cls: type) -> document:
-    """Return the document of a class; FieldError for one whose values have no file."""
+    """Return the document of a class; FieldError for a class that cannot be saved."""
     if cls not in _DOCUMENTS:
         # The class itself, not its name: a user's class called Design is not a result
         # of fraclink.
@@ -117,10 +117,10 @@ def document_of(cls: type) -> document:
 
 
 def class_of(kind: object) -> type | None:
-    """Return the class of a kind of file, None where there is none.
+    """Return the class of a kind of file, or None.
 
-    The word comes from a file that may be hostile: it is compared with those of the
-    classes, and never itself imported.
+    The kind comes from a file that may be hostile: it is compared with those of the
+    classes, and never imported itself.
     """
     # Importing every package takes a second; this happens only if no loaded class has
     # the kind.

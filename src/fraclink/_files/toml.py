@@ -103,7 +103,7 @@ class _Tables(Reading):
 
 
 def read_table(kind: type, data: Any) -> Any:
-    """Return the `kind` that a table holds; FieldError for one fault, FileFaults for
+    """Return the `kind` described by a table; FieldError for one fault, FileFaults for
     several.
     """
     try:
@@ -114,14 +114,14 @@ def read_table(kind: type, data: Any) -> Any:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file that may be hostile; FileFormatError where it is
-    over its limits.
+    """Return the tables of a TOML file that may be hostile; FileFormatError if it
+    exceeds the limits.
     """
     return parse_toml(read_text(path, "a rig file (TOML)", limit=FILE_LIMIT), path)
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """Return the tables of TOML text that may be hostile; `path` stands in the error."""
+    """Return the tables of TOML text that may be hostile; `path` is named in the error."""
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
     number = next((k for k, line in enumerate(lines, 1) if len(line) > LINE_LIMIT), 0)
     try:
@@ -140,8 +140,8 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
 
 
 def table_of(value: Any) -> dict[str, Any]:
-    """Return a dataclass as a table; "no limit", and all but a number that is at its
-    default, are left out, as a person leaves them out.
+    """Return a dataclass as a table; "no limit" and defaults, except for numbers, are
+    left out, as a person would.
     """
     table: dict[str, Any] = {}
     kind: type = type(value)
@@ -188,8 +188,8 @@ def _key(name: str) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, text, switch or list as TOML; a text holds nothing that ends its
-    string or line.
+    """Return a number, text, switch or list as TOML; a text contains nothing that ends
+    its string or line.
 
     >>> toml_value('a "b"'), toml_value(True), toml_value([1, 0.5])
     ('"a \\\\"b\\\\""', 'true', '[1, 0.5]')

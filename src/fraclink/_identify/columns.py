@@ -24,7 +24,7 @@ STOPPED_MOST = 0.1
 
 def column_findings(log: Experiment) -> Iterator[Finding]:
     """Findings W209, W324 and W213: degrees, a copy of the motor's motion, a clock, an
-    amplifier at its stops.
+    amplifier at its limits.
     """
     angle, output, period = log.motor_angle, log.output, log.period
     time = np.arange(output.size, dtype=np.float64)
@@ -89,9 +89,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
 
 
 def mains_of(log: Experiment) -> float | None:
-    """Frequency of the mains [Hz] where the output is mostly one line there, None
-    elsewhere.
-    """
+    """Frequency of the mains [Hz] if the output is mostly a line there, else None."""
     output = log.output
     power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
     top, length = int(power.argmax()), output.size * log.period
@@ -116,7 +114,7 @@ def lead_of(output: Vector) -> int:
 
 
 def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | None:
-    """What moves in a log's first samples, None where the arm is at rest; `vibration`
+    """What moves in the first samples of a log, None if the arm is at rest; `vibration`
     is without offset.
     """
     lead = lead_of(vibration)

@@ -332,7 +332,7 @@ def compare_structures(
 
 @dataclass(frozen=True)
 class Choice:
-    """The structure that a log supports, with what it rests on."""
+    """The structure supported by a log, with the evidence."""
 
     criteria: Criteria
     known: Mapping[str, Known]
@@ -350,8 +350,8 @@ class Choice:
         return cls(criteria, known, preferred, undecided, vetoed)
 
     def gap(self, name: str) -> float:
-        """By how much a structure is above the one to use in both criteria, below it in
-        both; 0 if they differ.
+        """The amount by which both criteria of a structure lie above those of the one
+        to use, or below; 0 if the criteria disagree.
         """
         # If the two criteria disagree, the log has not decided; otherwise the gap is
         # the smaller of the two.
@@ -361,7 +361,7 @@ class Choice:
 
 
 def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Known]]:
-    """Both criteria of every structure, and how sure each fit is."""
+    """Both criteria of every structure, and the uncertainty of each fit."""
     search.reconcile()
     known = {
         name: link_covariance(search, search.solve(name), coloured=True)
@@ -387,11 +387,12 @@ def _near(criteria: Criteria) -> list[str]:
 def vetoed_structures(
     search: Search, criteria: Criteria, log: Experiment
 ) -> tuple[str, ...]:
-    """Structures without damping that the criteria admit beside damped ones, and that
-    predict the held-out part worse.
+    """Undamped structures that the criteria do not rule out against damped ones, but
+    that predict the held-out part worse.
 
     Diebold and Mariano, J. Business & Economic Statistics 13 (1995) 253: the mean of
-    the difference of squared errors over its standard error, colour allowed for.
+    the difference of squared errors over its standard error, with the colour accounted
+    for.
     """
     count, near = search.window.samples, _near(criteria)
     undamped = [name for name in near if len(structure_row(name).free) == 1]
@@ -414,8 +415,8 @@ def vetoed_structures(
 
 
 def preferred_structure(criteria: Criteria, vetoed: Sequence[str] = ()) -> str:
-    """The structure with the fewest parameters of those that are not decisively behind
-    and not vetoed.
+    """The structure with the fewest parameters among those that are neither decisively
+    rejected nor vetoed.
     """
     return min(
         (name for name in _near(criteria) if name not in vetoed),

@@ -25,8 +25,8 @@ _GROWN = 0.6  # relative growth of the error at the edge of the map
 
 @dataclass(frozen=True)
 class ErrorMap:
-    """Orders λ (M,), resonances Ω [rad/s] (N,), and the mean square error over the
-    least one, (M, N).
+    """Orders λ (M,), resonances Ω [rad/s] (N,), and the mean square error relative to
+    the least one, (M, N).
     """
 
     order: Real
@@ -35,12 +35,12 @@ class ErrorMap:
 
 
 def error_map(log: Experiment, fit: Fit) -> ErrorMap:
-    """Return how the error of the fitted part grows around the fit, in the link's order
-    and resonance.
+    """Return the error of the fitted part around the fit as a function of the link's
+    order and resonance.
 
-    Gain and offset are the best ones at every point; damping and delay stay those of
-    the fit. Ratio 1 is the least of the map: where the valley is long and narrow the
-    log leaves a combination of the two open.
+    Gain and offset are optimal at every point; damping and delay remain those of the
+    fit. A ratio of 1 is the minimum of the map: with a long and narrow valley, the log
+    does not determine a combination of the two.
 
     >>> from fraclink._identify import identify
     >>> from fraclink._reading.reading import bundled_log, read_log

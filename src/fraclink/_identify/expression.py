@@ -48,9 +48,9 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 class Expression:
     """A transfer function of s and named parameters, as a tree.
 
-    `roles` says what each parameter is, in the order of the text: an "order" stands in
-    an exponent of s, a "delay" in exp(-T*s), a "coefficient" elsewhere. A parameter
-    with several roles has the narrowest of them.
+    `roles` are those of the parameters in the order of the text: an "order" is in an
+    exponent of s, a "delay" in exp(-T*s), a "coefficient" elsewhere. A parameter with
+    several roles has the narrowest of them.
     """
 
     text: str
@@ -81,13 +81,13 @@ class Expression:
 
     @cached_property
     def quotient(self) -> tuple[Expression, Expression]:
-        """Numerator and denominator, as the text divides them."""
+        """Numerator and denominator as written in the text."""
         top, bottom = _divided(self.tree)
         return replace(self, tree=top), replace(self, tree=bottom)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
-        """The exact transfer function; FieldError where there is none for these values
-        (a delay below 0).
+        """The exact transfer function; FieldError if there is none for these values (a
+        negative delay).
         """
         leaves = Leaves(
             s, s.power, _delayed, {name: float(value) for name, value in values.items()}
@@ -103,7 +103,7 @@ class Expression:
 
 @dataclass(frozen=True)
 class Leaves:
-    """What s, s**a, exp and the parameters are in one algebra."""
+    """The values of s, s**a, exp and the parameters in one algebra."""
 
     variable: Any
     power: Callable[[Any], Any]
@@ -199,8 +199,8 @@ def _product(left: ast.expr, right: ast.expr) -> ast.expr:
 
 
 def parse_expression(text: str) -> Expression:
-    """Return the structure that `text` describes; FieldError names the first piece that
-    has no meaning here.
+    """Return the structure described by `text`; FieldError names the first part without
+    a meaning here.
 
     >>> parse_expression("k*s**a/(s**a + w)*exp(-T*s)").roles["a"]
     'order'

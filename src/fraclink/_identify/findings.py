@@ -60,7 +60,7 @@ def findings_of(
     """All findings of a fit, worst first.
 
     `sure` are the resonance's relative standard error and whether the log leaves
-    parameters undetermined, `motion` the shares of motion and vibration held out.
+    parameters undetermined, `motion` the held-out shares of motion and vibration.
     """
     # Sign and delay of noise mean nothing.
     heard = signal_of(fit) >= SIGNAL_LEAST
@@ -82,8 +82,8 @@ def findings_of(
 
 
 def signal_of(fit: Fit) -> float:
-    """Twice the log-likelihood that the model wins over an arm at rest, colour allowed
-    for.
+    """Twice the gain in log-likelihood of the model over an arm at rest, with the
+    colour accounted for.
     """
     # Scaled by the colour of the residual: under slow noise a thousand samples are a
     # hundred independent ones, and chance has a larger effect.

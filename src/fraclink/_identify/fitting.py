@@ -102,7 +102,7 @@ def make_search(
     guess: LinkModel | None,
     hold: Hold,
 ) -> Search:
-    """Check what is fixed and cut the fitted part off the log."""
+    """Check the fixed parameters and select the fitted part of the log."""
     values = {
         checked_choice("fixed", name, _FIXABLE): Between(
             *_FIXABLE[name], remedy="give another value"
@@ -134,9 +134,7 @@ def make_search(
 def fitted_window(
     log: Experiment, count: int, hold: Literal["zero", "first"]
 ) -> Window:
-    """The first `count` samples of a log, moved by what the motor is known to have done
-    before.
-    """
+    """The first `count` samples of a log, with the known earlier motion of the motor."""
     angle = moving_angle(log)
     return Window(
         angle[: angle.size - log.output.size + count],
@@ -214,10 +212,10 @@ def fitted_samples(log: Experiment) -> int:
     """Number of samples to fit, so that both the fitted and the held-out part contain
     motion.
 
-    The last 40 % are held out where the motor moves enough on both sides. Otherwise the
-    border moves to the rest before the last moves that make a quarter of the motion; a
-    log of one move is cut within its ring-down, where a quarter of the vibration is
-    still to come.
+    The last 40 % are held out if the motor moves enough on both sides. Otherwise the
+    border moves to the rest before the last moves that contain a quarter of the motion;
+    a log of one move is cut within its ring-down, with a quarter of the vibration still
+    to come.
     """
     total = log.output.size
     count = total - round(_HELDOUT * total)
@@ -248,7 +246,7 @@ def fitted_samples(log: Experiment) -> int:
 def predicted_output(
     search: Search, solution: Solution, log: Experiment
 ) -> NDArray[np.float64]:
-    """The output over all of the log, of which the search saw the first part only."""
+    """The output over the whole log, of which the search only used the first part."""
     whole = fitted_window(log, log.output.size, search.window.hold)
     kernel = search.kernel_of(whole)
     return np.asarray(
@@ -266,8 +264,9 @@ def fit_from(
     known: Known | None = None,
     like: Fit | None = None,
 ) -> Fit:
-    """The fit of one structure from a search, judged on the whole log; `known` is how
-    sure it is, where that is known. Of the same log as a fit `like` the second mode is that one's.
+    """The fit of one structure from a search, judged on the whole log; `known` is its
+    uncertainty, if already computed. With a fit `like` of the same log, the second mode
+    is taken from it.
     """
     solution = search.solve(name)
     window = search.window

@@ -38,7 +38,7 @@ _PLACES = ("frequency", "order", "damping", "damping_order", "delay")
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Where each parameter of each log sits in θ.
+    """The place of each parameter of each log in θ.
 
     `names` are the parameters of one log ("frequency", "order", "damping",
     "damping_order", "delay"), `common` those that all logs share; `payloads` [kg] is
@@ -53,7 +53,7 @@ class Coordinates:
 
     @property
     def own(self) -> tuple[str, ...]:
-        """Parameters that each log has for itself."""
+        """Parameters that are separate for each log."""
         return tuple(name for name in self.names if name not in self.common)
 
     @property
@@ -68,7 +68,9 @@ class Coordinates:
         return len(self.common) + log * len(self.own) + self.own.index(name)
 
     def shape(self, theta: Vector, log: int) -> tuple[Shape, NDArray[np.float64]]:
-        """The shape of a log and its derivative by θ, shapes (5,) and (5, size)."""
+        """The shape of a log and its derivative with respect to θ, shapes (5,) and (5,
+        size).
+        """
         at = {name: self.index(name, log) for name in self.names}
         own = {name: float(theta[k]) for name, k in at.items()}
         order, other = own.get("order", 2.0), own.get("damping_order", 1.0)
@@ -111,7 +113,7 @@ def _log_resonance(square: float, order: float, damping: float, other: float) ->
 
 
 def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
-    """Every parameter where its log alone has it; common ones in the mean."""
+    """Every parameter from the separate fit of its log; the mean for common ones."""
     theta, count = np.zeros(coordinates.size), np.zeros(coordinates.size)
     for i, solution in enumerate(alone):
         shape = solution.shape.copy()
@@ -145,7 +147,7 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
 
 
 def weight_of(search: Search, solution: Solution) -> float:
-    """1/(σ² k): a coloured residual counts as fewer samples, k times fewer."""
+    """1/(σ² k): a coloured residual counts as k times fewer samples."""
     variance = solution.cost / search.window.samples
     if not variance > 0:
         return 1.0
@@ -185,7 +187,7 @@ class JointProblem(Problem):
 
     @cached_property
     def reach(self) -> Vector:
-        """See `Problem`: Ω is known well before."""
+        """See `Problem`: Ω is already well known."""
         own = self.coordinates
         result = np.full(own.size, math.inf)
         if "damping" in own.names:
@@ -205,8 +207,8 @@ class JointProblem(Problem):
         return float(sum(weight * (y @ y) for weight, y in pairs))
 
     def quadratic(self, places: NDArray[np.float64]) -> Quadratic:
-        """See `Problem`: of all logs weighted; the cost is infinite outside of what a
-        link can be.
+        """See `Problem`: the weighted sum over all logs; the cost is infinite for
+        impossible links.
         """
         parts = []
         for i, (search, weight) in enumerate(

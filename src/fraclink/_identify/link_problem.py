@@ -34,8 +34,8 @@ _NO_DAMPING = 1e-12  # ζ below which α has no meaning
 def quadratic_of(
     kernel: FitProblem, shapes: Reals, chain: Reals, gain: float, offset: float
 ) -> Quadratic:
-    """The quadratic model of shapes (M, 5) that coordinates move by `chain` (M, 5, p);
-    gain and offset are free where they are not numbers.
+    """The quadratic model of shapes (M, 5) with the derivatives `chain` (M, 5, p) with
+    respect to the coordinates; gain and offset are free if NaN.
     """
     moving = [k for k in range(5) if np.any(chain[:, k])]
     grams = kernel.grams(np.ascontiguousarray(shapes), mask_of(moving))
@@ -50,13 +50,13 @@ def quadratic_of(
 
 @dataclass(frozen=True, eq=False)
 class LinkProblem(Problem):
-    """A search's problem around a solution: the `free` coordinates of a shape, all
-    others as they are there.
+    """A search's problem around a solution: the `free` coordinates of a shape, with all
+    others held.
 
-    Where ζ and α are both free, r = 2ζ cot(απ/2) stands for α < 1: the fractional
-    damping is Ω^λ (r + 2iζ) at the resonance and ω₀² = Ω^λ (1 − r), so that the edge
-    ω₀ = 0 is the limit r = 1, and the valley of equal ζ is straight. For α > 1 it goes
-    on as r = (1 − α)πζ with the ζ of the solution.
+    If ζ and α are both free, r = 2ζ cot(απ/2) replaces α < 1: the fractional damping is
+    Ω^λ (r + 2iζ) at the resonance and ω₀² = Ω^λ (1 − r), so that the edge ω₀ = 0 is the
+    limit r = 1, and the valley of equal ζ is straight. For α > 1 it continues as r = (1
+    − α)πζ with the ζ of the solution.
     """
 
     search: Search
@@ -130,7 +130,7 @@ class LinkProblem(Problem):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The link's parameters, and the delay, that these coordinates move."""
+        """The link's parameters, including the delay, that depend on these coordinates."""
         own = (*structure(self.solution.structure).free, "delay")
         edge = self.turned and 3 not in self.free
         return tuple(
@@ -143,7 +143,9 @@ class LinkProblem(Problem):
         )
 
     def expanded(self, places: Reals) -> tuple[Reals, Reals]:
-        """Shapes (M, 5) and their derivatives by the coordinates (M, 5, p)."""
+        """Shapes (M, 5) and their derivatives with respect to the coordinates (M, 5,
+        p).
+        """
         shapes = np.repeat(self._start[None, :], len(places), axis=0)
         shapes[:, list(self.free)] = places
         chain = np.tile(np.eye(5), (len(places), 1, 1))
@@ -184,8 +186,8 @@ class LinkProblem(Problem):
     def parameters(
         self, places: Reals, names: tuple[str, ...], *, squared: bool = False
     ) -> tuple[Reals, Reals]:
-        """Values (M, q) of parameters, ω₀² for ω₀ where `squared`, and their
-        derivatives by the coordinates, shape (M, q, p).
+        """Values (M, q) of parameters, with ω₀² for ω₀ if `squared`, and their
+        derivatives with respect to the coordinates, shape (M, q, p).
         """
         shapes, chain = self.expanded(places)
         values, slopes = link_parameters(shapes)
@@ -198,8 +200,8 @@ class LinkProblem(Problem):
         return values[:, rows], slopes[:, rows] @ chain
 
     def linearised(self) -> tuple[Reals, Reals]:
-        """∂(output)/∂(coordinates, then gain and offset where they are free), shape (q,
-        n), and the residual (n,).
+        """∂(output)/∂(coordinates, then gain and offset if free), shape (q, n), and the
+        residual (n,).
         """
         own, at = self.search, self.solution
         chain = self.expanded(self.place[None, :])[1][0]

@@ -50,7 +50,8 @@ PERFECT = 1e-16  # share of the power: a cost below it is rounding
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """Costs (M,) of M candidates with half their negative slopes (M, p) and their
-    Gauss–Newton matrices (M, p, p); the gains and offsets that were projected out (M,).
+    Gauss–Newton matrices (M, p, p); and the gains and offsets that were projected out
+    (M,).
     """
 
     cost: Reals
@@ -76,7 +77,7 @@ class Problem(ABC):
     @property
     @abstractmethod
     def samples(self) -> int:
-        """Numbers that were measured."""
+        """Number of measured values."""
 
     @property
     @abstractmethod
@@ -85,13 +86,13 @@ class Problem(ABC):
 
     @property
     def precision(self) -> float:
-        """The share of a cost that a step must gain for its descent to go on."""
+        """The share of the cost that a step must gain for its descent to continue."""
         return 1e-10
 
     @property
     def reach(self) -> Reals:
-        """The longest step (p,) that a quadratic model serves: of a logarithm 1, where
-        the parameter itself would reach zero.
+        """The longest step (p,) within the validity of a quadratic model: 1 for a
+        logarithm, where the parameter itself would reach zero.
         """
         return np.full(self.low.size, math.inf)
 
@@ -100,7 +101,7 @@ class Problem(ABC):
         return np.clip(places, self.low, self.high)
 
     def costs(self, places: Reals) -> Reals:
-        """Costs (M,) at places (M, p); infinite where a candidate has no response."""
+        """Costs (M,) at places (M, p); infinite if a candidate has no response."""
         return self.quadratic(places).cost
 
     @abstractmethod
@@ -111,11 +112,11 @@ class Problem(ABC):
 def reduced(
     gram: Reals, gain: tuple[float, float], offset: float = math.nan
 ) -> Quadratic:
-    """The quadratic model that Gram matrices leave of gain and offset at their best.
+    """The quadratic model from Gram matrices, with optimal gain and offset.
 
     `gram`, shape (M, 3 + p, 3 + p), is of [measured, response, constant, derivatives of
-    the response]. The gain has a range (low, high), of one number where it is known;
-    the offset is free where it is not a number.
+    the response]. The gain has a range (low, high), with equal ends if it is known; the
+    offset is free if it is NaN.
     """
     free_offset, known_gain = math.isnan(offset), gain[0] == gain[1]
     count = gram[:, 2, 2]
@@ -159,8 +160,8 @@ def reduced(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where M descents ended: places (M, p), costs (M,), whether no step would gain,
-    and the candidates that it took.
+    """The ends of M descents: places (M, p), costs (M,), whether no step would gain
+    anything, and the number of candidates used.
     """
 
     places: Reals
@@ -186,7 +187,7 @@ def descend(
     iterations: int = 100,
     box: tuple[Reals, Reals] | None = None,
 ) -> Descent:
-    """Levenberg and Marquardt's descent from every row of `places` at once, within the
+    """Levenberg-Marquardt descents from all rows of `places` at once, within the
     problem's limits or within a narrower `box` of each row, (M, p) and (M, p).
 
     A descent ends where an undamped step would gain less than the problem's precision
@@ -234,7 +235,7 @@ def descend_within_samples(
     problem: Problem, place: Reals, k: int, period: float
 ) -> Descent:
     """Descents with coordinate k, a delay, held within the sampling intervals before
-    and behind it.
+    and after it.
 
     A held input jumps, and the response to a jump may begin with a vertical tangent: as
     a function of the delay the cost has a cusp wherever a sample passes a jump, and is
@@ -290,11 +291,11 @@ def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
 
 
 def inverted(normal: Reals) -> tuple[Reals, bool]:
-    """Inverse of a normal matrix (p, p), and whether the data leave a direction of it
-    undetermined.
+    """Inverse of a normal matrix (p, p), and whether the data leave one of its
+    directions undetermined.
 
-    Not zero there but 1e7 times the others' error: large enough to be refused by every
-    gate, and finite enough to print.
+    Along that direction the error is not zero but 1e7 times the others': large enough
+    to fail every gate, and finite for printing.
     """
     if not normal.size:
         return normal, False
@@ -351,7 +352,7 @@ def interval_ends(
     Every end is the largest (or least) value of the parameter on the surface of that
     cost (Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87): on the quadratic model at
     x it is x + H⁻¹ slope ± H⁻¹ g √((c − m)/gᵀH⁻¹g) with the parameter's gradient g and
-    the model's least value m. All ends are sought at once.
+    the model's least value m. All ends are computed together.
     """
     count = len(inflation)
     rows, sign = np.tile(np.arange(count), 2), np.repeat([-1.0, 1.0], count)

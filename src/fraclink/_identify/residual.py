@@ -46,8 +46,8 @@ def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
     """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`;
     scores have shape (p, n).
 
-    Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of
-    a sum over lags.
+    Bartlett's weights are the Fejér kernel in frequency: a single matrix product
+    instead of a sum over lags.
     """
     count = scores.shape[1]
     # Padded beyond the lags that are used, because the convolution of the transform is
@@ -65,7 +65,7 @@ def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
 
 
 def mean_with_error(series: Vector) -> tuple[float, float]:
-    """Mean of a series and its standard error, colour allowed for."""
+    """Mean of a series and its standard error, with the colour accounted for."""
     mean = float(series.mean())
     centred = series - mean
     lags = correlated_lags(centred)
@@ -125,13 +125,13 @@ def _memory(count: int) -> int:
 
 
 def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, float]:
-    """Autoregression (coefficients, variance) of the noise that left a residual, and
-    its degrees of freedom.
+    """Autoregression (coefficients, variance) of the noise behind a residual, and its
+    degrees of freedom.
 
     With P = QQᵀ the projection on the regressors, the residual's covariance is (I − P)
-    Γ (I − P), not Γ: a fit takes out of slow noise what resembles the link's response,
-    and what is left looks faster and smaller. So the autocovariances are given back
-    what an autoregression with theirs would lose, and it is fitted again.
+    Γ (I − P), not Γ: a fit removes from slow noise the part that resembles the link's
+    response, and the rest looks faster and smaller. The autocovariances are therefore
+    increased by the loss that their autoregression predicts, and it is fitted again.
 
     The level of slow noise is its spectrum at low frequencies, and that of AR(1) is
     known badly: with T = Σ ρ(l) over all lags ln S(0) has the variance 4T/n of a χ² of
@@ -203,8 +203,8 @@ def coloured_covariance(
     products x_k e_k cuts off their correlation after some lags and tapers it before: at
     five correlation times its standard errors were 15 to 20 % too small under slow
     noise (83 % of "95 %" intervals held the truth), a fault that the autoregression
-    does not have. It takes noise and motion for independent, which is what a residual
-    of a model that misses nothing is.
+    does not have. It assumes that noise and motion are independent, as they are for the
+    residual of a complete model.
     """
     count = regressors.shape[1]
     size = _memory(count)
@@ -235,8 +235,9 @@ def correlation_lag(residual: Vector) -> int:
 
 
 def correlated_lags(series: Vector) -> int:
-    """Lags over which products of a series are summed: five correlation times hold e^-5
-    of its colour, and a fifth of its length is what its own covariance can bear.
+    """Lags over which products of a series are summed: five correlation times contain
+    its colour up to e^-5, and more than a fifth of its length would make its covariance
+    too noisy.
     """
     return min(max(5 * correlation_lag(series), 10), series.size // 5)
 
@@ -351,17 +352,16 @@ _SEEN = 0.05
 def find_second_mode(
     search: Search, solution: Solution, motor_angle: Vector, whole: Vector
 ) -> tuple[SecondMode | None, float | None]:
-    """The second mode in the residual of a fit, and else the frequency [rad/s] up to
-    which none was seen.
+    """The second mode in the residual of a fit, or else the frequency [rad/s] up to
+    which none was found.
 
-    Behind the fitted mode the output may hold  gain · g₂ s²/(s² + 2 ζ ω₂ s + ω₂²) θm,
-    the same kernel with λ = 2. Every candidate ω₂ is a regression of the residual on
-    that response, made orthogonal to everything the first mode's parameters can
-    explain: otherwise a slightly wrong λ or delay would pass for a mode.
+    In addition to the fitted mode the output may contain gain · g₂ s²/(s² + 2 ζ ω₂ s +
+    ω₂²) θm, the same kernel with λ = 2. Every candidate ω₂ is a regression of the
+    residual on that response, made orthogonal to everything that the parameters of the
+    first mode can explain; otherwise a slightly wrong λ or delay would pass for a mode.
 
     `motor_angle` and `whole` are the angle (with that before a cut) and the residual of
-    the whole log: what the fitted part shows must show again in the part that was held
-    out.
+    the whole log: a mode in the fitted part must also appear in the held-out part.
     """
     window, shape = search.window, solution.shape
     columns = columns_of(search.kernel, shape, mask_of(solution.free))

@@ -50,11 +50,11 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third a ste
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The least-squares point of one structure: coordinates, linear parameters, Gram
-    matrix there.
+    """The least-squares solution of one structure: coordinates, linear parameters, Gram
+    matrix.
 
-    `evaluations`: passes over the data that the search had taken by then; `rivals` are
-    the ends of descents in other valleys, best first.
+    `evaluations`: passes over the data used by the search so far; `rivals` are the ends
+    of descents in other valleys, best first.
     """
 
     structure: str
@@ -101,10 +101,10 @@ class Solution:
 
 @dataclass(eq=False)
 class Search:
-    """Fits of one window; every structure's start is taken from those found before.
+    """Fits of one window; every structure starts from the fits found before.
 
     `fixed` may hold "gain", "offset", "delay" and model coordinates "order",
-    "damping_order"; `start` is a guess, tried beside the scan.
+    "damping_order"; `start` is a guess, tried in addition to the scan.
     """
 
     window: Window
@@ -115,12 +115,12 @@ class Search:
 
     @property
     def gain(self) -> float:
-        """The gain where it is fixed, NaN where it is free."""
+        """The gain if fixed, NaN if free."""
         return self.fixed.get("gain", math.nan)
 
     @property
     def offset(self) -> float:
-        """The offset where it is fixed, NaN where it is free."""
+        """The offset if fixed, NaN if free."""
         return self.fixed.get("offset", math.nan)
 
     @property
@@ -133,7 +133,7 @@ class Search:
 
     @cached_property
     def kernel(self) -> FitProblem:
-        """The kernel for all frequencies and delays that the search may reach."""
+        """The kernel for all frequencies and delays within reach of the search."""
         return self.kernel_of(self.window)
 
     def kernel_of(self, window: Window) -> FitProblem:
@@ -260,7 +260,7 @@ class Search:
         )
 
     def solve(self, name: str) -> Solution:
-        """The best fit of a structure; found once."""
+        """The best fit of a structure; cached."""
         if name not in self.solutions:
             ends = [self._descended(name, row) for row in self._starts(name)]
             if name == FRACTIONAL:
@@ -398,11 +398,11 @@ class Search:
         return min(ends, key=lambda each: each.cost)
 
     def reconcile(self) -> None:
-        """Fit a structure again from a special case of it that did better.
+        """Fit a structure again from a special case of it with a lower cost.
 
-        On a log without a clear resonance a descent may end in another valley for each
-        structure; a structure that is worse than its own special case would be the
-        search's fault.
+        On a log without a clear resonance each structure's descent may end in another
+        valley; a structure worse than its own special case would be a failure of the
+        search.
         """
         if {"order", "damping_order"} & set(self.fixed):
             return

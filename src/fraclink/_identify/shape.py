@@ -63,19 +63,19 @@ _MODES_MAX = 64
 
 
 def free_coordinates(name: str) -> tuple[int, ...]:
-    """Coordinates that are free in a structure, the delay not counted."""
+    """Coordinates that are free in a structure, without the delay."""
     return tuple(sorted(COORDINATE[parameter] for parameter in structure(name).free))
 
 
 def mask_of(free: Sequence[int]) -> int:
-    """Bits of the free coordinates, as the kernel wants them."""
+    """Bit mask of the free coordinates for the kernel."""
     return sum(1 << i for i in free)
 
 
 def special_cases(name: str) -> list[str]:
     """Structures that are special cases of this one, in the order of the table.
 
-    The undamped link of order λ is one of every link with a free α: see
+    The undamped link of order λ is a special case of every link with a free α: see
     `undamped_as_damped`.
     """
     free = set(structure(name).free)
@@ -96,8 +96,8 @@ def embedded(shape: Shape, name: str) -> Shape:
 
 
 def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
-    """Indices of the lowest local minima, the lowest first; a plateau beside a minimum
-    is not another.
+    """Indices of the lowest local minima, the lowest first; a plateau next to a minimum
+    does not count separately.
     """
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     valleys = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
@@ -105,8 +105,8 @@ def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
 
 
 def link_parameters(shapes: NDArray[np.float64]) -> tuple[Vector, Vector]:
-    """(ω₀², λ, μ, α, τ) of shapes (M, 5) and their derivatives by the coordinates, shape
-    (M, 5, 5).
+    """(ω₀², λ, μ, α, τ) of shapes (M, 5) and their derivatives with respect to the
+    coordinates, shape (M, 5, 5).
     """
     # At s = jΩ and λ = 2 the denominator s² + μ s^α + ω₀² has the imaginary part μ Ω^α
     # S, where a viscous link has 2ζΩ², and no real part: ω₀² = Ω² − μ Ω^α C. For
@@ -133,7 +133,7 @@ def link_parameters(shapes: NDArray[np.float64]) -> tuple[Vector, Vector]:
 
 
 def damping_and_square(shape: Shape) -> tuple[float, float]:
-    """(μ, ω₀²) of a shape; a rounding error below zero is zero."""
+    """(μ, ω₀²) of a shape; negative rounding errors become zero."""
     values = link_parameters(shape[None, :])[0][0]
     return float(values[2]), float(values[0])
 
@@ -198,13 +198,15 @@ def undamped_as_damped(shape: Shape) -> Shape:
 
 
 def last_of(history: Vector, samples: int, most: int) -> Vector:
-    """The end of what was before a cut, as far back as it moves a record of `samples`."""
+    """The last part of the motion before a cut that still affects a record of
+    `samples`.
+    """
     return history[-max(3 * samples, most) :]
 
 
 def moving_angle(log: Experiment) -> Vector:
-    """The motor angle that moves the link of a log: the log's own, behind the known one
-    before its cut.
+    """The motor angle that moves the link of a log: its own, preceded by the known one
+    before a cut.
     """
     if log.earlier_angle is None:
         return log.motor_angle
@@ -214,11 +216,11 @@ def moving_angle(log: Experiment) -> Vector:
 
 
 def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
-    """What the input does between samples.
+    """The course of the input between samples.
 
-    A motor moves smoothly, so "auto" joins the samples by straight lines; a simulated
-    command that jumps between two samples and rests before and after is held instead.
-    Read as a ramp it would delay the link by half a sample, and λ pays for that.
+    A motor moves smoothly, so "auto" interpolates linearly; a simulated command that
+    jumps between two samples and rests before and after is held instead. Taken as a
+    ramp it would delay the link by half a sample, which biases λ.
     """
     if hold != "auto":
         return hold
@@ -236,10 +238,10 @@ def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
 class Window:
     """A stretch of a log from its start, in the kernel's terms.
 
-    Of `angle` (H + N,) the last N samples are those of `output` (N,). The H before them
-    move the link and are compared with nothing: without them a log that was cut in
-    mid-motion begins with a vibration that no link at rest can have, and the fit takes
-    it for delay and damping (8 ms on the bundled log, see
+    Of `angle` (H + N,) the last N samples are those of `output` (N,). The H samples
+    before them move the link, but are not compared: without them a log cut in
+    mid-motion begins with a vibration that no link at rest has, and the fit takes it
+    for delay and damping (8 ms on the bundled log, see
     ``benchmarks/bench_identify.py``).
     """
 
@@ -255,8 +257,8 @@ class Window:
 
     @property
     def frequency_limits(self) -> tuple[float, float]:
-        """Resonances [rad/s] that the log can show: a period and a half in it or in the
-        motion known before it, six samples in a period.
+        """Resonances [rad/s] that the log can show: at least 1.5 periods within it or
+        the motion known before it, and six samples per period.
         """
         # Motion from before a cut continues after it, and shows slower resonances.
         return 3 * math.pi / (self.angle.size * self.period), math.pi / (
@@ -267,9 +269,9 @@ class Window:
     def is_rough(self) -> bool:
         """Whether noise (such as an encoder's steps) shows in the angle's increments.
 
-        Noise of the samples makes neighbouring increments opposed, so that they
-        resemble each other less than the next but one do; a motion's resemblance falls
-        with every sample.
+        Sample noise makes neighbouring increments opposed, so that their correlation is
+        lower than that of the second neighbours; the correlation of a motion falls with
+        every sample.
         """
         steps = np.diff(self.angle)
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
@@ -283,8 +285,8 @@ class Window:
         return np.diff(self.angle, append=self.angle[-1:]) / self.period
 
     def kernel(self, resonance: float, *, longest_delay: float) -> FitProblem:
-        """The kernel with a grid of rates that serves resonances from `resonance`
-        [rad/s] up.
+        """The kernel with a grid of rates for resonances from `resonance` [rad/s]
+        upwards.
         """
         start = math.log(resonance) - _DEPTH
         modes = math.ceil((math.log(_REACH / self.period) - start) / _STEP)
@@ -309,8 +311,8 @@ class Window:
 
 
 def columns_of(kernel: FitProblem, shape: Vector, mask: int = 0) -> NDArray[np.float64]:
-    """Output for unit gain and its derivatives for the coordinates in `mask`, shape (1
-    + k, N).
+    """Output for unit gain and its derivatives with respect to the coordinates in
+    `mask`, shape (1 + k, N).
     """
     columns = kernel.columns(shape, mask)
     if columns is None:

@@ -38,11 +38,12 @@ _ORDER_MOST = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """What is known of each parameter; `pairs` are the correlations of all pairs,
-    `blind` what is not seen.
+    """The uncertainty of each parameter; `pairs` are the correlations of all pairs,
+    `blind` the undetermined parameters.
 
-    `blind` are the parameters of directions in which nothing that was measured changes;
-    `inflation` is the largest factor by which the residual's colour widens a variance.
+    `blind` are the parameters in directions along which the measured output does not
+    change; `inflation` is the largest factor by which the residual's colour widens a
+    variance.
     """
 
     intervals: Mapping[str, Interval]
@@ -57,8 +58,8 @@ class Certainty:
 def certainty_of(
     searched: StructureProblem, best: Place, *, details: bool
 ) -> Certainty:
-    """Standard errors that allow for the residual's colour; profile intervals where
-    `details` are wanted.
+    """Standard errors that account for the residual's colour; profile intervals with
+    `details`.
     """
     every = replace(searched, projected=False)
     stuck = tuple(
@@ -198,9 +199,10 @@ def _in_values(
 
 
 def in_order(own: StructureProblem, place: Place) -> Place:
-    """The place with the orders of exchangeable terms falling in the order of the text.
+    """The place with the orders of exchangeable terms decreasing in the order of the
+    text.
 
-    In a2*s**n2 + a1*s**n1 the two terms may change names: which is called n2 is a
+    In a2*s**n2 + a1*s**n1 the two terms may be exchanged: which order is called n2 is a
     convention.
     """
     values = dict(place.values)

@@ -40,9 +40,9 @@ class Spectrum:
     """Points s with the transform of input and output there, and the weight of each
     point's error.
 
-    `of_constant` is the transform of an offset; of a record that was cut in mid-motion
-    D Y − N U is no zero but the state at the cut, of integer orders a polynomial:
-    `of_state` (2, K) is what its terms are made of.
+    `of_constant` is the transform of an offset; for a record cut in mid-motion, D Y − N
+    U is not zero but the state at the cut, which is a polynomial for integer orders:
+    `of_state` (2, K) has its terms.
     """
 
     points: Complexes
@@ -64,7 +64,7 @@ class Lines(Spectrum):
         return cls(np.asarray(1j * frequency), one, response, weight)
 
     def part(self, kept: NDArray[np.bool_]) -> Lines:
-        """The lines that are kept."""
+        """The selected lines."""
         return Lines(
             self.points[kept], self.input[kept], self.output[kept], self.weight[kept]
         )
@@ -81,32 +81,32 @@ class Lines(Spectrum):
 
     @property
     def band(self) -> Limits:
-        """Lowest and highest frequency [rad/s] that the data tell of."""
+        """Lowest and highest frequency [rad/s] of the data."""
         return float(self.points[0].imag), float(self.points[-1].imag)
 
     @property
     def shortest(self) -> float:
-        """A delay [s] that the data just distinguish from none."""
+        """The shortest delay [s] that the data distinguish from zero."""
         return 1.0 / self.band[1]
 
     @property
     def tangent(self) -> Samples:
-        """The data of whose responses the slopes are differences: itself."""
+        """The data whose responses are differenced for the slopes: itself."""
         return self
 
     @cached_property
     def measured(self) -> Reals:
-        """All that was measured, weighted, shape (R,)."""
+        """All measured values, weighted, shape (R,)."""
         return _stacked(self.weight * self.output)
 
     @cached_property
     def constant(self) -> Reals:
-        """None: an offset is no line of a response."""
+        """None: an offset is not a line of a response."""
         return np.zeros(self.measured.size)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
         """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
-        where nothing responds.
+        where there is no response.
         """
         return _stacked(self.weight * _of_many(structure, values, self.points))
 
@@ -134,11 +134,10 @@ _BLOCKS = 1000
 
 @dataclass(frozen=True, eq=False)
 class RecordStart:
-    """The first samples of a recording, with the response that a candidate would have
-    there.
+    """The first samples of a recording, and the response of a candidate to them.
 
-    `earlier` (H,) is the input just before them, of a log that was cut: it moves the
-    output, and nothing is compared with it.
+    `earlier` (H,) is the input just before them, for a log that was cut: it moves the
+    output, but is not compared with it.
     """
 
     input: Reals
@@ -153,8 +152,8 @@ class RecordStart:
     def of(
         cls, record: Recording, hold: Hold, count: int, earlier: Reals | None = None
     ) -> RecordStart:
-        """The first `count` samples; the input counts from rest: where the used part of
-        `earlier` begins.
+        """The first `count` samples; the input is relative to rest, at the beginning of
+        the used part of `earlier`.
         """
         own = np.asarray(record.input, dtype=np.float64)
         before = (
@@ -184,22 +183,22 @@ class RecordStart:
 
     @property
     def measured(self) -> Reals:
-        """All that was measured, weighted, shape (R,)."""
+        """All measured values, weighted, shape (R,)."""
         return self.output
 
     @cached_property
     def constant(self) -> Reals:
-        """What an offset of one adds to `measured`, shape (R,)."""
+        """The effect of an offset of one on `measured`, shape (R,)."""
         return np.ones(self.output.size)
 
     @property
     def shortest(self) -> float:
-        """A delay [s] that the data just distinguish from none."""
+        """The shortest delay [s] that the data distinguish from zero."""
         return self.period
 
     @cached_property
     def tangent(self) -> Samples:
-        """The data of whose responses the slopes are differences: transforms, of which
+        """The data whose responses are differenced for the slopes: transforms, of which
         a hundred take as long as one exact response.
         """
         return self if self.exact else Blocks(self, 1)
@@ -211,7 +210,7 @@ class RecordStart:
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
         """Responses of M candidates with parameters (M, 1), each the exact one to the
-        held input, shape (M, R); not finite where nothing responds.
+        held input, shape (M, R); not finite where there is no response.
         """
         names, columns = [*values], np.broadcast_arrays(*values.values())
         rows = []
@@ -232,8 +231,8 @@ class RecordStart:
         """The transform on the line Re s = σ, at the real point and at points spread
         evenly in ln ω.
 
-        A damped record has a transform though it ends, and of the damping the response
-        knows: G is evaluated at σ + jω. Starts are drawn from it.
+        A damped record has a transform although it ends, and the response includes the
+        damping: G is evaluated at σ + jω. Starts are drawn from it.
         """
         count, period = self.output.size, self.period
         damping = _DECAY / (count * period)
@@ -296,9 +295,9 @@ def held_transform(
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """A recording in blocks of `width` samples, sums of whose means are sums over
-    samples, with what a transform back from the line Re s = σ says that a candidate
-    responds.
+    """A recording in blocks of `width` samples, such that sums over block means are
+    sums over samples, with the response of a candidate by the inverse transform from
+    the line Re s = σ.
     """
 
     data: RecordStart
@@ -313,17 +312,17 @@ class Blocks:
 
     @cached_property
     def constant(self) -> Reals:
-        """What an offset of one adds to `measured`, shape (R,)."""
+        """The effect of an offset of one on `measured`, shape (R,)."""
         return np.full(self.measured.size, math.sqrt(self.width))
 
     @property
     def shortest(self) -> float:
-        """A delay [s] that the data just distinguish from none."""
+        """The shortest delay [s] that the data distinguish from zero."""
         return self.data.period
 
     @property
     def tangent(self) -> Samples:
-        """The data of whose responses the slopes are differences: itself."""
+        """The data whose responses are differenced for the slopes: itself."""
         return self
 
     @cached_property
@@ -358,7 +357,7 @@ class Blocks:
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
         """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
-        where nothing responds.
+        where there is no response.
         """
         points, into, blocks = self._lines
         with np.errstate(all="ignore"):

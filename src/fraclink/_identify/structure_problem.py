@@ -42,11 +42,11 @@ GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.
 class StructureProblem(Problem):
     """The least-squares problem of a structure in its free parameters.
 
-    A place has the coordinates of `moving`: of a coefficient that has one sign the
-    logarithm of its size, else the value itself; behind them the signs of the
-    coefficients whose range has both, which nothing moves. The gain, a coefficient that
-    multiplies the whole, is no coordinate where it is `projected` out; `offset` is not a
-    number where it is free.
+    A place has the coordinates of `moving`: for a coefficient of known sign the
+    logarithm of its magnitude, else the value itself; followed by the fixed signs of
+    the coefficients whose range includes both. The gain, a coefficient that multiplies
+    everything, is not a coordinate if it is `projected` out; `offset` is NaN if it is
+    free.
     """
 
     structure: Expression
@@ -63,7 +63,7 @@ class StructureProblem(Problem):
 
     @cached_property
     def gain(self) -> str | None:
-        """The free coefficient that multiplies the whole; None where there is none."""
+        """The free coefficient that multiplies everything, or None."""
         values = self.middle()
         once = self.structure.response(values, GENERAL_POINTS)
         for name in self.structure.of_role("coefficient"):
@@ -86,7 +86,7 @@ class StructureProblem(Problem):
 
     @cached_property
     def signed(self) -> tuple[str, ...]:
-        """Coordinates whose sign stands behind them."""
+        """Coordinates with a separate sign."""
         return tuple(name for name in self.moving if self._has_both_signs(name))
 
     def _has_both_signs(self, name: str) -> bool:
@@ -122,7 +122,7 @@ class StructureProblem(Problem):
         return float(self.coordinate(name, low)), float(self.coordinate(name, high))
 
     def middle(self) -> dict[str, Any]:
-        """Values inside the limits, so unlike each other that nothing cancels."""
+        """Values inside the limits, different enough that nothing cancels."""
         found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
         for k, name in enumerate(self.names):
             low, high = self.box_of(name)
@@ -187,7 +187,7 @@ class StructureProblem(Problem):
     @property
     def precision(self) -> float:
         """See `Problem`: a thousandth of the cost of one sample, a thirtieth of a
-        standard error, as slopes by differences tell no more.
+        standard error, the accuracy of slopes by differences.
         """
         return 1e-3 / self.samples
 
@@ -210,8 +210,8 @@ class StructureProblem(Problem):
         return replace(found, slope=found.gain[:, None] * np.nan_to_num(slope))
 
     def linearised(self, place: Reals) -> tuple[Reals, Reals]:
-        """∂(measured)/∂(coordinates, then the offset where it is free), shape (q, R),
-        and the residual (R,), where the gain is a coordinate.
+        """∂(measured)/∂(coordinates, then the offset if free), shape (q, R), and the
+        residual (R,), with the gain as a coordinate.
         """
         columns = self._columns(place[None, :])
         rows = columns[0, 1 : 1 + len(self.moving)]

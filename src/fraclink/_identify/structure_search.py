@@ -49,7 +49,7 @@ def best_places(
     data: RecordStart | Lines,
     start: Mapping[str, float] | None,
 ) -> tuple[list[Place], int]:
-    """Places that no step improves, best first, and the candidates that it took."""
+    """Places that no step improves, best first, and the number of candidates used."""
     places = problem.clip(problem.places_of(drawn_starts(problem, data.spectrum)))
     screen = replace(problem, data=data.screen)
     costs = screen.costs(places)
@@ -103,7 +103,7 @@ def best_places(
 
 
 def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
-    """Parameters and offset where a descent ended."""
+    """Parameters and offset at the end of a descent."""
     at = problem.fitted(found.places[k : k + 1])
     values = {
         name: float(np.ravel(value)[0])

@@ -29,10 +29,10 @@ _ROUNDS = 5  # iterations of Sanathanan and Koerner
 
 
 def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Reals]:
-    """Values of all free parameters to begin at, shape (M,) each.
+    """Starting values of all free parameters, shape (M,) each.
 
-    Coefficients by least squares are near where there is little noise; those at random
-    are near some of the time under any.
+    Coefficients by least squares are close if there is little noise; random ones are
+    sometimes close with any noise.
     """
     names, roles = problem.names, problem.structure.roles
     # Evenly spread and the same in every run: with 60 random draws some orders would be

@@ -36,9 +36,9 @@ class Covariance:
     """Covariances (p, p) of parameters.
 
     `white` holds for independent residuals; `wide` for residuals of any (short)
-    correlation, and is `white` where the colour was not asked for. `lag` is the
-    residual's correlation in samples, `effective` the number of parameters that the
-    residual's colour makes of those fitted (Takeuchi's trace), `singular` says that the
+    correlation, and equals `white` if the colour was not requested. `lag` is the
+    residual's correlation in samples, `effective` the effective number of fitted
+    parameters with the residual's colour (Takeuchi's trace), `singular` says that the
     data do not determine all of them.
     """
 
@@ -79,10 +79,10 @@ class Covariance:
 
     @cached_property
     def inflation(self) -> dict[str, float]:
-        """By what factor the residual's colour widens each variance.
+        """The factor by which the residual's colour widens each variance.
 
-        It may also narrow an estimate, but the sandwich is too noisy to be believed
-        there.
+        Colour may also reduce a variance, but the sandwich covariance is too noisy to
+        be trusted there.
         """
         white, wide = np.diag(self.white), np.diag(self.wide)
         ratios = np.clip(wide / np.where(white > 0, white, np.inf), 1.0, 1e12)
@@ -90,7 +90,7 @@ class Covariance:
 
     @cached_property
     def errors(self) -> dict[str, float]:
-        """Standard errors, colour allowed for."""
+        """Standard errors, with the colour accounted for."""
         # Rounding may leave a variance just below zero.
         white = np.maximum(np.diag(self.white), 0.0)
         rows = zip(self.inflation.items(), white.tolist(), strict=True)
@@ -103,7 +103,7 @@ def link_covariance(
     """Covariance of a link's parameters, gain and offset at a solution, and the relative
     standard error of the resonance Ω.
 
-    That is NaN where Ω ended at a limit; unlike ω₀ it does not trade with α and λ.
+    That is NaN if Ω ended at a limit; unlike ω₀ it is not correlated with α and λ.
     """
     problem = LinkProblem.of(search, solution, inside=True)
     moved = tuple(map(str, problem.free))
@@ -147,8 +147,8 @@ def _sandwich(
 def effective_parameters(
     inverse: Matrix, regressors: Matrix, residual: Vector, variance: float
 ) -> float:
-    """Takeuchi's tr(H⁻¹J): under white noise the number of parameters, under slow noise
-    as many more as it has fewer independent samples.
+    """Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and larger under
+    slow noise in proportion to its lack of independent samples.
     """
     if not variance > 0:
         return float(inverse.shape[0])
@@ -175,7 +175,7 @@ def link_intervals(
     """The 95 % intervals of the link's parameters and the delay: n ln(cost/least cost)
     ≤ 1.96² times the factor by which the residual's colour widens a variance.
 
-    α has one where it ended at a limit, too.
+    α has one even if it ended at a limit.
     """
     problem = LinkProblem.of(search, solution, inside=False)
     wanted = {*inflation, "damping_order"}
@@ -213,26 +213,26 @@ _RESOLUTION = 1e-10
 def structure_criteria(
     search: Search, effective: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    """Two criteria of every structure under the noise of this log, both the AIC where
-    it is white.
+    """Two criteria of every structure under the noise of this log, both equal to the
+    AIC if it is white.
 
     `effective` are tr(H⁻¹J) of all structures.
 
         n ln(MSE) + 2 tr(H⁻¹J)    and    n ln(σ²)/k + 2 p
 
-    The AIC of eq. (18) takes every sample for a witness. Under noise that wanders
-    (AR(1), ρ = 0.98) that makes a wiggle of the noise look like a parameter.
+    The AIC of eq. (18) takes every sample as independent. Under slow noise (AR(1), ρ =
+    0.98) a fluctuation of the noise then looks like a parameter.
 
-    The first, Takeuchi's, counts parameters as the residual's colour does. It is
-    cautious, but it too finds a superfluous α in one coloured log of ten. For the
-    second all residuals pass one filter, the autoregression of what the richest
-    structure leaves, which makes the noise white; each fit takes the Gauss–Newton step
-    to its optimum behind that filter, and σ² is the variance of what is left. It tells
-    more structures apart under slow noise, but on a log whose residual is misfit
-    (friction, a motor that is not straight between two samples) the filter magnifies
-    the misfit; k, by how much the richest fit's scores vary more than white noise would
-    let them, does not make up for all of that. Each errs where the other does not, so
-    that only what both say is taken for shown.
+    The first, Takeuchi's, counts parameters according to the residual's colour. It is
+    cautious, but still finds a superfluous α in one coloured log of ten. For the
+    second, all residuals pass the same whitening filter, the autoregression of the
+    residual of the richest structure; each fit takes the Gauss–Newton step to its
+    optimum after that filter, and σ² is the variance of the rest. It distinguishes more
+    structures under slow noise, but on a log whose residual is a misfit (friction, a
+    motor that is not linear between samples) the filter amplifies the misfit; k, the
+    excess variance of the richest fit's scores over that of white noise, does not
+    compensate for all of that. The two fail in different cases, so only a conclusion of
+    both counts as shown.
     """
     solutions = {name: search.solve(name) for name in STRUCTURES}
     # If the residual of any structure is noise, it is that of the richest one; with a

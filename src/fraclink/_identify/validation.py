@@ -41,7 +41,7 @@ class Value(NamedTuple):
     high: float
 
     def disagrees(self, other: Value) -> bool:
-        """Whether both intervals are known and have nothing in common."""
+        """Whether both intervals are known and disjoint."""
         return self.high < other.low or other.high < self.low
 
 
@@ -293,7 +293,7 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
 
 
 def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
-    """Hold a fit against other logs of the same arm; see `Fit.validate`."""
+    """Compare a fit with other logs of the same arm; see `Fit.validate`."""
     if not logs:
         raise FieldError(
             "logs",

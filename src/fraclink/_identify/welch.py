@@ -27,8 +27,8 @@ _SEGMENTS = 8
 
 
 def segments(signals: Sequence[Real], period: float) -> tuple[Real, list[Complex]]:
-    """Frequencies above zero [rad/s], and the transforms there of every segment of each
-    signal: half over one another, their mean off, under Hann's window.
+    """Frequencies above zero [rad/s], and the transforms of every segment of each
+    signal: half-overlapping, without mean, with a Hann window.
     """
     size = max(2 * (signals[0].size // (_SEGMENTS + 1)), 4)
     transforms = []
@@ -58,14 +58,13 @@ class WelchResponse:
 
 
 def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
-    """Return the averaged responses (Welch) of what was measured and of what the fit
-    predicts.
+    """Return the averaged responses (Welch) of measurement and prediction.
 
         H = P_yu / P_uu,    γ² = |P_yu|² / (P_uu P_yy)
 
-    Both go through the same windows, so that what these do to a sharp resonance they do
-    to both. Frequencies at which the motor moved less than a thousandth of the most are
-    left out.
+    Both use the same windows, which affect a sharp resonance in the same way.
+    Frequencies at which the motor moved less than a thousandth of the largest amplitude
+    are left out.
 
     >>> from fraclink._identify import identify
     >>> from fraclink._reading.reading import bundled_log, read_log

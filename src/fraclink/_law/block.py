@@ -123,7 +123,7 @@ PID = MOTOR_LOOP[: MOTOR_LOOP.index("filter_decay") + 1]
 
 
 def real_type(precision: Precision) -> Literal["f", "d"]:
-    """The struct code of a real number, or FieldError for an unknown precision."""
+    """The struct code of a real number; FieldError for an unknown precision."""
     remedy = "use single for a microcontroller with a single-precision FPU"
     checked_choice("precision", precision, ("single", "double"), remedy=remedy)
     return "f" if precision == "single" else "d"
@@ -180,8 +180,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
-    """Return what `pack` was given, as the law really has it: reals rounded to its
-    precision, lists in full.
+    """Return the values of a block as the law has them: reals rounded to its precision,
+    lists in full.
     """
     items = list(struct.unpack(_format(precision), block[16:]))
     result: dict[str, float | list[float]] = dict(
@@ -198,11 +198,11 @@ def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]
 def exact_header(
     block: bytes, precision: Precision, modes: Mapping[str, int]
 ) -> tuple[int, int]:
-    """Return (size, CRC-32) of the block with arrays of just `modes` real modes, pairs
-    and forward modes.
+    """Return (size, CRC-32) of the block with arrays of exactly `modes` real modes,
+    pairs and forward modes.
 
-    The keys are "real", "pair" and "forward"; law.c has that layout where it is
-    compiled for one design.
+    The keys are "real", "pair" and "forward"; law.c has that layout if it is compiled
+    for one design.
     """
     values = unpack(block, precision)
     each = {"real": 2, "pair": 4, "forward": 2}
@@ -262,8 +262,8 @@ class Tracking:
 
 @dataclass(frozen=True)
 class MotorModel:
-    """The motor loop as it was placed, with its delay: θm follows θm* through H/(z − 1
-    + H), H = now + next/(z − keep).
+    """The placed motor loop with its delay: θm follows θm* through H/(z − 1 + H), H =
+    now + next/(z − keep).
     """
 
     now: float
@@ -282,7 +282,7 @@ def block_values(
     motor_loop: DiscreteMotorLoop | None,
     tracking: Tracking | None = None,
 ) -> dict[str, Any]:
-    """Return every field of law_params but its header."""
+    """Return every field of law_params except its header."""
     late = tracking is not None and (
         tracking.gauge_delay > 0 or tracking.gauge_gain != 1
     )
@@ -417,8 +417,8 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
 def mode_norms(coefficients: Mapping[str, Any]) -> tuple[float, float]:
     """(largest state of a mode, largest correction) per largest error.
 
-    A mode is driven by the change of the error: (1 − z⁻¹)/(z − p) answers an impulse
-    with 1, p − 1, (p − 1) p, …, whose moduli sum to 1 + |1 − p|/(1 − |p|).
+    A mode is driven by the change of the error: the impulse response of (1 − z⁻¹)/(z −
+    p) is 1, p − 1, (p − 1) p, …, whose moduli sum to 1 + |1 − p|/(1 − |p|).
     """
     norms = [
         (1 + abs(1 - p) / (1 - abs(p)) if abs(p) < 1 else math.inf, abs(g))
@@ -432,8 +432,8 @@ def linear_range(coefficients: Mapping[str, Any]) -> float:
     """Return the tip error [rad] up to which no limit of the command acts, rounded down
     to two digits.
 
-    By the l1 norms of the modes, term by term. FieldError where a limit leaves less
-    than `LEAST_RANGE`: such a law is not the filter that its modes describe.
+    By the l1 norms of the modes, term by term. FieldError if a limit leaves less than
+    `LEAST_RANGE`: such a law is not the filter described by its modes.
     """
     c = coefficients
     state, gain = mode_norms(c)
@@ -452,8 +452,8 @@ def linear_range(coefficients: Mapping[str, Any]) -> float:
 
 
 def inside_circle(coefficients: list[float]) -> bool:
-    """Schur–Cohn: every reflection coefficient of a real polynomial below one in
-    modulus, with room.
+    """Schur–Cohn test: whether every reflection coefficient of a real polynomial is
+    below 1 in modulus, with a margin.
     """
     a = coefficients
     while len(a) > 1:

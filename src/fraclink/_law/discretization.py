@@ -300,7 +300,7 @@ def equip(
 
 
 def check_rigs_period(law: Law, rig: Rig) -> None:
-    """FieldError where the law was made for another period than the rig's."""
+    """FieldError if the law was made for a period other than the rig's."""
     if not math.isclose(law.period, rig.period, rel_tol=1e-9):
         raise FieldError(
             "period",
@@ -375,8 +375,8 @@ def _band(controller: Controller, period: float) -> tuple[float, float]:
 
 
 def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:
-    """Return a fit as the modes of a block; FieldError where it has more than law.c
-    holds.
+    """Return a fit as the modes of a block; FieldError if it has more than law.c can
+    hold.
     """
     if len(fit.decays) > reals or len(fit.pole_decays) > pairs:
         raise FieldError(
@@ -417,10 +417,10 @@ def fit_correction(
 ) -> DiscreteRational:
     """Return Ĉ at `period` [s] as (1 − z⁻¹)(d + Σ g/(z − p)), fitted on `band` [rad/s].
 
-    C = 1 + Ĉ is met to 0.1 dB and 0.5° with few states; what these leave free makes Ĉ
-    accurate in a factor 2.5 about the gain crossover with the nominal `link`, because
-    the loop is Ĉ times the plant, not C. Where no such fit has 6 states or fewer (or
-    `order`), C alone is fitted.
+    C = 1 + Ĉ is met to 0.1 dB and 0.5° with few states; the remaining freedom makes Ĉ
+    accurate within a factor 2.5 about the gain crossover with the nominal `link`,
+    because the loop is Ĉ times the plant, not C. If no such fit has 6 states or fewer
+    (or `order`), C alone is fitted.
     """
 
     def fit(weight: Callable[[Real], Real] | None, highest: int) -> DiscreteRational:

@@ -112,7 +112,7 @@ QUIET = 0.12  # [s] without motion before the estimate is frozen
 
 
 class Estimates(NamedTuple):
-    """What the estimator says of each period, shape (N,): payload for the law (0:
+    """The output of the estimator for each period, shape (N,): payload for the law (0:
     none), estimate and its 95 % interval [kg], and the flags of payload_estimator.h.
     """
 

@@ -48,7 +48,7 @@ MODE_POINTS = _POINTS.size
 
 @dataclass(frozen=True)
 class HigherModes:
-    """Where modes 2 and 3 of a link lie, and what the loop there is without Ĉ.
+    """Frequencies of modes 2 and 3 of a link, and the loop without Ĉ there.
 
     One row for each payload and mode: ``number`` (K,), ``payload`` (K,) [kg],
     ``frequency`` (K, N) [rad/s] as the computer sees it, ``level`` (K, N), ln|hold · M
@@ -61,7 +61,7 @@ class HigherModes:
     level: Real
 
     def above(self, number: int) -> HigherModes:
-        """Return the modes above one of a number."""
+        """Return the modes above a given number."""
         kept = self.number > number
         return HigherModes(
             *(getattr(self, part.name)[kept] for part in fields(HigherModes))
@@ -82,8 +82,8 @@ def higher_modes(
     *,
     damping_ratio: float | None = None,
 ) -> HigherModes | None:
-    """Return the higher modes of the link over `payloads` [kg], None where neither rig
-    nor model knows one.
+    """Return the higher modes of the link over `payloads` [kg], None if neither rig nor
+    model has one.
 
     Parameters
     ----------

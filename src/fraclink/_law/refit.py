@@ -25,8 +25,8 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
 
     Least squares, |C - C_law|/|C| on a logarithmic grid, with the poles that `law` has:
     a fraction of a millisecond, where the minimax fit of `discretize` takes fifty. It
-    is a preview: nothing is promised of it, its guards are those of `law`, and nothing
-    that is kept or exported is made by it.
+    is a preview without a verdict: its guards are those of `law`, and it is never saved
+    or exported.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")

@@ -134,14 +134,14 @@ def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Marg
 
 
 def law_rows(design: Design) -> tuple[Requirement, Requirement]:
-    """Return the requirements on the law as it ships, closing the motor loop that runs:
-    its worst phase margin and its least |1 + L| in the sampled loop, over the payloads,
-    or over the box.
+    """Return the requirements on the law that ships, with the real motor loop: its
+    worst phase margin and its least |1 + L| in the sampled loop, over the payloads or
+    over the box.
 
-    The margin is what was asked for less the law's tolerance; the distance half of the
-    2 sin(φ_m/2) that a margin φ_m leaves at most, and no more than a proof asks for. A
-    design for the paper's reading was asked for no margin of the loop that runs: there
-    only stability counts.
+    The required margin is the requested one less the law's tolerance; the required
+    distance is half of 2 sin(φ_m/2), the largest that a margin φ_m allows, and no more
+    than a proof requires. A design for the paper's ideal loop has no request for the
+    real loop: there only stability counts.
     """
     # One law for every payload and arm, as shipped: the fit does not know the payload.
     period = design.rig.period
@@ -177,7 +177,7 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
 
 
 def no_law_rows(design: Design) -> tuple[Requirement, Requirement]:
-    """Return the same where no law follows the controller."""
+    """Return the same requirements if no law represents the controller."""
     wanted, least = _wanted_of_law(design)
     payload = design.payloads[0]
     return (
@@ -250,14 +250,14 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
 
 
 def least_modulus(phase_margin: float) -> float:
-    """Return the |1 + L| that the shipped law has to keep: half of what a margin
-    leaves at most, and no more than a proof asks for.
+    """Return the |1 + L| that the law that ships has to keep: half of the largest
+    distance that a margin allows, and no more than a proof requires.
     """
     return min(_MODULUS, math.sin(0.5 * phase_margin))
 
 
 def no_law(error: FieldError) -> Finding:
-    """Return W410, that no law of law.c's size follows the controller."""
+    """Return W410: no law of law.c's size represents the controller."""
     return Finding(
         "W410",
         "error",

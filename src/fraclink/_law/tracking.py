@@ -52,11 +52,11 @@ FASTEST = -0.5
 
 @dataclass(frozen=True)
 class Following:
-    """How the placed motor loop follows its reference, and what its model leaves out.
+    """The tracking of the placed motor loop, and the error of its model.
 
-    Of a reference whose speed and acceleration are within v and a, the motor and its
-    model part by no more than ``slow v T + quick a T²``: d is the difference of their
-    step responses, slow = |Σ d| [periods], quick = Σ_k |Σ_{j>k} d_j| [periods²].
+    For a reference with speed and acceleration within v and a, the motor and its model
+    differ by no more than ``slow v T + quick a T²``: d is the difference of their step
+    responses, slow = |Σ d| [periods], quick = Σ_k |Σ_{j>k} d_j| [periods²].
     """
 
     model: MotorModel
@@ -68,8 +68,8 @@ class Following:
     def of(
         cls, model: MotorModel, follows: Callable[[Real], Complex], period: float
     ) -> Following:
-        """Return how a motor loop with the response θm/θm* `follows` differs from its
-        model.
+        """Return the difference between a motor loop with the response `follows` =
+        θm/θm* and its model.
         """
         # Impulse responses by FFT, long enough for the slowest pole that a model may
         # have.
@@ -96,11 +96,11 @@ def following(
     motor: MotorConstants | None,
     pid: DiscretePid | None,
 ) -> Following:
-    """Return how a motor loop follows: the PID around its motor as it is sampled, or
-    M(s) with its `pole` [rad/s] where there is none, and a `delay` of whole periods.
+    """Return the tracking of a motor loop: the sampled PID with its motor, or M(s) with
+    its `pole` [rad/s] without one, and a `delay` of whole periods.
 
-    `resonance` [rad/s] is the link's: a move has little beyond twice of it, as it would
-    ring whatever the law does.
+    `resonance` [rad/s] is that of the link: a move has little content beyond twice that
+    frequency, otherwise it would ring with any law.
     """
 
     def follows(frequency: Real) -> Complex:
@@ -127,7 +127,7 @@ def following(
 def tracking_for(
     link: LinkModel, feedforward: Modes, period: float, *, rig: Rig | None
 ) -> Tracking | None:
-    """Return what the law of `link` needs to use a payload, None where the link knows
+    """Return the data by which the law of `link` uses a payload, None if the link has
     none.
     """
     if link.payload is None:
@@ -144,11 +144,11 @@ def tracking_for(
 
 
 def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
-    """Return what the link's ω₀² belongs to, and what the link itself weighs at its tip
-    [kg].
+    """Return the payload to which the link's ω₀² belongs, and the equivalent mass of
+    the link at its tip [kg].
 
-    ω₀² of a payload m is the model's times the first over m plus the second. The link
-    knows its payload.
+    ω₀² of a payload m is the model's times the first over m plus the second. The
+    payload of the link must be known.
     """
     if rig is None or link.payload is None:
         return link.payload or 0.0, 0.0
@@ -231,8 +231,8 @@ def _best(
 
 @lru_cache(maxsize=8)
 def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
-    """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor
-    angle (1/G − 1 over s²).
+    """s^(λ-2)/(μ s^α + ω₀²): the motor angle to be added per acceleration of the
+    reference (1/G − 1 over s²).
     """
 
     def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
