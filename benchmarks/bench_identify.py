@@ -407,7 +407,7 @@ def main() -> None:
         guessless=(60, 1),
         logs=(1000, 1),
         places=(6, 1),
-        cuts=(48, 1),
+        cuts=(96, 1),
     )
     kernel_and_fits(given.rounds, given.slow)
     random_starts(given.starts, given.guessless)

@@ -188,7 +188,7 @@ CEILINGS = {
     "_design": 1560,
     "_export": 550,
     "_files": 581,
-    "_identify": 3093,
+    "_identify": 3089,
     "_law": 985,
     "_reading": 1054,
     "_simulate": 1271,

@@ -33,7 +33,6 @@ from fraclink.errors import NotConvergedError
 # The scan uses ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
 # the grid overlap.
 _SCAN_ORDER, _SCAN_STEP = 1.85, 0.2
-_FINE_ORDER = 1.92  # ζ = 0.065, for the points between them
 # Delays of the scan and of the starts, as fractions of the vibration period: a descent
 # covers an eighth of a period by itself, and the largest delay is a third of one.
 _DELAYS = (0.0, 0.12, 0.24)
@@ -173,13 +172,12 @@ class Search:
         grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
         costs = self._costs(self.kernel, self._links(grid, _SCAN_ORDER, 0.0))
         valleys = grid[lowest_valleys(costs, _VALLEYS)]
-        near = _SCAN_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
-        narrow = self._links((valleys[:, None] + near).ravel(), _FINE_ORDER, 0.0)
-        # A delay of a quarter of the vibration period turns the torque into a velocity:
-        # the scan without it then finds the right frequency with the wrong phase, or
-        # another frequency.
-        late = [self._links(valleys, _SCAN_ORDER, part) for part in _DELAYS[1:]]
-        rows = np.concatenate([narrow, *late])
+        # A delay of a quarter of a vibration makes a velocity of the torque: the scan
+        # without it then finds the right frequency with the wrong phase, or another
+        # frequency.
+        rows = np.concatenate(
+            [self._links(valleys, _SCAN_ORDER, part) for part in _DELAYS]
+        )
         if self.start is not None:
             order, place, *_, delay = self.start
             # Not at 2: on the limit the slope in λ may point outwards, and the descent
@@ -316,7 +314,7 @@ class Search:
                     yield self._descended(name, row)
         if {0, 1} & {*found.at_bound} or (4 in found.at_bound and found.shape[4] != 0):
             places = np.linspace(*self._range, _PLACES)
-            for row in self._links(places, _FINE_ORDER, 0.0):
+            for row in self._links(places, _SCAN_ORDER, 0.0):
                 yield self._descended(name, row)
 
     def _descended(
