@@ -27,8 +27,8 @@ _NAME = re.compile(
 
 
 def stated_by(name: str) -> tuple[str, str]:
-    """The role and the unit that a name states, as ``motor_angle_rad`` does; two empty
-    texts otherwise.
+    """The role and the unit stated by a name such as ``motor_angle_rad``; otherwise two
+    empty strings.
     """
     match = _NAME.fullmatch(name)
     known = match is not None and match[2] in UNITS[QUANTITY_OF[match[1]]]
@@ -36,8 +36,8 @@ def stated_by(name: str) -> tuple[str, str]:
 
 
 def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
-    """The columns that `names` state by themselves, or None where one of the three
-    needed is not stated.
+    """The columns stated by `names` alone, or None if one of the three needed is not
+    stated.
 
     >>> columns_of_names(("time_s", "motor_angle_deg", "torque_Nm")).motor_angle.unit
     'deg'
@@ -74,10 +74,10 @@ _LOOKED_AT = 100_000  # samples; a 16-bit converter has 65 536 values
 
 
 def converter_step(values: NDArray[np.float64]) -> float:
-    """Step of the converter: the smallest gap between distinct values, 0 where they do
+    """Step of the converter: the smallest gap between distinct values, 0 if values do
     not repeat.
 
-    Gaps below a thousandth of the median gap are rounding of the numbers' text, not
+    Gaps below a thousandth of the median gap are due to the decimal digits and not
     steps.
     """
     distinct = np.unique(values[:_LOOKED_AT])
@@ -93,8 +93,8 @@ def converter_step(values: NDArray[np.float64]) -> float:
 
 
 def suggested_mapping(table: LogTable) -> str:
-    """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a
-    person to fill in.
+    """A `[log]` table to paste into a rig file; unknown entries are a ``?`` for the
+    user to fill in.
     """
     lines = ["[log] # check every line: column, unit and sign"]
     for role, name, unit in suggested_columns(table):
@@ -104,7 +104,7 @@ def suggested_mapping(table: LogTable) -> str:
 
 
 def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
-    """What names and values suggest: (role, column, unit), "?" for what they do not."""
+    """Suggestions from names and values: (role, column, unit), "?" if there is none."""
     roles = [role for role, _ in table.roles]
     clock = table.clock()
     output = "torque" if "torque" in roles else "deflection"
@@ -132,7 +132,7 @@ _FEWEST = 200
 
 
 def check_count(count: int) -> None:
-    """Raise LogError where a log of `count` samples is too short for a fit."""
+    """Raise LogError if a log of `count` samples is too short for a fit."""
     if count < _FEWEST:
         allowed = f">= {_FEWEST} samples and 3 periods of the vibration"
         size, remedy = f"{count} samples", "record for longer"
@@ -142,7 +142,7 @@ def check_count(count: int) -> None:
 def check_signals(
     angle: NDArray[np.float64], output: NDArray[np.float64], kind: str
 ) -> None:
-    """Raise LogError where the motor angle or the output is the same in all samples."""
+    """Raise LogError if the motor angle or the output is equal in all samples."""
     remedies = {
         "motor_angle": "excite the arm: a pulse, a PRBS or a square wave; or state another column",
         kind: "check the gauge and its amplifier, or state another column",

@@ -64,8 +64,7 @@ def sniffed_kind(path: Path) -> str:
     """The format of the file at `path`: text, MAT v5, HDF5, TDMS, NumPy or ROS
     2.
 
-    Raises FileFormatError where its content holds no log, or is of another format than
-    its name says.
+    Raises FileFormatError if its content is not a log, or contradicts its name.
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
@@ -100,7 +99,7 @@ def _other(path: Path, content: str, allowed: str, remedy: str) -> FileFormatErr
 def read_table(path: Path) -> LogTable:
     """Read the columns of a file of any known format.
 
-    Binary formats are parsed in a child process with limits of memory and time. Raises
+    Binary formats are parsed in a child process with limits on memory and time. Raises
     FileFormatError, LogError, SizeError or MissingExtraError.
     """
     kind = sniffed_kind(path)

@@ -105,7 +105,7 @@ UNITS_OF_LENGTH = {
 
 
 def words_of(name: str) -> tuple[str, ...]:
-    """The words of a name in lower case, broken at signs, digits and capitals.
+    """The words of a name in lower case, split at signs, digits and capitals.
 
     >>> words_of("motorAngle2 [deg]"), words_of("theta_ref")
     (('motor', 'angle', 'deg'), ('theta', 'ref'))
@@ -117,8 +117,8 @@ def words_of(name: str) -> tuple[str, ...]:
 
 
 def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
-    """The unit that a name states in brackets or at its end, as `known` (or `UNITS`)
-    spells it, or "".
+    """The unit in brackets or at the end of a name, in the spelling of `known` (or
+    `UNITS`), or "".
 
     >>> [unit_of_name(name) for name in ("Zeit (Sekunden)", "moment [N m]", "alpha_deg", "s")]
     ['s', 'Nm', 'deg', '']
@@ -128,8 +128,8 @@ def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
 
 
 def stated_unit(name: str, known: Collection[str]) -> str:
-    """The unit that a name states, as `known` spells it; a unit that is none of
-    `known`, as the name has it.
+    """The unit stated by a name in the spelling of `known`; a unit outside `known` in
+    that of the name.
 
     >>> [stated_unit(name, ("s", "ms")) for name in ("t [ms]", "time_min", "t [kg]", "time_stamp", "time")]
     ['ms', 'min', 'kg', '', '']
@@ -172,8 +172,8 @@ def _is_unit(text: str) -> bool:
 
 
 def length_of_name(name: str) -> str:
-    """The unit of length that a name ends with, or ""; "m" alone may be the motor, as
-    in theta_m.
+    """The unit of length at the end of a name, or ""; "m" alone may be the motor, as in
+    theta_m.
 
     >>> [length_of_name(name) for name in ("laser_mm", "tip [m]", "cart_m", "theta_m", "x_V")]
     ['mm', 'm', 'm', '', '']
@@ -186,14 +186,14 @@ def length_of_name(name: str) -> str:
 
 
 def names_time(name: str) -> bool:
-    """Whether a name is one that loggers give to stamps."""
+    """Whether a name is a usual one for time stamps."""
     return any(word in _TIME for word in words_of(name))
 
 
 def role_of_name(name: str) -> tuple[str, str]:
-    """The role that a name suggests, or "", and the word that says so.
+    """The role suggested by a name, or "", and the decisive word.
 
-    A quantity that no role has (a speed, a reference, the tip) is returned with its
+    A quantity without a role (a speed, a reference, the tip) is returned by its
     description: "a speed".
 
     >>> role_of_name("theta_ref"), role_of_name("Motorwinkel"), role_of_name("x7")
@@ -225,7 +225,9 @@ def role_of_name(name: str) -> tuple[str, str]:
 
 
 def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
-    """`role_of_name` of each; beside theta, theta_d and theta_r are commanded."""
+    """`role_of_name` of each; with a column theta, theta_d and theta_r are commanded
+    values.
+    """
     roles = [role_of_name(name) for name in names]
     known = {name.lower() for name in names}
     for place, name in enumerate(names):

@@ -333,8 +333,8 @@ class LogListing:
     """The channels of a file, its header's notes, and a mapping to paste into a rig
     file.
 
-    `print` it for a person; `values` gives the same for a machine. `remarks` says in
-    sentences what was done to the file's form to read it.
+    `print` shows it to people; `values` gives the same to programs. `remarks` lists in
+    sentences how the form of the file was changed to read it.
     """
 
     path: str

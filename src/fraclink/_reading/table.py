@@ -69,15 +69,13 @@ def check_file(path: Path) -> None:
 
 
 def check_bytes(size: int) -> None:
-    """Raise SizeError where a log is of more bytes than one experiment needs."""
+    """Raise SizeError if a log has more bytes than one experiment needs."""
     if size > FILE_LIMIT:
         raise _too_large(f"{size / 1e6:.0f} MB", f"{FILE_LIMIT / 1e6:.0f} MB")
 
 
 def check_size(values: int, columns: int = 1) -> None:
-    """Raise SizeError where numbers are over the limits, before an array of them is
-    made.
-    """
+    """Raise SizeError if there are too many numbers, before an array is allocated."""
     if values > VALUE_LIMIT or columns > COLUMN_LIMIT:
         raise _too_large(
             f"{values} numbers in {columns} columns",
@@ -92,8 +90,8 @@ def _too_large(size: str, allowed: str) -> SizeError:
 
 @dataclass(frozen=True)
 class CellFaults:
-    """What is wrong with the cells of one text column: how many, and the first of each
-    sort.
+    """The faults of the cells of one text column: their numbers, and the first of each
+    kind.
 
     `first_missing` and `first_bad` are (line number, text).
     """
@@ -145,10 +143,10 @@ class LogTable:
     def place(
         self, name: str, role: str, remedy: str = "correct [log] of the rig file"
     ) -> int:
-        """The place of the column that is stated for `role`; ``"#2"`` names the second
-        by its number.
+        """The place of the column stated for `role`; ``"#2"`` denotes the second
+        column.
 
-        `remedy` says where the name was stated and how to mend it.
+        `remedy` says where the name was stated and how to correct it.
         """
         numbers = {f"#{place + 1}": place for place in range(len(self.names))}
         places = [place for place, known in enumerate(self.names) if known == name]
@@ -170,32 +168,33 @@ class LogTable:
         raise LogError(what, name, problem, allowed=allowed, remedy=remedy)
 
     def name(self, place: int) -> str:
-        """What the file calls a column, where that is known."""
+        """The name of a column in the file, if known."""
         return self.hints[place] if place < len(self.hints) else self.names[place]
 
     def label(self, place: int) -> str:
-        """The name of a column for the reader, or its number where the name stands twice or
-        is empty.
+        """The name of a column for display, or its number if the name is empty or not
+        unique.
         """
         name = self.names[place]
         return name if name and self.names.count(name) == 1 else f"#{place + 1}"
 
     @property
     def roles(self) -> list[tuple[str, str]]:
-        """What the name of each column says that it is, and the word that says so."""
+        """The role of each column according to its name, and the decisive word."""
         return roles_of([*map(self.name, range(len(self.names)))])
 
     def unit(self, place: int, known: Collection[str]) -> str:
-        """The unit that the file states for a column, else its name, as `known` spells
-        it; or "".
+        """The unit of a column stated by the file or else by its name, in the spelling
+        of `known`; or "".
         """
         texts = [f"x [{self.units[place]}]"] if self.units else []
         units = [unit_of_name(text, known) for text in (*texts, self.name(place))]
         return next(filter(None, units), "")
 
     def clock(self) -> str:
-        """The name of the column that is named as a time and rises, or rises alone; of two
-        columns where one holds whole seconds and one the parts of a second; or "".
+        """The name of the column that has the name of a time and rises, or of the only
+        one that rises; a sum of two columns for seconds and fractions of a second; or
+        "".
         """
         names = [*map(self.name, range(len(self.names)))]
         # Matched by the last word: header.stamp.sec and header.stamp.nanosec, as well
@@ -233,8 +232,8 @@ class LogTable:
         """Return the table with a column for each stated sum or difference, such as ``"enc
         - 179 * tip"``.
 
-        A name that a column has is that column. The cells that either part misses are
-        missing.
+        An existing column name denotes that column. Cells missing in either part are
+        missing in the result.
         """
         table = self
         for name in dict.fromkeys(stated):
@@ -274,7 +273,7 @@ class LogTable:
     def clean(
         self, place: int, *, interpolate: bool = False
     ) -> tuple[NDArray[np.float64], list[Finding]]:
-        """One column without missing cells, or an error that names the first one."""
+        """A column without missing cells, or an error that names the first missing one."""
         values, name = self.values[place], self.names[place]
         faults = self.faults.get(place)
         missing = np.flatnonzero(~np.isfinite(values))
@@ -332,7 +331,9 @@ class LogTable:
 
 
 def clock_step(values: NDArray[np.float64]) -> float | None:
-    """Median step of values that never decrease, as those of a clock; None for others."""
+    """Median step of values that never decrease, like those of a clock; None for
+    others.
+    """
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
     # Two values always rise or fall; "never decreases" needs at least three. Equal
@@ -344,7 +345,7 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
 
 
 def moves(values: NDArray[np.float64]) -> bool:
-    """Whether a column holds a signal that moves."""
+    """Whether a column contains a moving signal."""
     finite = values[np.isfinite(values)]
     # A column with more than a tenth of its cells missing is an event counter or a
     # comment, whatever its name.
@@ -352,7 +353,7 @@ def moves(values: NDArray[np.float64]) -> bool:
 
 
 def cell_remedy(cell: str) -> str:
-    """What to do about a cell that is no number."""
+    """The remedy for a cell that is not a number."""
     foreign = any(c.isdigit() and not c.isascii() for c in cell)
     if DECIMAL_COMMA.fullmatch(cell):
         return "it has a decimal comma: export with decimal points"

@@ -33,7 +33,7 @@ _WIDEST = 256  # columns of one array: a wider one is a picture or a matrix, not
 
 @dataclass(frozen=True, eq=False)
 class RawColumn:
-    """A column as a parser found it: name, unit ("" where the file states none) and
+    """A column as returned by a parser: name, unit ("" where the file states none) and
     float64 values.
     """
 
@@ -49,11 +49,11 @@ NUMPY = ("{name}[:,{zero}]", "{name}[{zero},:]")
 def columns_of(
     name: str, array: object, unit: str = "", indexing: tuple[str, str] = MATLAB
 ) -> Iterator[RawColumn]:
-    """The columns of a real array of up to two dimensions; along the longer one runs
-    time.
+    """The columns of a real array of up to two dimensions; time runs along the longer
+    one.
 
-    `indexing` is how a column and how a row of the array is written. Anything else
-    (text, objects, complex numbers, scalars) holds no samples and yields nothing.
+    `indexing` is the notation of a column and of a row of the array. Anything else
+    (text, objects, complex numbers, scalars) contains no samples and yields nothing.
     """
     if (
         not isinstance(array, np.ndarray)
@@ -269,7 +269,7 @@ def _numbers(value: Any, name: str, depth: int) -> dict[str, float]:
 
 
 def read_tdms(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
-    """Every numeric channel as ``group/channel``; ``group/channel.time`` is its own
+    """Every numeric channel as ``group/channel``; ``group/channel.time`` holds its own
     stamps [s].
     """
     try:
@@ -344,8 +344,8 @@ def _limit() -> None:
 
 
 def answer(kind: str, path: Path) -> tuple[dict[str, Any], list[RawColumn]]:
-    """What is to be told of a file, and its columns: names and notes, or why there are
-    none.
+    """The description of a file and its columns: names and notes, or the reason why
+    there are none.
     """
     try:
         columns, notes = PARSERS[kind](path)

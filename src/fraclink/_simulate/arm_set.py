@@ -43,7 +43,8 @@ REST = 5.0
 
 
 def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, LinkModel]:
-    """Return the links that a move has to serve, in words, the model first.
+    """Return the links that a move has to serve, by their descriptions, the model
+    first.
 
     "box" adds the corners of the fit's box in ω₀, λ and μ, which is at least as wide as
     the rig's tolerances, and the link of the other damping law with the same ω₀ and
@@ -92,8 +93,8 @@ def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, Link
 class ArmSet:
     """A law and the arms that it moves: each of `links` with each of `payloads` [kg].
 
-    told: whether the law is given the payload. on: whether the arms are twins of the
-    rig, or massless links as they were identified.
+    told: whether the law gets the payload. on: whether the arms are twins of the rig,
+    or massless links as identified.
     """
 
     rig: Rig
@@ -113,9 +114,7 @@ class ArmSet:
         over: Over,
         on: On,
     ) -> ArmSet:
-        """Return the arms of a design; `payloads` are those of the design where they
-        are left out.
-        """
+        """Return the arms of a design; `payloads` default to those of the design."""
         low, high = payloads or design.payloads
         if low <= 0.0:
             raise FieldError(
@@ -147,7 +146,7 @@ class ArmSet:
         seed: int = 0,
         duration: float | None = None,
     ) -> Run:
-        """Run a reference on one arm of the set until it has come to rest."""
+        """Run a reference on one arm of the set until the arm has come to rest."""
         length = reference.duration + REST * self.vibration
         options: dict[str, Any] = {
             "told": payload if self.told else 0.0,
@@ -170,7 +169,7 @@ class ArmSet:
         return simulate(self.law, reference, arm=twin, **options)
 
     def figures(self, reference: Reference, seeds: int) -> tuple[ArmFigures, ...]:
-        """Return what each link of the set makes of a reference."""
+        """Return the figures of a reference for each link of the set."""
         rows = []
         for words, link in self.links.items():
             runs = [
@@ -238,7 +237,7 @@ class ArmFigures:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What people and programs read of them."""
+        """Their rows for people and programs."""
         return (
             Row("arm", "arm", self.arm),
             Row.time("settling_time", "settles to 2 %", self.settling_time),
@@ -298,7 +297,7 @@ class WorstCase:
 
     @property
     def carried(self) -> str:
-        """The payloads, and whether the law was given them."""
+        """The payloads, and whether they were given to the law."""
         given = "given" if self.told else "not given"
         return f"{span(*self.payloads, 'g')}, payload {given}"
 

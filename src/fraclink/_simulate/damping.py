@@ -52,8 +52,8 @@ REACH = 2.0
 
 @dataclass(frozen=True)
 class Chain:
-    """D(s) = spring + dashpot·s + Σ weights·s/(s + rates), all coefficients >= 0:
-    passive by form.
+    """D(s) = spring + dashpot·s + Σ weights·s/(s + rates), all coefficients >= 0, hence
+    passive.
     """
 
     spring: float

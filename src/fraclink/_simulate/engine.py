@@ -77,7 +77,7 @@ RIG_NUMBERS = (
 
 
 def engine_bytes() -> bytes:
-    """Return the engine that the package holds, built by tools/build_engine.py.
+    """Return the engine in the package, built by tools/build_engine.py.
 
     >>> engine_bytes()[:4]
     b'\\x00asm'
@@ -89,8 +89,8 @@ def engine_bytes() -> bytes:
 
 @dataclass(frozen=True)
 class EngineLink:
-    """A link as the engine reads it: counts of real modes and pairs, and its numbers
-    behind one another.
+    """A link in the form of the engine: numbers of real modes and pairs, and its values
+    in sequence.
     """
 
     reals: int
@@ -131,7 +131,7 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
 
 
 def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
-    """Return the rig's numbers as `simulate` has them for the model: the rig's own
+    """Return the numbers of the rig as in `simulate` for the model: the rig's own
     delay, offset, noise.
     """
     motor, gauge = rig.motor, rig.gauge
@@ -163,7 +163,8 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
 
 @dataclass(frozen=True)
 class EngineTwin:
-    """A twin as a page assembles it, by the operations of `assemble` in their order.
+    """A twin in the form from which a page assembles it, with the operations of
+    `assemble` in the same order.
 
     rig: twin_rig of twin.h. material: step [s], length [m], spring, dashpot and hub
     friction, then weights and rates of the Maxwell elements. arms: for every payload
@@ -180,8 +181,8 @@ class EngineTwin:
 def engine_twin(
     rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass: float
 ) -> EngineTwin | None:
-    """Return the twins of `Twin.from_rig` with two modes; None where the engine has no
-    room for them.
+    """Return the twins of `Twin.from_rig` with two modes; None if they do not fit into
+    the engine.
 
     >>> rig = Rig.named("paper-2023-geared")
     >>> found = engine_twin(rig, rig.model, [0.020, 0.030], 0.00735)

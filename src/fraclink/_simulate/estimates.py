@@ -51,11 +51,10 @@ def estimated_over(
     ticks: NDArray[np.integer[Any]],
     called: NDArray[np.bool_],
 ) -> tuple[bytes, Estimates]:
-    """Run the estimator over the sensors of a run, which gives the bits that it gave in
-    the loop.
+    """Run the estimator over the sensors of a run, with the same bits as in the loop.
 
-    `called` is False in periods that the control missed: there the values of the period
-    before stand.
+    `called` is False in periods that the control missed, which keep the previous
+    values.
     """
     after, found = estimator.run(
         state, motor_angle[called], torque[called], ticks=ticks[called]
@@ -67,12 +66,12 @@ def estimated_over(
 
 
 def joined(parts: Sequence[Estimates]) -> Estimates:
-    """Return the estimates of parts of a run as those of all of it."""
+    """Return the estimates of consecutive parts of a run as those of the whole run."""
     return Estimates(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def estimate_signals(estimates: Estimates) -> dict[str, Real]:
-    """Return the signals as a run keeps them: given, estimate, low and high [kg],
+    """Return the signals in the form of a run: given, estimate, low and high [kg],
     flags.
     """
     return {
@@ -87,10 +86,10 @@ def estimator_for(
     rig: Rig | None = None,
     model: LinkModel | None = None,
 ) -> PayloadEstimator | None:
-    """Return what estimates the payload, in the law's precision; None where it is told,
-    or nothing is.
+    """Return the payload estimator in the law's precision; None if the payload is
+    given, or not used.
 
-    FieldError where nothing says how the link moves, or the estimator was made for
+    FieldError if the motion of the link is unknown, or if the estimator was made for
     another period.
     """
     if isinstance(told, PayloadEstimator):
@@ -130,8 +129,8 @@ def estimator_for(
 def estimate_findings(
     estimator: PayloadEstimator, estimates: Estimates, period: float
 ) -> tuple[Finding, ...]:
-    """Return W604 where the estimate left the payloads of the certificate, W605 where
-    it met a contact.
+    """Return W604 if the estimate left the payloads of the certificate, W605 if it
+    detected a contact.
     """
     findings = []
     outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0

@@ -249,8 +249,8 @@ def fault_rows(faults: tuple[SensorFault, ...], period: float, count: int) -> Ve
 def actions_of(
     events: Sequence[Event], period: float, inputs: Vector
 ) -> dict[int, list[Action]]:
-    """Return what happens to the arm before which period; pulses and faults of sensors go
-    straight into the inputs.
+    """Return the actions on the arm with the period before which they happen; pulses
+    and sensor faults are written to the inputs directly.
     """
     actions: dict[int, list[Action]] = {}
     for event in sorted(events, key=lambda e: e.time):
@@ -289,7 +289,7 @@ def _inject(fault: SensorFault, rows: Vector) -> None:
 def given_payload(
     told: bool | float | str | PayloadEstimator, payload: float | None
 ) -> float:
-    """What the law is given [kg], 0 for nothing, or for what is estimated."""
+    """The payload given to the law [kg], 0 for none, or if it is estimated."""
     if isinstance(told, str | PayloadEstimator):
         return 0.0
     if told is not True:

@@ -109,7 +109,7 @@ class LumpedArms:
     def of(
         rig: Rig, links: LinkWeights, seed: NDArray[np.uint64], **values: Real
     ) -> LumpedArms:
-        """Return arms of one rig, each of `values` of shape (R,); motor_gain,
+        """Return arms of one rig, with `values` of shape (R,) each; motor_gain,
         viscous_friction and coulomb_torque are factors of the rig's own.
         """
         motor = rig.motor
@@ -127,7 +127,7 @@ class LumpedArms:
         return np.asarray(self.numbers[:, NUMBERS.index(name)])
 
     def rows(self, rows: NDArray[np.intp]) -> LumpedArms:
-        """Return some of the arms."""
+        """Return the arms at the given indices."""
         return LumpedArms(self.links.rows(rows), self.numbers[rows], self.seed[rows])
 
 
@@ -139,8 +139,8 @@ def shared_rig(
     substeps: int = SUBSTEPS,
     start: float = 0.0,
 ) -> _kernels.LoopRig:
-    """Return what the arms of one call have in common; start: the angle at rest before
-    they run [rad].
+    """Return the numbers common to all arms of a call; start: the angle at rest before
+    the run [rad].
     """
     return _kernels.LoopRig(
         sampled=motor_loop == "sampled",
@@ -216,8 +216,8 @@ def delay_line(delay: float) -> tuple[int, Real]:
     """Return the queue of a delayed signal: age of its oldest entry [steps], weights of
     its four oldest.
 
-    A whole delay is one entry; between two steps it is the cubic through the four
-    around it, as in the kernels.
+    A delay of whole steps is one entry; otherwise it is the cubic through the four
+    entries around it, as in the kernels.
 
     delay: steps, >= 0
 
@@ -264,8 +264,8 @@ def twin_numbers(twin: Twin, period: float) -> Real:
 
 
 class ArmState:
-    """A twin while it runs: link, gauge queue, voltage queue, sensors, law. Internal,
-    mutable.
+    """The state of a running twin: link, gauge queue, voltage queue, sensors, law.
+    Internal, mutable.
     """
 
     def __init__(
@@ -301,8 +301,8 @@ class ArmState:
         """Advance by the rows of `inputs` under a law's block; returns the kernel's
         record.
 
-        With an `estimator` of the law's precision the law is given its payload, and not
-        that of the rows.
+        With an `estimator` in the law's precision, the law gets its payload instead of
+        that in the rows.
         """
         if estimator is not None and self.estimate.size == 0:
             self.estimate = np.frombuffer(
@@ -331,7 +331,7 @@ class ArmState:
         self, law: Law, inputs: Real, estimator: PayloadEstimator | None, first: int
     ) -> tuple[Real, list[Estimates]]:
         """Return the record of `run` for the periods from `first` on, and the estimates
-        behind it.
+        for them.
         """
         # Memory of the estimator before the run, from which its output is recomputed
         # bit for bit: the kernel records the law's actions, not its inputs.
@@ -351,7 +351,7 @@ class ArmState:
         ]
 
     def sense(self, inputs: Real) -> tuple[float, float]:
-        """Return what encoder and gauge read now."""
+        """Return the present readings of encoder and gauge."""
         angle, torque = _kernels.twin_sense(
             self.rig,
             np.ascontiguousarray(inputs),
@@ -364,19 +364,19 @@ class ArmState:
         return float(angle), float(torque)
 
     def restart(self) -> None:
-        """Let the law and its estimator forget; arm, queues and clock go on, as the
-        processor restarts and the world does not.
+        """Restart the law and its estimator; arm, queues and clock go on, as after a
+        restart of the processor.
         """
         self.law = np.frombuffer(bytearray(self.fresh), dtype=np.uint8)
         self.estimate = np.zeros(0, dtype=np.uint8)
 
     def free(self) -> None:
-        """Take the obstacle out of the way."""
+        """Remove the obstacle."""
         self.obstacle[1] = 0.0
 
     def change_payload(self, payload: float) -> None:
-        """Go on with another payload: shape, speed and the material's memory stay, the
-        modes are new.
+        """Continue with another payload: shape, speed and the memory of the material
+        are kept, with new modes.
         """
         twin = self.twin.with_payload(payload)
         plant, step = _discretised(twin, self.fine)

@@ -64,7 +64,7 @@ class LinkWeights:
     second: Real
 
     def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
-        """Return the recursions of some of the links."""
+        """Return the recursions of the links at the given indices."""
         # Every array has one row per link: a field added later must not be forgotten
         # here.
         own = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -94,8 +94,8 @@ def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
     none.
 
     Its step response is Re(g₀ e^(pt)) with g₀ = gain (1 + jζ/√(1 − ζ²)): a state z' = p
-    z + g₀ p θm, and the angle gain θm + Re z that it adds to the bend: exact at the
-    samples, above the Nyquist frequency too.
+    z + g₀ p θm, which adds the angle gain θm + Re z to the deflection; exact at the
+    samples, even above the Nyquist frequency.
     """
     if mode is None:
         return np.zeros((0, 15))
@@ -142,7 +142,8 @@ def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Com
     """Return ln of each link's vibration pole over Ω = ω₀^(2/λ), shape (R,): its
     imaginary part is arg p.
 
-    Newton's iteration on w ↦ e^(λw) + M e^(αw) + 1 while M grows from 0 to its value.
+    Newton's method on w ↦ e^(λw) + M e^(αw) + 1, with continuation in M from 0 to its
+    value.
     """
     alpha = model.damping_order
     scaled = damping * stiff ** ((alpha - order) / order)

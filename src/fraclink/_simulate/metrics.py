@@ -124,8 +124,9 @@ class MoveVerdict:
 
 @dataclass(frozen=True)
 class Signals:
-    """What is judged of R runs of N periods, shape (R, N) each; `ended` (R,) is when
-    each reference comes to rest [s], `vibration_period` (R,) that of each link [s].
+    """The signals by which R runs of N periods are judged, shape (R, N) each; `ended`
+    (R,) is when each reference comes to rest [s], `vibration_period` (R,) that of each
+    link [s].
     """
 
     reference: Real
@@ -146,7 +147,7 @@ class Signals:
         ended: Real | float,
         vibration_period: Real | float,
     ) -> Signals:
-        """Return what is judged of named signals, of many runs or of one."""
+        """Return the judged signals from named ones, of many runs or of one."""
         judged = ("reference", "tip_angle", "motor_reference", "voltage")
         marks = ("flags", "mode", "reason")
         return Signals(
@@ -188,14 +189,14 @@ def measure_many(signals: Signals) -> dict[str, Real]:
 def judge_many(
     signals: Signals, metrics: dict[str, Real]
 ) -> dict[str, NDArray[np.generic]]:
-    """Return the law's first abnormal mode and its reason (1 and 0 where there is
-    none), and who passed.
+    """Return the law's first abnormal mode and its reason (1 and 0 if there is none),
+    and which runs passed.
 
-    A run passes where the tip settled half a vibration period before the end at the
-    latest (what only passes through the band has left it again by then), the law stayed
-    in its normal mode, no vibration grows, and the voltage is not at its limit when
-    reference and tip are at rest: an unstable loop that the limit holds hardly moves
-    the tip.
+    A run passes if the tip settled at least half a vibration period before the end (a
+    tip that only passes through the band has left it again by then), the law stayed in
+    its normal mode, no vibration grows, and the voltage is not at its limit when
+    reference and tip are at rest: an unstable loop bounded by the voltage limit hardly
+    moves the tip.
     """
     rows, at = np.arange(len(signals.tip_angle)), _first_abnormal(signals.mode)
     within = np.minimum(at, signals.mode.shape[1] - 1)
@@ -224,9 +225,10 @@ def measure(signals: Signals) -> Metrics:
 
 
 def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
-    """Return the verdict on the one run in `signals`, with the cause that comes first.
+    """Return the verdict on the one run in `signals`, with its first cause.
 
-    Instability comes first, then trips, saturation, and a tip that has not settled.
+    The order of causes is instability, trips, saturation, and a tip that has not
+    settled.
     """
     many = judge_many(
         signals, {name: np.array([value]) for name, value in vars(metrics).items()}

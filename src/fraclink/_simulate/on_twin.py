@@ -52,7 +52,7 @@ def with_motor_loop(
     twin: Twin | None = None,
 ) -> tuple[Law, tuple[Finding, ...]]:
     """Return the law with the motor loop of its rig, or of the twin's motor, and W602
-    where it had none.
+    if it had none.
     """
     if law.motor_loop is None:
         finding = Finding(
@@ -139,8 +139,8 @@ def acted(
     actions: Mapping[int, Sequence[Action]],
     run: Callable[[int, int], Real],
 ) -> tuple[Real, Real]:
-    """Run `count` periods, cut before each that actions are due in, by `run` (first,
-    last); return the record and the payload [kg] of each period.
+    """Run `count` periods by `run` (first, last), in segments that end before the
+    periods with actions; return the record and the payload [kg] of each period.
     """
     records, payloads = [], []
     edges = sorted({0, count, *(row for row in actions if row < count)})
@@ -172,8 +172,8 @@ def twin_run(
     findings: tuple[Finding, ...] = (),
     estimates: tuple[PayloadEstimator, Estimates] | None = None,
 ) -> Run:
-    """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload
-    [kg].
+    """Return the run from the record of `ArmState.run`: columns `RECORD`, and the
+    payload [kg].
     """
     columns = {
         name: np.ascontiguousarray(column)

@@ -70,7 +70,7 @@ class StepMatrices:
 
     @property
     def arrays(self) -> tuple[Matrix, Vector, Vector, Matrix]:
-        """What the kernel takes first."""
+        """The first arguments of the kernel."""
         return self.transition, self.hub, self.tip, self.outputs
 
     def rest(self) -> Vector:
@@ -129,15 +129,15 @@ class Plant:
 
 @checked
 def substeps(period: Period, step: Step) -> int:
-    """Return how many steps of at most `step` [s] fill one period [s]."""
+    """Return the number of steps of at most `step` [s] in one period [s]."""
     # 3 ms over steps of 0.3 ms is 10.000000000000002 in binary; this must not become
     # eleven.
     return max(1, math.ceil(period / step - 1e-9))
 
 
 def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
-    """Return the modes that a step resolves; an explicit number that it does not is
-    refused.
+    """Return the modes that a step resolves; an explicit number beyond that is
+    rejected.
     """
     # Three modes of the link: the third moves the tip by at most 1.3 mrad in a move of
     # 1 rad.

@@ -85,11 +85,11 @@ def _linear(arms: ArmSet) -> ArmSet:
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """Answers of every arm to one smooth step, and the limits of a reference.
+    """Responses of every arm to one smooth step, and the limits of a reference.
 
-    answers: tip angle, then voltage, step of the motor reference and torque over their
-    limits, shape (arms, 4, N). knot: periods between two steps. velocity, acceleration:
-    of the reference [rad/s], [rad/s²].
+    answers: tip angle, then voltage, step of the motor reference and torque relative to
+    their limits, shape (arms, 4, N). knot: periods between two steps. velocity,
+    acceleration: of the reference [rad/s], [rad/s²].
     """
 
     answers: Real
@@ -147,7 +147,7 @@ class Programme:
 
     @property
     def length(self) -> int:
-        """Periods that are known of every answer."""
+        """Number of known periods of every response."""
         return int(self.answers.shape[2])
 
     def count(self, time: float) -> int:
@@ -169,8 +169,8 @@ class Programme:
         self, count: int, target: Real, first: int, last: int
     ) -> tuple[Real, float] | None:
         """Return the `count` coefficients whose tips are nearest to `target` from row
-        first to last, and their largest distance [rad]; None where no reference keeps
-        the limits. The reference ends where the target ends.
+        first to last, and their largest distance [rad]; None if no reference keeps the
+        limits. The reference ends where the target ends.
         """
         rows, sides = self._rows(count, target, first, last)
         bounds: Bounds = [(None, None)] * count + [(0.0, None)]
@@ -182,8 +182,9 @@ class Programme:
     def gentlest(
         self, count: int, target: Real, first: int, last: int, within: float
     ) -> Real | None:
-        """Return of all references whose tips keep the distance `within` [rad] the one
-        whose acceleration varies least: the nearest one rattles between its limits.
+        """Return, of all references whose tips keep the distance `within` [rad], the
+        one whose acceleration varies least; the nearest one switches between its
+        limits.
         """
         rows, sides = self._rows(count, target, first, last)
         # Σ |differences of the acceleration| as a linear programme: each one is bounded

@@ -202,7 +202,7 @@ def judged_run(
     finished: bool = True,
     growth: float | None = None,
 ) -> Run:
-    """Return the run of the named signals, all but `time`, measured and judged.
+    """Return the run with the named signals (without `time`), measured and judged.
 
     Parameters
     ----------
@@ -237,8 +237,8 @@ def judged_run(
 
 
 def payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
-    """Return W603 where the law was given a payload that it cannot use: it ran as if
-    none were given.
+    """Return W603 if the law was given a payload that it cannot use: it ran as if none
+    had been given.
     """
     # A flag, not an error: the law goes on controlling with the inputs that it can use.
     periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))

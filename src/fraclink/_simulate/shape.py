@@ -326,8 +326,8 @@ class _Search:
         )
 
     def settling(self, settle: float | None) -> tuple[Real, Programme]:
-        """Return the gentlest reference that settles at `settle` [s], or as early as
-        can be, and its programme.
+        """Return the smoothest reference that settles at `settle` [s], or as early as
+        possible, and its programme.
         """
         period, allowed = self.arms.law.period, self.left * BAND * abs(self.end)
         tail = math.ceil(TAIL * self.arms.vibration / period)

@@ -279,8 +279,8 @@ def _rig_and_link(
 
 
 def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
-    """Return the link at a payload [kg], moved as the rig's beam is; where its own is not
-    known, with ω₀ of the rig, eq. (5).
+    """Return the link at a payload [kg], shifted like the rig's beam; if its own
+    payload is unknown, with ω₀ of the rig, eq. (5).
     """
     if link.payload is not None:
         return link if payload == link.payload else model_at(link, rig, payload)
@@ -374,9 +374,7 @@ def model_run(
     estimator: PayloadEstimator | None = None,
     faults: Real | None = None,
 ) -> Run:
-    """Return the run of one arm's signals, as `run_lumped` gave them, with the
-    reference.
-    """
+    """Return the run of one arm from the signals of `run_lumped` and the reference."""
     extras = None
     if estimator is not None:
         angle, torque = signals["motor_angle_measured"], signals["torque_measured"]

@@ -197,7 +197,7 @@ def parse_connection(
 
 @contextmanager
 def controller_end(connection: Connection) -> Iterator[Any]:
-    """Open the controller's end; yields the kernel's way."""
+    """Open the controller's end; yields the kernel's connection."""
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
             # Connected, so that the kernel drops datagrams from other senders before
@@ -215,8 +215,8 @@ def controller_end(connection: Connection) -> Iterator[Any]:
 def arm_end(
     connection: Connection, begin: Callable[[str], None] = lambda name: None
 ) -> Iterator[Any]:
-    """Open the arm's end; one arm at a time, and only one that sends messages. `begin` is
-    told the name of a pseudo-terminal.
+    """Open the arm's end; one arm at a time, and only one that sends messages. `begin`
+    receives the name of a pseudo-terminal.
     """
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):

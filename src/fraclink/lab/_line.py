@@ -25,7 +25,7 @@ _STOPS = 3  # stop messages sent, since one may get lost
 
 
 class Stopped(FraclinkError):
-    """A signal asked for the end; the drive is off."""
+    """A signal requested the end; the drive is off."""
 
     def __init__(self) -> None:
         super().__init__("stopped by a signal; the drive is off")
@@ -41,8 +41,8 @@ class ArmLost(FraclinkError):
 
 
 class Reading(NamedTuple):
-    """One sample: motor angle [rad], torque [N·m], and the periods since the one before
-    (1: none lost).
+    """One sample: motor angle [rad], torque [N·m], and the periods since the previous
+    one (1: none lost).
     """
 
     angle: float
@@ -51,13 +51,14 @@ class Reading(NamedTuple):
 
 
 class SignalWatch(Protocol):
-    """Whether a signal has asked for the end."""
+    """Whether a signal has requested the end."""
 
     def is_set(self) -> bool: ...
 
 
 class ArmLine:
-    """An open way to an arm; `exchange` gives a voltage and returns the next sample.
+    """An open connection to an arm; `exchange` sends a voltage and returns the next
+    sample.
 
     An arm with a clock of its own (udp, shm) sets the pace; the others are read on
     deadlines of `clock`.
@@ -76,11 +77,11 @@ class ArmLine:
         self._last = clock.now
 
     def exchange(self, voltage: float) -> Reading:
-        """Give a voltage [V] and return the sample that comes next.
+        """Send a voltage [V] and return the next sample.
 
-        Raises `Stopped` after a signal, `ArmLost` where no sample came for five
-        periods. An arm with a clock of its own numbers its samples: where this process
-        was late for some, the newest says how many.
+        Raises `Stopped` after a signal, `ArmLost` if no sample came for five periods.
+        An arm with its own clock numbers its samples: if this process missed some, the
+        newest one shows how many.
         """
         if self._signals.is_set():
             raise Stopped
@@ -174,12 +175,12 @@ def open_line(
     patience: float = 5.0,
     clock: Any = None,
 ) -> Iterator[tuple[ArmLine, Reading]]:
-    """Open the way to an arm; yields the line and the first sample. However it ends, a
-    stop is sent.
+    """Open the connection to an arm; yields the line and the first sample. A stop is
+    sent however it ends.
 
-    `period` [s] may be None for an arm that states its own; FieldError where neither
-    does, or they differ. `clock` may be a `VirtualClock`, or "none" for an arm in this
-    process that lives by its calls alone.
+    `period` [s] may be None for an arm that states its own; FieldError if neither
+    states it, or if they differ. `clock` may be a `VirtualClock`, or "none" for an arm
+    in this process that only advances when called.
     """
     check_machine()
     time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)

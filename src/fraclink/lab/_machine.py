@@ -186,7 +186,7 @@ def measure_wake_ups(
 
 
 def check_machine() -> None:
-    """Raise FieldError where this system has no real-time loop."""
+    """Raise FieldError if this system has no real-time loop."""
     if not _kernels.REALTIME:
         raise FieldError(
             "system",
@@ -208,8 +208,8 @@ def period_ns(period: float) -> int:
 
 @contextlib.contextmanager
 def real_time() -> Iterator[None]:
-    """Run the block under SCHED_FIFO with its memory locked, where the machine grants
-    it; `WakeUps.check` refuses one that cannot keep the period without.
+    """Run the block under SCHED_FIFO with its memory locked, if the machine grants it;
+    `WakeUps.check` rejects one that cannot keep the period otherwise.
     """
     before = _kernels.realtime_prepare(PRIORITY, 1)
     try:
@@ -223,9 +223,9 @@ def signals_held() -> Iterator[threading.Event]:
     """Hold every signal that would end or stop the process until the block ends, in any
     thread.
 
-    What came then takes its course, unless the event that this yields was set: it was
-    obeyed already. A closed terminal sends two, some milliseconds apart, and whoever
-    presses Ctrl-C once does so again.
+    A signal received meanwhile then takes its course, unless the yielded event was set,
+    which means that it was obeyed already. A closed terminal sends two signals some
+    milliseconds apart, and users press Ctrl-C repeatedly.
     """
     check_machine()
     obeyed = threading.Event()
@@ -245,7 +245,7 @@ def signals_held() -> Iterator[threading.Event]:
 def granted(
     outcome: dict[str, float], priority: int, lock_memory: bool
 ) -> tuple[str, str]:
-    """Return in words what came of asking for SCHED_FIFO and for memory that stays."""
+    """Return in words whether SCHED_FIFO and locked memory were granted."""
     # Requested separately: a container often grants one and not the other, and the user
     # must know which.
     memory = (
@@ -257,8 +257,8 @@ def granted(
 
 
 def granted_priority(priority: int, refused: int) -> str:
-    """Return in words what came of asking for SCHED_FIFO; `refused` is the errno, 0
-    where it was granted.
+    """Return in words whether SCHED_FIFO was granted; `refused` is the errno, 0 where
+    it was granted.
 
     >>> granted_priority(80, 0), granted_priority(80, 1)
     ('SCHED_FIFO 80', 'refused (Operation not permitted)')

@@ -16,11 +16,11 @@ __all__ = ["rehearse"]
 def rehearse(
     design: Design, law: Law, reference: Reference, *, payload: float = 0.0
 ) -> None:
-    """FieldError where the move leaves the law's limits, or trips the law on the
-    design's own model.
+    """FieldError if the move exceeds the law's limits, or trips the law on the model of
+    the design.
 
-    `payload` [kg] is what the law is given; 0 for none, and the rig's nominal one then
-    moves.
+    `payload` [kg] is given to the law; with 0 it gets none, and the simulated payload
+    is the rig's nominal one.
     """
     count = int(reference.duration / law.period) + 1
     reach = float(np.max(np.abs(sampled(reference, law.period, count)[0])))

@@ -348,8 +348,8 @@ class RealtimeRun:
 
 
 def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | None:
-    """Return the first row whose outputs `law` does not give for its inputs, compared
-    by their bits.
+    """Return the first row whose outputs differ from those of `law` for its inputs,
+    compared by their bits.
     """
     # The ticks as well: missed periods are part of the law's input.
     tick = columns["tick"]
@@ -371,10 +371,10 @@ def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | Non
 
 
 def saved(value: object, place: Path) -> Path:
-    """Write a record to `place`, or where that fails after all beside others' temporary
-    files or at home.
+    """Write a record to `place`, or if that fails, to the folder for temporary files or
+    the home directory.
 
-    Returns the file that was written; raises the first error where no place took it.
+    Returns the file that was written; raises the first error if all places failed.
     """
     try:
         return save(value, place, force=True)

@@ -191,7 +191,7 @@ class _Session:
         return guard
 
     def go(self, guard: Guard) -> None:
-        """All stages that are not whole yet."""
+        """Run all stages that are not complete yet."""
         self.begin("wiring")
         wiring = check_wiring(guard, self.plan.rig)
         if self.before is not None:
@@ -395,13 +395,13 @@ class _Session:
         save(self.state, self.out / FILES[0], force=True)
 
     def end(self, guard: Guard, reason: str) -> None:
-        """Keep why it ended, and what the record shows."""
+        """Save the reason of the end, and the findings in the record."""
         shown = () if self.state.wiring is None else self._causes(guard)
         self.state = replace(self.state, stopped="; ".join((reason, *shown)))
         self._tell((reason, *shown))
 
     def keep(self, guard: Guard) -> None:
-        """Write the state and the whole record."""
+        """Save the state and the whole record."""
         self._write(guard)
         record = guard.record()
         # A single sample has no period and makes no log.

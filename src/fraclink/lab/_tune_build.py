@@ -86,8 +86,8 @@ _COUNTED = 2e-2
 
 @dataclass(frozen=True)
 class Built:
-    """What came of a model: design, law, certificate, the fastest move (amplitude [rad],
-    duration [s]) within the limits, and why not where there is none.
+    """The results from a model: design, law, certificate, the fastest move (amplitude
+    [rad], duration [s]) within the limits, and the reasons for a missing part.
     """
 
     rig: Rig
@@ -100,7 +100,9 @@ class Built:
 
     @property
     def passed(self) -> bool:
-        """Whether the design keeps its requirements over the box and the proof holds."""
+        """Whether the design meets its requirements over the box and the proof
+        succeeded.
+        """
         return not self.reasons
 
 
@@ -116,12 +118,12 @@ def measured_rig(
     stated: Rig | None,
     name: str,
 ) -> Rig:
-    """The rig as it was measured, at the gear's output and in the gauge's units; `centre`
-    is what the encoder reads in the middle of the limits [rad].
+    """The rig as measured, at the gear's output and in the gauge's units; `centre` is
+    the encoder's reading in the middle of the limits [rad].
 
-    The link's mass is that of a uniform beam with its second mode, or as stated where
-    none was seen, and the length the one with which ω₀² = c/(mL²) (5) holds, m with the
-    link's share; what no motion shows, and what a design shall reach, is as stated.
+    The link's mass is that of a uniform beam with its second mode, or the stated one if
+    no mode was seen, and the length satisfies ω₀² = c/(mL²) (5), with the link's share
+    in m. Values that motion does not show, and the goals of a design, are as stated.
     """
     fit, motor = link.fit, link.motor.fit
     assert motor.inertia is not None  # set by the link's stage  # noqa: S101
@@ -174,11 +176,11 @@ def measured_rig(
 
 
 def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Built]:
-    """Laws with a design over the box of what the fit leaves open, a proof, and moves
-    on links with mass.
+    """Laws with a design over the box of the fit, a proof, and moves on links with
+    mass.
 
-    The preferred one first; each is made when it is asked for. Where there is none, why
-    the first one is none.
+    The preferred one first; each is computed on demand. If there is none, the reasons
+    why the first one failed.
     """
     fit = link.fit
     if not fit.passed:
@@ -318,11 +320,11 @@ def planned_move(
     design: Design, law: Law, limits: MotionLimits
 ) -> tuple[float, float] | None:
     """Amplitude [rad] and duration [s] of the fastest quintic move within the limits,
-    with every payload; None where none passes.
+    with every payload; None if none passes.
 
-    Looked at with the link's own second mode, and the gauge's noise: what the lightest
-    makes may trip the heaviest. Where that mode was not seen, a move that settles
-    another time with a heavier link is none to promise.
+    Simulated with the link's own second mode and the gauge's noise: a move that suits
+    the lightest payload may trip the law with the heaviest. If that mode was not seen,
+    a move whose settling time changes with a heavier link cannot be promised.
     """
     amplitude = PLANNED * limits.angle
     # Starts at the duration at which the reference alone takes four fifths of the
@@ -363,8 +365,8 @@ def planned_move(
 
 
 def twins_of(made: Design) -> tuple[Twin, ...]:
-    """The arm as it was measured; and where nothing shows a second mode, with the
-    heaviest link of which nothing would.
+    """The arm as measured; and without a visible second mode, also with the heaviest
+    link whose mode would be invisible.
     """
     model, link, payload = made.model, made.rig.link, made.model.payload
     assert payload is not None  # the tuning's own  # noqa: S101
@@ -421,7 +423,7 @@ def _bar(model: LinkModel, payload: float, mass: float) -> Link:
 
 
 def agree(measured: float, promised: float) -> bool:
-    """Whether a settling time [s] is what was promised, within 10 % or 50 ms."""
+    """Whether a settling time [s] agrees with the promise within 10 % or 50 ms."""
     return abs(measured - promised) <= max(_AGREEMENT * promised, _LEAST)
 
 

@@ -38,8 +38,8 @@ def causes(
     voltage: float,
     hunts: bool = False,
 ) -> tuple[str, ...]:
-    """Sentences, each a cause that can be seen and what helps; `voltage` is the limit
-    [V], and `hunts` whether a move did not come to rest.
+    """Sentences, each with a visible cause and its remedy; `voltage` is the limit [V],
+    and `hunts` whether a move did not come to rest.
     """
     return (
         *(_sticking(motor, record.period) if motor is not None and hunts else ()),
@@ -123,7 +123,7 @@ def _long_period(resonance: float, period: float) -> tuple[str, ...]:
 
 
 def domain(period: float | None) -> str:
-    """The arms that a law can be expected for, in a sentence; `period` [s] where it is
+    """The arms for which a law can be expected, in a sentence; `period` [s] if it is
     known.
     """
     late = math.degrees(_LATE) / 360.0

@@ -33,8 +33,8 @@ _FRICTIONS = np.linspace(0.0, 0.95, 96)
 
 
 def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, float]:
-    """(A [rad/(s²·V)], its standard error, friction [V], delay [s]); doublets of `half`
-    periods each way.
+    """(A [rad/(s²·V)], its standard error, friction [V], delay [s]); from doublets of
+    `half` periods in each direction.
     """
     period, most = record.period, float(np.max(np.abs(record.voltage)))
     shape, edges = _shape(half, period) * most, edges_of(record)

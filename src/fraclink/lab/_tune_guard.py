@@ -77,9 +77,9 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What was read and then sent, one value for each period, shape (N,): motor angle
-    [rad] and torque [N·m], both from where they were at the start, and the voltage [V]
-    that answered them.
+    """Readings and the voltage sent next, one value per period, shape (N,): motor angle
+    [rad] and torque [N·m], both relative to the start, and the voltage [V] sent in
+    response.
     """
 
     period: float
@@ -97,11 +97,11 @@ class Guard:
     """Passes voltages on to the arm, keeps the record, and ends the session before a
     limit is exceeded.
 
-    The way to the arm is opened by the first period of a motion and closed by
-    `release`. The angle that counts is where the arm would come to rest were the drive
-    switched off now: at the present speed for the loop's delay and then coasting,
-    `coast` [s] times the speed; `shake` is the speed that the encoder's noise alone may
-    show [rad/s].
+    The connection to the arm is opened by the first period of a motion and closed by
+    `release`. The angle limit applies to the position at which the arm would come to
+    rest if the drive were switched off now: at the present speed for the loop's delay
+    and then coasting, `coast` [s] times the speed. `shake` is the speed that the
+    encoder's noise alone may show [rad/s].
     """
 
     def __init__(self, opened: Opened, limits: MotionLimits) -> None:
@@ -124,7 +124,9 @@ class Guard:
     _line: ArmLine | None
 
     def connect(self) -> Reading:
-        """Open the way to the arm where it is closed, and return the newest reading."""
+        """Open the connection to the arm if it is closed, and return the newest
+        reading.
+        """
         if self._line is None:
             self._line, self.reading = self._stack.enter_context(self._opened())
             self.starts.append(len(self._rows))
@@ -134,27 +136,27 @@ class Guard:
         return self.reading
 
     def release(self) -> None:
-        """Switch the drive off and close the way: while something is computed nobody
-        answers the arm.
+        """Switch the drive off and close the connection, since nothing controls the arm
+        during computations.
         """
         self._line = None
         self._stack.close()
 
     @property
     def angle(self) -> float:
-        """Newest motor angle from where the arm stood at the start [rad]."""
+        """Newest motor angle relative to the start [rad]."""
         return self.reading.angle - self.origin
 
     def connect_angle(self) -> float:
-        """Newest motor angle from where the arm stood at the start [rad], with the way
-        opened where it is closed: a link that swings turns a motor that is off.
+        """Newest motor angle relative to the start [rad], with the connection opened if
+        necessary: a swinging link turns a motor that is off.
         """
         self.connect()
         return self.angle
 
     @property
     def torque(self) -> float:
-        """Newest torque beyond that at rest [N·m]."""
+        """Newest torque relative to that at rest [N·m]."""
         return self.reading.torque - self.offset
 
     @property
@@ -192,8 +194,8 @@ class Guard:
         return found
 
     def learn(self, gain: float, delay: float) -> None:
-        """Use K/J [rad/(s²·V)] and the delay [s] to look ahead: no voltage is sent that
-        drives the motor past the speed limit once it acts.
+        """Use K/J [rad/(s²·V)] and the delay [s] for prediction: no voltage is sent
+        that would drive the motor beyond the speed limit when it takes effect.
         """
         # A delay of 4.1 ms is one period of 4 ms plus the error of the fit, not two
         # periods.
@@ -202,8 +204,8 @@ class Guard:
 
     @property
     def speed(self) -> float:
-        """Speed at the newest sample [rad/s]: that between the last two, and what the
-        voltage added since.
+        """Speed at the newest sample [rad/s]: the difference of the last two, plus the
+        effect of the voltage since.
         """
         mean = (self._angles[-1] - self._angles[0]) / (self._apart * self.period)
         return mean + 0.5 * self._gain * self.period * self._sent[0]
@@ -222,8 +224,8 @@ class Guard:
         return min(max(voltage, low), high)
 
     def allow(self, noise: float) -> None:
-        """Allow for an encoder with that much noise [rad]: six standard deviations of
-        the speed.
+        """Allow for an encoder with this noise [rad]: six standard deviations of the
+        speed.
         """
         self.shake = 6.0 * math.sqrt(2.0) * noise / ((_SPEED_SAMPLES - 1) * self.period)
 
@@ -253,7 +255,7 @@ class Guard:
         noise: float,
         tell: Callable[[str], None],
     ) -> tuple[Found, float]:
-        """What a motion gives, and its size: 1, or where it reaches a limit a half, and
+        """The result of a motion and its size: 1, or if it reaches a limit, a half and
         then a quarter; `noise` of the gauge [N·m].
         """
         for size in _SIZES[:-1]:
@@ -274,7 +276,7 @@ class Guard:
         self.release()
 
     def record(self, start: int = 0, end: int | None = None) -> Record:
-        """What was recorded from period `start` on, up to `end`."""
+        """The record from period `start` to `end`."""
         voltage, angle, torque = np.array(self._rows[start:end]).reshape(-1, 3).T
         return Record(
             self.period, voltage.copy(), angle - self.origin, torque - self.offset

@@ -55,8 +55,8 @@ _DECAYS = (1.97, 1.87)
 @document("tuned-link")
 @dataclass(frozen=True, eq=False)
 class LinkResult:
-    """The link's fit, the motor with the link's own torque, and what each excitation
-    gave.
+    """The link's fit, the motor with the link's own torque, and the result of each
+    excitation.
 
     `rounds` has (amplitude [rad], duration [s], standard error of λ) of each
     excitation.
@@ -266,7 +266,7 @@ def _ringing(fit: Fit, output: Real) -> Real:
 
 
 def shortfall(fit: Fit) -> float:
-    """The largest standard error over what suffices."""
+    """The largest ratio of a standard error to the sufficient one."""
     errors, model = fit.standard_errors, fit.model
     # ω₀ and gain are relative; the delay is expressed as the order λ whose phase j^λ it
     # has at the vibration.
@@ -299,13 +299,12 @@ def experiment_of(record: Record, payload: float | None) -> Experiment:
 def motor_again(
     motor: MotorResult, guard: Guard, wiring: Wiring, fit: Fit
 ) -> MotorResult:
-    """The motor as everything recorded shows it once the gauge's delay is known, and
-    its loop.
+    """The motor from the whole record after the gauge's delay is known, and its loop.
 
-    A gauge reads curvature, and the moment on the hub is D(s) times that: of a power
+    A gauge reads curvature, and the moment on the hub is D(s) times that: for a power
     law |jω|^(2−λ), 1.22 at the 11.9 rad/s of the paper's arm. The inertia comes out
-    smaller by it, and Γ/J, which the law compensates, is what acts on the hub at the
-    vibration.
+    smaller by this factor, so that Γ/J, which the law compensates, is the true effect
+    on the hub at the vibration.
     """
     try:
         again = fitted_motor(guard.record(), fit.model.gauge_delay, guard.starts)

@@ -160,10 +160,10 @@ def fastest_loop(
     kick: float = math.inf,
 ) -> MotorLoop:
     """The fastest motor loop that keeps its distance from −1 on motors with `ratios`
-    times that gain, and answers a step of the angle with at most `kick` [V/rad].
+    times that gain, with a response of at most `kick` [V/rad] to a step of the angle.
 
-    Its poles are placed in z with the delay inside the equation: at the same pole this
-    leaves three times the distance that a discretised PID does.
+    Its poles are placed in z with the delay in the equation: at the same pole, this
+    leaves three times the distance of a discretised PID.
     """
     # Up to half the sampling rate, where a delayed loop comes closest to −1.
     frequency = np.geomspace(1e-2, math.pi / period, 600)
@@ -231,8 +231,8 @@ def follow(
 ) -> Record:
     """Let the law follow a reference, rows angle [rad] and acceleration [rad/s²].
 
-    The reference counts from `origin`, or from where the arm stands. `shaken` [V] is
-    added to the law's voltage, one value for each period.
+    The reference is relative to `origin`, or to the present position. `shaken` [V] is
+    added to the law's voltage, one value per period.
     """
     here = guard.connect().angle
     start, origin = guard.count, here if origin is None else origin
@@ -336,14 +336,15 @@ def calm(
     resonance: float,
     noise: float,
 ) -> None:
-    """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows
-    its `noise` alone, or for three vibrations.
+    """Damp a vibration of the link by the motor loop, until the gauge [N·m] only shows
+    its `noise`, or for three vibration periods.
 
         θm = -k ω z/c,    z'' + 2ζω z' + ω² z = 2ζω Γ
 
     At ω z is ∫Γ dt, which damps θt'' = ω² Γ/c; at a second mode it is ω/ω₂ times less,
-    as ∫Γ dt itself would drive a sharp one. A stiffness or a resonance [rad/s] that is a
-    quarter off, and a gauge 20 ms late, change the damping by as much and no more.
+    as ∫Γ dt itself would drive a sharp one. An error of a quarter in stiffness or
+    resonance [rad/s], or a gauge delay of 20 ms, changes the damping by no more than
+    that.
     """
     runs, origin = Follower(law), guard.connect().angle
     last = guard.record(-round(2.0 * math.pi / resonance / guard.period)).torque
@@ -378,8 +379,8 @@ def calm(
 
 
 def burst(voltage: float, bit: float, seconds: float, period: float) -> Real:
-    """Voltages of ± `voltage` [V] that change at random every `bit` [s], and a rest of
-    the motor's loop.
+    """Voltages of ± `voltage` [V] with random signs, changing every `bit` [s], followed
+    by a rest in the motor loop.
     """
     held = max(round(bit / period), 1)
     levels = _random_levels(

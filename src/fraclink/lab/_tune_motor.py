@@ -57,9 +57,7 @@ _RINGING = 1.5
 @document("tuned-motor")
 @dataclass(frozen=True)
 class MotorResult:
-    """The motor as it was identified, the loop that closes it, and how many rounds of
-    moves that took.
-    """
+    """The identified motor, its motor loop, and the number of rounds of moves."""
 
     fit: MotorFit
     loop: MotorLoop
@@ -72,12 +70,14 @@ class MotorResult:
 
     @property
     def friction(self) -> float:
-        """What friction and dead zone cost [V]."""
+        """Voltage of friction and dead zone [V]."""
         return self.fit.coulomb_voltage + self.fit.dead_zone
 
     @property
     def compensation(self) -> float:
-        """The voltage [V] against friction and dead zone that drives nothing by itself."""
+        """The compensating voltage [V] for friction and dead zone that drives nothing
+        by itself.
+        """
         return _COMPENSATED * self.friction
 
     def __str__(self) -> str:
@@ -93,7 +93,8 @@ def tune_motor(
 ) -> MotorResult:
     """Identify the motor with moves that grow until K/J is known, and place its loop.
 
-    `tell` is told where a move reached a limit, and is made again smaller.
+    `tell` receives a message if a move reached a limit and is repeated with a smaller
+    size.
     """
     period, limits = guard.period, guard.limits
     # Without damping the model loses more phase than the motor does, so the loop comes
@@ -180,8 +181,8 @@ def _moved(
 def closed_motor(
     fit: MotorFit, guard: Guard, wiring: Wiring, rounds: int
 ) -> MotorResult:
-    """Return a motor with the fastest loop that a fit good to a few per cent, and the
-    encoder's count, allow.
+    """Return a motor with the fastest loop allowed by a fit accurate to a few per cent
+    and by the encoder's resolution.
     """
     # Values may be negative within their errors; a loop designed for negative friction
     # would be too fast.
@@ -201,8 +202,8 @@ def closed_motor(
 
 
 def unlimited_pole(motor: MotorResult, period: float, delay: float) -> float | None:
-    """The pole [rad/s] of the fastest loop on that motor behind a `delay` [s], were the
-    encoder without counts; None where none keeps its distance.
+    """The pole [rad/s] of the fastest loop on that motor with a `delay` [s] and an
+    ideal encoder; None if no loop keeps its distance.
     """
     try:
         return fastest_loop(
@@ -219,13 +220,13 @@ def _peak(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
 def fitted_motor(
     record: Record, gauge_delay: float, starts: Sequence[int] = ()
 ) -> MotorFit:
-    """Return the motor under the torque as it was when the motor felt it; `starts` as
-    in `identify_motor`.
+    """Return the motor with the torque shifted by the gauge's delay; `starts` as in
+    `identify_motor`.
 
-    A load that is late turns into a motor that is late, and too lively: behind a gauge
-    that lags by 30 ms K/J comes out a sixth too large and the delay four periods too
-    long. Each piece's torque counts from its mean, which is zero from rest to rest: a
-    gauge that drifts is no load.
+    A delayed load appears as a delayed motor with too large a gain: with a gauge delay
+    of 30 ms, K/J comes out a sixth too large and the delay four periods too long. The
+    torque of each piece is taken relative to its mean, which is zero from rest to rest,
+    so that drift of the gauge is no load.
     """
     time = np.arange(record.torque.size) * record.period
     pieces = np.split(record.torque, [start for start in starts if start > 0])

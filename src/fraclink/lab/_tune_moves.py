@@ -141,8 +141,8 @@ def first_moves(
     payload: float,
     move: tuple[float, float],
 ) -> tuple[FirstMove, ...]:
-    """Hand over from the motor's loop to the law, move at a tenth of the speed, then
-    back and forth at full speed: `move` is its amplitude [rad] and duration [s].
+    """Transfer control from the motor loop to the law, move at a tenth of the speed,
+    then back and forth at full speed: `move` is its amplitude [rad] and duration [s].
     """
     amplitude, duration = move
     # The band of the full move is also used for the slow one: with a smaller band,

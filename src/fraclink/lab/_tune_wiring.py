@@ -84,7 +84,7 @@ _EXPLAINED = 0.85
 
 
 class WiringFault(FraclinkError):
-    """A wire, a sign or a scale is not what it must be; the drive is off."""
+    """A wire, a sign or a scale is wrong; the drive is off."""
 
 
 class _Unsure(WiringFault):
@@ -137,8 +137,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     """Find signs, scales and delays with small motions; `WiringFault` where one is
     wrong.
 
-    `stated` is what the user says of the arm: scales are compared with its motor and
-    its stiffness.
+    `stated` is the user's description of the arm: scales are compared with its motor
+    and stiffness.
     """
     for _ in range(_LOOKS):
         start = guard.count

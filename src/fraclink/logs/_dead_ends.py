@@ -24,7 +24,7 @@ _RINGS = ("torque", "deflection", "the tip", "an acceleration", "")
 
 
 def check_no_response(table: LogTable, source: str) -> None:
-    """Raise LogError for a table of a frequency response, which no clock runs through."""
+    """Raise LogError for a table of a frequency response, which has no time column."""
     words = [set(words_of(name)) for name in table.names]
     shown = [each for each in words if each & _RESPONSE]
     # Two columns of a response in addition to one of frequencies: "phase" alone may be
@@ -47,8 +47,8 @@ def dead_end(
     roles: list[tuple[str, str]],
     missing: str,
 ) -> LogError:
-    """The error of a log without a motor that moves, or without the link's torque or
-    deflection; with the command for what it does hold.
+    """The error for a log without a moving motor, or without torque or deflection of
+    the link; with the command for its actual content.
     """
     table, file = matching.table, shlex.quote(matching.source)
     stamps = matching.stamps(time, max(values.size for values in table.values))

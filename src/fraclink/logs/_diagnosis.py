@@ -78,7 +78,7 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> Findings:
 
 
 def vibration_of(log: Experiment) -> Fit | None:
-    """The one mode that explains most of the output; None where nothing moves, or the
+    """The one mode that explains most of the output; None if nothing moves, or if the
     log is too short.
     """
     with np.errstate(all="ignore"):

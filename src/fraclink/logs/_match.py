@@ -121,8 +121,8 @@ def match_table(
     source: str,
     interpolate: bool = False,
 ) -> Match:
-    """`match` of a table that was read; `source` is its file, as a command that a
-    refusal names is to call it.
+    """`match` for a table that was read; `source` is its file name for the commands in
+    error messages.
     """
     # Faults that no answer could remedy first, then those that a question may settle.
     check_no_response(table, source)
@@ -167,8 +167,8 @@ class _Matching:
         return self.stated.get(role, ColumnStatement(role))
 
     def place(self, role: str) -> int | None:
-        """The place of a stated column; a name that itself ends in brackets is found
-        whole.
+        """The place of a stated column; a name that itself ends in brackets is matched
+        as a whole.
         """
         each = self.statement(role)
         if each.column is None or self.is_absent(role):
@@ -178,7 +178,7 @@ class _Matching:
         return self.table.place(column, each.role)
 
     def is_absent(self, role: str) -> bool:
-        """Whether an answer says that the log does not hold a role."""
+        """Whether an answer says that the log does not contain a role."""
         own = self.statement(role).column
         return own == ABSENT and ABSENT not in self.table.names
 
@@ -186,7 +186,7 @@ class _Matching:
         return self.table.label(place)
 
     def cells(self, place: int) -> Reals:
-        """The numbers of a column; LogError where a cell is none."""
+        """The numbers of a column; LogError for a cell that is not a number."""
         return self.table.clean(place, interpolate=self.interpolate)[0]
 
     def unit(self, place: int) -> str:
@@ -195,7 +195,9 @@ class _Matching:
         return self.table.unit(place, known)
 
     def add(self, name: str, unit: str) -> int:
-        """Add a column that is made of others, as ``"theta - tip"``; return its place."""
+        """Add a column computed from others, such as ``"theta - tip"``; return its
+        place.
+        """
         table = self.table.with_combined([name])
         units = [*(table.units or [""] * len(table.names))]
         units[table.names.index(name)] = unit
@@ -304,7 +306,7 @@ class _Matching:
 
     def signals(self, time: Channel | None) -> dict[str, int]:
         """The places of the motor angle and of the output, as far as they are stated or
-        match; a question asks for what does not.
+        match; otherwise a question is added.
         """
         parts = {"motor_angle": "motor angle", "output": "output"}
         stated = {r: k for r in parts if (k := self.place(r)) is not None}
@@ -346,7 +348,7 @@ class _Matching:
         return places
 
     def rank(self, role: str, place: int) -> int:
-        """How well a name fits a role: below `_UNNAMED` it says so."""
+        """The rank of a name for a role: below `_UNNAMED` it matches."""
         meaning, name = self.table.roles[place][0], self.table.name(place)
         # Of two angles the one at the motor's side is needed.
         hub = {"motor", "hub", "m", "joint"} & set(words_of(name))
@@ -364,7 +366,9 @@ class _Matching:
         return ranks.get(meaning, _UNNAMED if habit else _UNLIKELY)
 
     def free(self, time: Channel | None, stated: int | None) -> list[int]:
-        """The places of the signals: as long as the time, moving, and each once."""
+        """The places of the signals: of the length of the time, moving, and without
+        duplicates.
+        """
         table, clock = self.table, None
         if time is not None and time.column != ROW_NUMBER:
             clock = table.place(time.column, "time")
@@ -390,7 +394,7 @@ class _Matching:
     # --- the motor angle ---
 
     def motor_angle(self, place: int) -> Channel | None:
-        """The channel of the motor angle; None where its unit is a question."""
+        """The channel of the motor angle; None if its unit is a question."""
         statement, own = self.statement("motor_angle"), self.unit(place)
         name, raw = self.label(place), self.cells(place)
         sign, scale = statement.sign or 1, statement.scale or 1.0
@@ -427,12 +431,12 @@ class _Matching:
     def from_the_hub(
         self, channel: Channel, turned: Reals, output: int, period: float
     ) -> int | None:
-        """The place of the output, or of the deflection that is made of it where it is
-        the tip's angle in space; None where that is a question: the tip's position.
+        """The place of the output, or of the deflection computed from it if it is the
+        tip's angle in space; None if that is a question (the tip's position).
 
-        A deflection δ = θm − θt answers an acceleration with a positive gain, a tip
-        angle with a negative one, and rings as a deflection of the other sign does: but
-        what is left of θm by subtracting it is then a vibration, and a clearer one.
+        A deflection δ = θm − θt responds to an acceleration with a positive gain, a tip
+        angle with a negative one, and rings like a deflection of the other sign; but
+        its difference from θm is then a vibration, and a clearer one.
         """
         own, name = self.unit(output), self.label(output)
         moved = self.cells(output) - self.cells(output)[0]
@@ -467,7 +471,7 @@ class _Matching:
     def output(
         self, place: int, mode: Fit | None
     ) -> tuple[OutputKind, str, float] | None:
-        """Torque or deflection, its unit and the factor to it; None where that is a
+        """Torque or deflection, its unit and the factor to it; None if that is a
         question.
         """
         statement, own = self.statement("output"), self.unit(place)
@@ -533,7 +537,7 @@ class _Matching:
         return "deflection", "rad", scale
 
     def sign(self, mode: Fit | None) -> Literal[1, -1]:
-        """The sign with which the output is positive where the motor speeds up."""
+        """The sign with which the output is positive while the motor accelerates."""
         # While the motor accelerates, the link is bent backwards, and Γ = c(θm − θt) is
         # positive: the sign convention of rig and law.
         sign: Literal[1, -1] = -1 if mode is not None and mode.gain < 0 else 1
@@ -555,8 +559,8 @@ class _Matching:
         return sign
 
     def voltage(self, angle: Reals, *, taken: tuple[int, int]) -> Channel | None:
-        """The channel of the amplifier's voltage, where one column is named so; a fit
-        of the link does not need it.
+        """The channel of the amplifier's voltage, if a column has such a name; a fit of
+        the link does not need it.
         """
         table, statement = self.table, self.statement("voltage")
         place = self.place("voltage")

@@ -122,7 +122,7 @@ class Question:
 def statements(
     column: Iterable[str], period: float | None
 ) -> dict[str, ColumnStatement]:
-    """What the call states, by role; both kinds of output share one."""
+    """The statements of the call by role; both kinds of output share one."""
     texts = list(column)
     if period is not None:
         texts.append(f"time={ROW_NUMBER} * {period!r} [s]")
