@@ -195,7 +195,7 @@ CEILINGS = {
     "lab": 1910,
     "logs": 677,
     "studio": 1298,
-    "trials": 1481,
+    "trials": 1479,
     "view": 1723,
 }
 

@@ -199,6 +199,16 @@ def test_payload_lost_mid_move(law):
     assert np.abs(run.error).max() < 0.25 and abs(run.error[-1]) < 0.02
 
 
+def test_a_law_without_a_motor_loop_gets_that_of_the_twins_motor(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    run = fl.simulate(replace(law, motor_loop=None), MOVE, arm=twin, duration=4.0)
+    assert "W602" in [finding.code for finding in run.findings]
+    own = fl.simulate(law, MOVE, arm=twin, duration=4.0)
+    assert run.verdict.passed and run.motor_angle[-1] == pytest.approx(
+        own.motor_angle[-1], abs=5e-3
+    )
+
+
 def test_obstacle_stops_the_tip_and_pushes_one_way(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     wall = Obstacle(time=0.0, until=0.9, angle=0.5)

@@ -269,7 +269,7 @@ def part_path(folder: Path, part: int) -> Path:
 
 @document("campaign-part", container="npz")
 @dataclass(frozen=True, eq=False)
-class Part:
+class CampaignPart:
     """A finished part: of which campaign and which part, and its columns by name, one
     value for each run; what is true or false is 1 or 0.
     """
@@ -292,7 +292,7 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
         name: np.asarray(values, dtype=np.float64)
         for name, values in simulate_part(campaign, part).items()
     }
-    save(Part(campaign.fingerprint, part, columns), place, force=True)
+    save(CampaignPart(campaign.fingerprint, part, columns), place, force=True)
     return int(np.count_nonzero(columns["passed"] == 0.0))
 
 
@@ -301,7 +301,7 @@ def read_part(campaign: Campaign, folder: Path, part: int) -> Mapping[str, Real]
     edited or of another campaign.
     """
     try:
-        found = load(part_path(folder, part), Part)
+        found = load(part_path(folder, part), CampaignPart)
     except FileFormatError:
         return None
     # The last part of a shorter campaign has fewer runs under the same number and

@@ -199,7 +199,14 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
             allowed="a rig with its model",
             remedy="identify a log first, or open a rig that states a model",
         )
-    return (rig, *_with_payload(link, rig)) if study.fit else (rig, link, ())
+    if study.fit is None or link.payload is not None:
+        return rig, link, ()
+    # Without a payload, ω₀ would hold for the payload of the log only, and a design
+    # over a range would be impossible. The assumption is recorded, because a wrong
+    # payload shifts every frequency by its square root.
+    nominal = rig.payloads.nominal
+    assumed = f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated"
+    return rig, replace(link, payload=nominal), (assumed,)
 
 
 def designed(study: Study, **wanted: Any) -> Study:
@@ -278,18 +285,3 @@ def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) ->
         place = Path(scratch) if folder is None else folder
         run_campaign(campaign, place)
         return replace(study, arms=summarise(place))
-
-
-def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
-    """The model with the payload of its log, from which alone ω₀ can be converted to
-    other payloads.
-    """
-    if model.payload is not None:
-        return model, ()
-    # Without a payload, ω₀ would hold for the payload of the log only, and a design
-    # over a range would be impossible. The assumption is recorded, because a wrong
-    # payload shifts every frequency by its square root.
-    nominal = rig.payloads.nominal
-    return replace(model, payload=nominal), (
-        f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated",
-    )

@@ -215,22 +215,15 @@ def summarise(folder: Path | str) -> Summary:
 
 
 def _given(campaign: Campaign) -> str:
-    """The payload given to the law for each arm; the bounds of the draw are ratios to
-    it.
+    """What the law was given of the payload of each arm; the bounds of the draw are
+    ratios to it.
     """
     if campaign.payloads is not None:
         return "the law was given the payload that it estimated of each arm"
-    low, high = (
-        f"{100.0 * ratio:.4g}"
-        for ratio in (
-            campaign.draws.payload_given.low,
-            campaign.draws.payload_given.high,
-        )
-    )
-    if high == "0":
-        return ""
-    share = f"{low} %" if low == high else f"{low} to {high} %"
-    return f"the law was given {share} of the payload of each arm"
+    drawn = campaign.draws.payload_given
+    shares = dict.fromkeys(f"{100.0 * ratio:.4g}" for ratio in (drawn.low, drawn.high))
+    given = f"the law was given {' to '.join(shares)} % of the payload of each arm"
+    return given if drawn.high else ""
 
 
 def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
