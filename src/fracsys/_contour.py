@@ -35,11 +35,11 @@ _MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared wit
 
 
 def step_values(quotient: Quotient, times: Reals, *, more: int = 0) -> Reals:
-    """Return the step response at times > 0 [s], by `more` nodes than it takes.
+    """Return the step response at times > 0 [s], with `more` nodes than needed.
 
-    The values are accurate relative to themselves, also where the response begins like
-    t^6. As long as |p| t is small for every pole, the poles lie beside 0 for the parabola
-    and G is to it the power of s that it is at high frequency: more nodes are needed
+    The values are accurate relative to themselves, even if the response begins like
+    t^6. As long as |p| t is small for every pole, all poles lie close to 0 relative to
+    the parabola, on which G equals its high-frequency power of s: more nodes are needed
     than for its order at 0.
     """
     values = np.empty(len(times))
@@ -56,10 +56,10 @@ def step_values(quotient: Quotient, times: Reals, *, more: int = 0) -> Reals:
 def step_error(quotient: Quotient, times: Reals, values: Reals) -> float:
     """Return an estimate of the largest error of `step_values`.
 
-    Another number of nodes has another parabola, and so other truncation and other
-    rounding, which grows with the nodes: what five rules differ by is more than what one
-    errs by. Their poles are moved by as much as they may be wrong. The error changes
-    slowly with the time, and some of many times show it.
+    Another number of nodes means another parabola, with other truncation and rounding
+    errors, which grow with the nodes: the differences among five rules exceed the error
+    of one. Their poles are shifted by their own uncertainty. The error changes slowly
+    with time, so a selection of the times is enough.
     """
     chosen = np.argsort(times)
     even = np.linspace(0, len(times) - 1, min(len(times), 15)).astype(int)
@@ -249,7 +249,7 @@ def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction
 
 
 def feedthrough(G: FractionalTransferFunction) -> FractionalTransferFunction:
-    """The direct part of G, which jumps with the input: what of G does not fall at high
+    """The direct part of G, which jumps with the input and does not fall at high
     frequency.
     """
     order = G.denominator[0].order

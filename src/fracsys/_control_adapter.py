@@ -78,8 +78,8 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
         return self.eval(points.imag, squeeze=squeeze)
 
     def frd(self, omega: Any) -> Any:
-        """Stock frequency response data on a grid [rad/s] of your own, for functions
-        that ignore `omega`.
+        """Stock frequency response data on a given grid [rad/s], for functions that
+        ignore `omega`.
         """
         grid = np.sort(np.asarray(omega, dtype=float).reshape(-1))
         return control.FrequencyResponseData(
@@ -104,7 +104,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
         return FractionalResponse(self.fractional**exponent)
 
     def feedback(self, other: Any = 1, sign: int = -1) -> Any:
-        """G/(1 − sign·G·H); the stock class forgets the sign, this one does not."""
+        """G/(1 − sign·G·H); unlike the stock class, this one uses the sign."""
         if type(other) is control.FrequencyResponseData:
             here = self.fractional(1j * other.omega)
             closed = here / (1 - sign * here * other.frdata.reshape(-1))

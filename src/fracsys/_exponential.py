@@ -19,8 +19,8 @@ PIECE_LIMIT = 20_000
 
 
 class NearZeroError(NotConvergedError):
-    """A path of the argument principle passes too close to a zero; the caller moves the
-    path.
+    """A path of the argument principle passes too close to a zero; the caller shifts
+    the path.
     """
 
     def __init__(self, pieces: int) -> None:
@@ -65,8 +65,8 @@ class ExponentialSum:
         return np.sign(self.coefficients)
 
     def terms(self, z: Complexes) -> tuple[Complexes, Reals]:
-        """All terms at each z, shape (K, *z.shape), divided by the largest one, and
-        their sum of moduli.
+        """All terms at each z, shape (K, *z.shape), divided by the largest one, and the
+        sum of their moduli.
         """
         column = (-1, *[1] * np.ndim(z))
         exponents = np.asarray(

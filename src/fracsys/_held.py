@@ -47,10 +47,10 @@ class Part:
 
 @dataclass(frozen=True)
 class HeldQuotient:
-    """G = N/D without delays: its integrator c/s, and what is left beside it.
+    """G = N/D without delays: its integrator c/s, and the rest.
 
-    `whole` is G and `rest` is G - c/s, None where that is the gain `direct` alone. From
-    here any period and hold is cheap.
+    `whole` is G and `rest` is G - c/s, None if that is only the gain `direct`. After
+    this split any period and hold is cheap.
     """
 
     whole: Quotient
@@ -72,8 +72,8 @@ class HeldQuotient:
 
     @property
     def has_modes(self) -> bool:
-        """Whether the response is a sum of modes: not behind a singular power beside
-        the integrator.
+        """Whether the response is a sum of modes: not with a singular power in addition
+        to the integrator.
         """
         rest = self.rest
         return rest is None or singular_order(rest.top, rest.bottom) < STRONG
@@ -108,11 +108,12 @@ class HeldQuotient:
         tolerance: float,
         delay: float = 0.0,
     ) -> DiscreteModes:
-        """The recursion whose step response keeps a tolerance relative to its peak.
+        """The recursion whose step response meets a tolerance relative to its peak.
 
         The step of an expansion follows from the error of simple poles; two that
-        coincide, or nearly, cost up to a factor of eleven. Where the contour shows more
-        than was asked for, half of what would do is asked for.
+        (nearly) coincide increase it by a factor of up to eleven. If the contour shows
+        a larger error than requested, the tolerance is reduced to half of the
+        sufficient one.
         """
         asked = tolerance
         for _ in range(_CORRECTIONS):
@@ -300,8 +301,8 @@ class HeldQuotient:
     def error(
         self, parts: Expansion, shortest: float, longest: float
     ) -> tuple[float, float, float]:
-        """Error of the modes' step response against a contour integral, its peak, and
-        its first exact value without the integrator.
+        """Error of the modes' step response compared with a contour integral, its peak,
+        and its first exact value without the integrator.
         """
         if self.rest is None:
             return 0.0, 1.0, self.direct

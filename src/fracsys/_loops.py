@@ -27,16 +27,16 @@ _STEP = 1e-5
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """A loop as it is followed along the axis, and what is known of it beforehand.
+    """A loop for the sweep along the axis, and what is known of it beforehand.
 
-    `response`: L(j e^x), x = ln ω. `low`, `high`: ln of the frequencies [rad/s] that can matter. `seeds`: ln ω where
-    the response moves fast, near poles and zeros beside the axis. `delayed`: whether
-    there may be a delay, so that phase crossings are countless where |L| is small; up
-    to `follow` (ln ω) the phase is followed however small |L| is. `ends`: L at ω → 0
-    and ω → ∞ where it has a limit that is known, else nan. `system`: the transfer
-    function that L is, `span` ln of its lowest and highest corner or asymptotic gain
-    crossing, and `unstable_poles` those with Re s > 0, conjugates counted; None where
-    they are not known.
+    `response`: L(j e^x), x = ln ω. `low`, `high`: ln of the frequencies [rad/s] that
+    can matter. `seeds`: ln ω where the response moves fast, near poles and zeros beside
+    the axis. `delayed`: whether there may be a delay, so that phase crossings are
+    countless where |L| is small; up to `follow` (ln ω) the phase is followed however
+    small |L| is. `ends`: L at ω → 0 and ω → ∞ if it has a known limit, else NaN.
+    `system`: the transfer function that L is, `span` ln of its lowest and highest
+    corner or asymptotic gain crossing, and `unstable_poles` those with Re s > 0,
+    conjugates counted; None where they are not known.
     """
 
     response: Callable[[Reals], object]
@@ -72,8 +72,8 @@ class SampledLoop:
         return values
 
     def slope(self, x: Reals) -> Complexes:
-        """d ln L/dx by central differences, one-sided at the upper limit; no number at
-        a pole or zero on the axis.
+        """d ln L/dx by central differences, one-sided at the upper limit; NaN at a pole
+        or zero on the axis.
         """
         above, below = np.minimum(x + _STEP, self.high), x - _STEP
         low, high = np.split(self(np.concatenate([below, above])), 2)

@@ -139,7 +139,7 @@ class PartialFractions:
         )
 
     def improved(self, target: Target, powers: Sequence[int]) -> PartialFractions:
-        """What Newton's method reaches from here, norm by norm."""
+        """The result of Newton's method from here, norm by norm."""
         n, m = len(self.real_logs), len(self.pair_logs)
         values = np.concatenate(
             [self.linear(), self.real_logs, self.pair_logs, self.pair_angles]
@@ -178,8 +178,8 @@ def log_spaced_start(
 def improve(
     start: PartialFractions, target: Target, powers: Sequence[int] = _POWERS
 ) -> PartialFractions:
-    """The best fractions of the start's structure that Newton's method reaches from it,
-    norm by norm.
+    """The best fractions with the structure of the start, by Newton's method, norm by
+    norm.
     """
     return best_residues(start, target).improved(target, powers)
 
@@ -255,7 +255,7 @@ def grow(
 
 
 def finish(candidates: list[PartialFractions], target: Target) -> PartialFractions:
-    """The best of the candidates after the whole ladder of norms."""
+    """The best of the candidates after the full sequence of norms."""
     return min((improve(c, target) for c in candidates), key=lambda c: _cost(c, target))
 
 
@@ -332,7 +332,7 @@ _REAL = 1e-6  # a pair closer than this to the real axis (relative) is two real 
 def relocate(
     start: PartialFractions, target: Target, rounds: int
 ) -> list[PartialFractions]:
-    """Fractions (poles only) after each of the last rounds; each round solves one
+    """Fractions (poles only) after each of the last rounds, each of which solves a
     linear problem.
 
     R = N/σ with N = d + Σ r φ and σ = 1 + Σ c φ over the present poles: P N − F Σ c φ =

@@ -109,8 +109,8 @@ class DiscreteModes:
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:
-    """Whole periods of delay, rounded up, and how far the sample then is ahead of the
-    delayed input [s].
+    """Whole periods of delay, rounded up, and the time by which the sample is then
+    ahead of the delayed input [s].
     """
     steps = delay / period
     # 3 · 0.1 s is 3.0000000000000004 periods of 0.1 s; rounded up to four, it would
@@ -170,8 +170,8 @@ class Expansion:
         return len(self.rates) + 2 * len(self.poles)
 
     def increments(self, times: Reals) -> Reals:
-        """S(t) − S(0) at times [s]: the huge weight of a pole beside 0 would hide all
-        else in S itself.
+        """S(t) − S(0) at times [s]: in S itself, the huge weight of a pole near 0 would
+        mask everything else.
         """
         value = np.expm1(-np.outer(times, self.rates)) @ self.weights
         pairs = np.expm1(np.outer(times, self.poles)) @ self.pole_weights
@@ -250,7 +250,7 @@ class _Modes:
         self.complex: list[Complexes] = [np.empty((2, 0), np.complex128)]
 
     def add_poles(self, z: complex, places: Complexes, weights: Complexes) -> None:
-        """Add 2 Re Σ weights·e^(st) at s = `places`; beside a pole e^z on the real axis
+        """Add 2 Re Σ weights·e^(st) at s = `places`; for a pole e^z on the real axis
         they are real.
         """
         if abs(z.imag - math.pi) < _REAL:
@@ -269,7 +269,7 @@ class _Modes:
         self.add_poles(z, np.array([place]), np.array([weight]))
 
     def expansion(self, shortest: float, tolerance: float) -> Expansion:
-        """Keep what is above 1e-3 · tolerance at the shortest time."""
+        """The modes above 1e-3 · tolerance at the shortest time."""
         (rates, weights), (poles, shares) = (
             np.concatenate(self.real, axis=1),
             np.concatenate(self.complex, axis=1),

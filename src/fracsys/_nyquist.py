@@ -17,7 +17,7 @@ ON_AXIS = 1e-12  # a modulus margin of zero means a closed-loop pole on the axis
 def modulus_margin(
     loop: SampledLoop, x: Reals, values: Complexes
 ) -> tuple[float, float]:
-    """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not
+    """inf |1 + L| and its frequency [rad/s], 0 or inf if it is approached but not
     reached.
     """
     distance = np.abs(1 + values)
@@ -51,14 +51,14 @@ _BESIDE_POLE = 1e3
 def unstable_closed_loop_poles(
     loop: SampledLoop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
 ) -> int | None:
-    """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None where it is
-    not a whole number.
+    """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None if it is not
+    a whole number.
 
     Half the contour suffices, L being real on the positive real axis: from there along
     a small arc to jω_low, up the axis (passing its poles on the right), and along a
-    large arc back. Up the axis the right half plane lies to the right, so that the
-    change is −π (Z − P). A sampled loop (`ends_real`) is real at the Nyquist frequency
-    and needs no second arc.
+    large arc back. On the way up the axis the right half plane lies to the right, so
+    the change is −π (Z − P). A sampled loop (`ends_real`) is real at the Nyquist
+    frequency and needs no second arc.
     """
     ahead = 1 + values
     steps = np.angle(ahead[1:] / ahead[:-1])

@@ -17,8 +17,8 @@ def public_names(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, from its stub.
 
-    The stub beside ``__init__.py`` says each public name once, as editors and type
-    checkers read it: ``from fracsys._margins import margins as margins``.
+    The stub next to ``__init__.py`` lists each public name once, in the form for
+    editors and type checkers: ``from fracsys._margins import margins as margins``.
     """
     homes = {
         alias.name: node.module

@@ -84,7 +84,7 @@ class Quotient:
 
     @property
     def is_meromorphic(self) -> bool:
-        """True where all orders are integers: there is no branch cut."""
+        """True if all orders are integers: there is no branch cut."""
         return all(float(t.order).is_integer() for t in (*self.top, *self.bottom))
 
     def value(self, z: Complexes) -> Complexes:
@@ -97,8 +97,8 @@ class Quotient:
 
     @cached_property
     def misplaced(self) -> Quotient:
-        """The quotient with its poles off by what rounding may make of them, neighbours
-        in opposite directions.
+        """The quotient with its poles shifted by their possible rounding errors,
+        neighbours in opposite directions.
         """
         units = _moduli(self.bottom, self.zeros) / np.abs(
             _rise(self.bottom, self.zeros)
@@ -130,7 +130,7 @@ class Quotient:
 
     @cached_property
     def is_sparse(self) -> bool:
-        """True where no two zeros are close: every pole is simple at any resolution."""
+        """True if no two zeros are close: every pole is simple at any resolution."""
         # A loop over pairs takes a thirtieth of the time of an array of gaps for the
         # two or three zeros of a link, and the same time for ten.
         return all(
@@ -143,9 +143,9 @@ class Quotient:
     ) -> tuple[list[complex], list[Cluster]]:
         """Split the zeros of D into simple ones and clusters.
 
-        Two zeros belong together where they are closer than `reach` (in ln s): what is
-        told apart over the times in question is simple, and its residues are as large
-        as the response.
+        Two zeros belong together if they are closer than `reach` (in ln s): zeros that
+        can be separated over the given times are simple, and their residues are of the
+        size of the response.
         """
         if self.is_sparse:
             return self.zeros.tolist(), []
@@ -179,8 +179,8 @@ class Quotient:
         cluster's zeros.
 
         `radius` (in ln s) is where φ is best evaluated; `clearance` is the distance
-        from the centre to the next singularity of `kernel`. Other poles are respected
-        here. Trapezoid rule on the circle, which converges geometrically.
+        from the centre to the next singularity of `kernel`. The circle also keeps away
+        from other poles. Trapezoidal rule on the circle, which converges geometrically.
         """
         others = [
             abs(z - cluster.centre)
@@ -275,8 +275,8 @@ STRONG = 0.94
 def without_integrator(
     top: tuple[Term, ...], bottom: tuple[Term, ...]
 ) -> tuple[float, tuple[Term, ...]]:
-    """c and the numerator of G - c/s; 0 and all of it where G is no integrator at low
-    frequency.
+    """c and the numerator of G - c/s; 0 and the whole numerator if G is no integrator
+    at low frequency.
     """
     if not top or not same(bottom[-1].order - top[-1].order, 1.0):
         return 0.0, top
@@ -288,5 +288,5 @@ def without_integrator(
 
 
 def singular_order(top: Sequence[Term], bottom: Sequence[Term]) -> float:
-    """a of the strongest s^-a at low frequency, 0 or less for none."""
+    """Exponent a of the strongest s^-a at low frequency; 0 or less if there is none."""
     return bottom[-1].order - top[-1].order if top else 0.0

@@ -356,7 +356,7 @@ def _by_inversion(
 
 @lru_cache(maxsize=64)
 def held_quotient(top: tuple[Term, ...], bottom: tuple[Term, ...]) -> HeldQuotient:
-    """The poles and the low-frequency part of N/D, kept for the next period, hold or
+    """The poles and the low-frequency part of N/D, cached for the next period, hold or
     input.
     """
     return HeldQuotient.of(Quotient.of(top, bottom))

@@ -51,8 +51,8 @@ def log_zeros(
 
     Σ_k a_k e^(α_k z) = 0, with z = ln|s| + j arg s.
 
-    Zeros are sorted by argument, then by modulus; an m-fold zero stands there m times
-    with one value. Zeros on the positive real axis have Im z = 0 exactly, zeros on the
+    Zeros are sorted by argument, then by modulus; an m-fold zero is listed m times with
+    the same value. Zeros on the positive real axis have Im z = 0 exactly, zeros on the
     edge Im z = `angle` exactly. Conjugates (−arg s) are not repeated. A common factor
     s^a (a zero at s = 0, z = −∞) is not listed.
 
@@ -97,10 +97,10 @@ def log_zeros(
 
 
 def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
-    """Zeros of s^gap + ratio = 0 (ratio ≠ 0, gap > 0) by hand: gap z = ln(−ratio) +
-    2πjm, 0 ≤ Im z ≤ angle.
+    """Zeros of s^gap + ratio = 0 (ratio ≠ 0, gap > 0) in closed form: gap z =
+    ln(−ratio) + 2πjm, 0 ≤ Im z ≤ angle.
 
-    What rounding puts beside the edge lies on it.
+    Zeros next to the edge by rounding lie on it.
 
     >>> two_term_zeros(1.0, 2.0, 2.0)
     [1.5707963267948966j]
@@ -289,7 +289,7 @@ def _halton(index: int, base: int) -> float:
 
 
 def settle_clusters(sum_: ExponentialSum, points: Complexes) -> Complexes:
-    """Polish every zero; points that share one multiple zero get the same value.
+    """Refine every zero; points at the same multiple zero get the same value.
 
     m points near one m-fold zero are known to ε^(1/m) only, but that zero is a simple
     one of D^(m−1). The multiplicity is accepted if D … D^(m−2) vanish there within
@@ -347,7 +347,7 @@ def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
 
 
 def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Complexes:
-    """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms a zero) and
+    """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms per zero) but
     certain.
     """
     found: list[complex] = []

@@ -29,7 +29,7 @@ _PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
 def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]:
-    """Return (ln ω, L, quiet): neither ln L nor 1 + L moves far between neighbours
+    """Return (ln ω, L, quiet): neither ln L nor 1 + L changes much between neighbours
     where |L| > quiet.
 
     `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
@@ -99,13 +99,12 @@ def frequency_grid(
     points: int = 300,
     limit: float | None = None,
 ) -> Reals:
-    """Return frequencies [rad/s] that show a loop: `points` even ones and those where
-    it moves fast.
+    """Return frequencies [rad/s] for plotting a loop: `points` evenly spaced ones and
+    those where it changes fast.
 
     The range is two decades beyond the corners of a transfer function; for a callable
-    it is what is left of 1e-6 … 1e6 rad/s when both ends, as far as they are straight
-    lines in a Bode plot, are cut to one decade. `limit` [rad/s] is the highest
-    frequency.
+    it is 1e-6 … 1e6 rad/s, with both ends cut to one decade as far as they are straight
+    lines in a Bode plot. `limit` [rad/s] is the highest frequency.
 
     >>> from fracsys._fractional import s
     >>> w = frequency_grid(100 / (s**2 + 0.02 * s + 100))
@@ -165,9 +164,9 @@ def refined(
 ) -> Reals:
     """Return a grid on which the drawn curve looks smooth.
 
-    `curve` maps x to the two coordinates as they are drawn, in units of the axes'
-    sizes. Intervals are halved while the chords beside a point meet at more than `bend`
-    [rad] and are longer than a line's width.
+    `curve` maps x to the two plotted coordinates, in units of the axes' sizes.
+    Intervals are halved while adjacent chords meet at more than `bend` [rad] and are
+    longer than the width of a line.
     """
     for _ in range(12):
         across, up = curve(x)
@@ -207,9 +206,9 @@ def bracketed_roots(
     """Return the root of a continuous function in each bracket [low, high], to
     rounding.
 
-    The secant keeps the value of the end that stays, halved (Illinois), which is
-    superlinear and cannot stall at one end; a step that would leave its bracket halves
-    it instead.
+    The secant method halves the value at the end that stays (Illinois), which is
+    superlinear and cannot stall at one end; a step that would leave its bracket is
+    replaced by a bisection.
 
     Parameters
     ----------
@@ -249,11 +248,11 @@ def bracketed_roots(
 
 
 def valleys(values: Reals, *, spare: float) -> list[int]:
-    """Indices of the inner points that neither neighbour undercuts, if below `spare`
-    times the least value.
+    """Indices of the inner points not above their neighbours, if below `spare` times
+    the least value.
 
-    Every valley that could hold the infimum and not the lowest point alone: between two
-    points of a sweep a narrow resonance comes closer than either shows.
+    Every valley that may contain the infimum, not only the lowest point: between two
+    points of a sweep a narrow resonance may come closer than at either.
     """
     inner = values[1:-1]
     low = (
@@ -267,8 +266,8 @@ Tendency = Callable[[SampledLoop, Reals], Reals]
 
 
 def gain_level(loop: SampledLoop, x: Reals) -> Reals:
-    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to
-    stay a number.
+    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, so
+    that it stays a number.
     """
     return np.asarray(np.clip(np.log(np.abs(loop(x))), -745.0, 745.0))
 
@@ -297,10 +296,10 @@ def modulus_slope(loop: SampledLoop, x: Reals) -> Reals:
 def zeros_of(
     loop: SampledLoop, tendency: Tendency, brackets: list[tuple[float, float]]
 ) -> list[tuple[float, complex]]:
-    """ln ω of a zero of `tendency` in each bracket, and L there; without a change of
-    sign the better end.
+    """ln ω of a zero of `tendency` in each bracket, and L there; the better end if
+    there is no change of sign.
 
-    A crossing is a zero of its level, an extreme one of its slope.
+    A crossing is a zero of the level, an extreme is a zero of the slope.
     """
     if not brackets:
         return []

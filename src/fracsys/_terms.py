@@ -130,8 +130,8 @@ def shifted(
 
 
 def snap(value: float) -> float:
-    """The decimal of 12 places that `value` is, but for rounding: 1.92 - 0.92 is
-    0.9999999999999999.
+    """The decimal number of 12 places that equals `value` up to rounding: 1.92 - 0.92
+    is 0.9999999999999999.
     """
     # Only where the decimal number is within rounding: √2 stays √2 and does not become
     # 1.414213562373.
@@ -159,8 +159,8 @@ def proportional(a: tuple[Term, ...], b: tuple[Term, ...]) -> bool:
 def cancelled(
     top: Sequence[Term], bottom: Sequence[Term]
 ) -> tuple[Sequence[Term], Sequence[Term]]:
-    """Both sums, or single terms with the same quotient where one sum is a multiple of
-    the other.
+    """Both sums, or single terms with the same quotient if one sum is a multiple of the
+    other.
     """
     # Single terms need no search: `normal` cancels their common factor.
     if len(bottom) < 2 or not proportional(tuple(top), tuple(bottom)):
@@ -230,9 +230,7 @@ def scaled(terms: Iterable[Term], factor: float) -> tuple[Term, ...]:
 
 @dataclass(frozen=True)
 class Notation:
-    """How a sum is written: the product sign, numbers, powers of s, and what is
-    delayed.
-    """
+    """Notation of a sum: the product sign, numbers, powers of s, and delayed parts."""
 
     product: str
     number: str
@@ -340,7 +338,7 @@ def _extreme(
 
 
 def largest(values: Reals) -> float:
-    """Largest modulus, NaN where there is one; two passes and no copy."""
+    """Largest modulus, NaN if there is a NaN; two passes without a copy."""
     return max(float(values.max()), -float(values.min())) if len(values) else 0.0
 
 
@@ -356,7 +354,7 @@ _BYTES = 40
 
 
 def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
-    """Raise `SizeError` where `count` samples need more memory than the machine has;
+    """Raise `SizeError` if `count` samples need more memory than the machine has;
     nothing is allocated.
     """
     # 8 GiB where the system does not report its memory; any machine in use for numpy

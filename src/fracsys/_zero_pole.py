@@ -44,8 +44,8 @@ def zeros_of_fractions(
     """Zeros and gain of direct + Σ parts/(s − poles) with direct ≠ 0: eigenvalues, then
     Aberth's iteration.
 
-    The eigenvalues are right to 1e-16 of the largest pole; zeros five decades below it
-    need the polish.
+    The eigenvalues are accurate to 1e-16 of the largest pole; zeros five decades below
+    it need the refinement.
     """
     # The poles of the inverse realisation are the zeros. Multiplying out the fractions
     # would give a polynomial whose coefficients span forty decades.
@@ -205,7 +205,7 @@ class _Sum:
         return math.fsum(c for c, n, _ in self.terms if n == self.degree)
 
     def zeros(self) -> Complexes:
-        """All zeros of the polynomial that the sum is over its filters' poles."""
+        """All zeros of the numerator polynomial of the sum over its filters' poles."""
         at_origin = np.zeros(min(n for _, n, _ in self.terms), dtype=complex)
         if len(self.terms) == 1:
             return np.concatenate([at_origin, self.terms[0][2].zeros])

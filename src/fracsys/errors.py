@@ -26,8 +26,8 @@ _SENTENCE_LIMIT = 400
 
 
 def value_text(value: object) -> str:
-    """Return repr(value), or its type where Python declines: a whole number of over
-    4300 digits.
+    """Return repr(value), or its type if Python refuses, as for an integer of over 4300
+    digits.
     """
     # An entry of an array is shown as nan or 0.5, not as np.float64(nan). The test uses
     # the name of the module, since this file does not import NumPy.
@@ -40,10 +40,10 @@ def value_text(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Return `text` with everything a terminal would obey written out.
+    """Return `text` with all control characters escaped.
 
-    C0, C1 and bidirectional marks: a name that turns the line round can show another
-    ending.
+    C0, C1 and bidirectional marks: a name that reverses the direction of the line can
+    show another ending.
 
     >>> printable("a\\x1b[31mb\\u202ec")
     'a\\\\x1b[31mb\\\\u202ec'

@@ -108,7 +108,7 @@ _VERBS: dict[str, Verb] = {
 
 
 class Conversation:
-    """The requests of one page, until it goes."""
+    """The requests of one page, until it disconnects."""
 
     def __init__(self, session: Session, socket: WebSocket) -> None:
         self.session, self.socket = session, socket
@@ -125,7 +125,7 @@ class Conversation:
         self._job: Job | None = None
 
     async def run(self) -> None:
-        """Answer until the page goes; what it left under way is stopped."""
+        """Answer until the page disconnects; its unfinished work is stopped."""
         # One task for each kind of drag, and one for everything that must keep its
         # order: a slow exact design must not delay the previews of the next drag.
         tasks = [asyncio.create_task(self._dragged(verb)) for verb in self._awake]

@@ -87,8 +87,8 @@ class _Log:
             self.word = "demo" if source == bundled_log("prbs_30g") else str(source)
 
     def words(self, verb: str, rig: str = "", *more: str) -> str:
-        """The command `verb` on the log, with what was stated of its columns where a
-        rig is named.
+        """The command `verb` on the log, with the statements of its columns if a rig is
+        named.
         """
         # `inspect` lists the content of a file regardless of its interpretation: it has
         # no such options.
@@ -123,7 +123,7 @@ class _Log:
         return (fit.structure if fit else ""), self.session.heldout
 
     def fit_words(self, rig: str) -> str:
-        """The command that makes the model that the design uses."""
+        """The command that creates the model used by the design."""
         structure, heldout = self._fit()
         more = ["--structure", structure] if structure else []
         more += [] if heldout is None else ["--heldout", f"{heldout:g}"]
@@ -209,7 +209,7 @@ def _completed(session: Session) -> dict[str, Any]:
 def as_command(
     request: Mapping[str, Any], rig: str, model: Path | None, out: Path
 ) -> str:
-    """Return the command that makes the design of `request`, byte for byte."""
+    """Return the command that creates the design of `request`, byte for byte."""
     words = ["fraclink", "design", "--rig", rig]
     if model is not None:
         words += ["--model", str(model)]
@@ -224,7 +224,7 @@ def as_command(
 
 
 def as_python(request: Mapping[str, Any], rig: str, model: Path | None) -> str:
-    """Return the lines of Python that make the same design, with the completions of the
+    """Return the lines of Python that create the same design, with the defaults of the
     rig.
     """
     by_file = rig.endswith(".toml")

@@ -23,7 +23,7 @@ _MOST = 10_000
 
 @dataclass
 class History:
-    """The states of a study in their order, and which of them stands.
+    """The states of a study in order, and the index of the current one.
 
     >>> import tempfile
     >>> history = History.of(Path(tempfile.mkdtemp()))
@@ -44,8 +44,8 @@ class History:
 
     @staticmethod
     def of(folder: Path) -> History:
-        """Return the history that `folder` holds; a line that is none of it, such as a
-        torn one, ends it.
+        """Return the history in `folder`; it ends at the first invalid line, such as an
+        incomplete one.
         """
         found = History(folder / _NAME, [])
         if not found.path.is_file():
@@ -60,17 +60,17 @@ class History:
 
     @property
     def state(self) -> dict[str, Any] | None:
-        """The state that stands, None before the first."""
+        """The current state, None before the first."""
         return self.states[self.at] if self.states else None
 
     def add(self, state: Mapping[str, Any]) -> None:
-        """Append `state` behind the one that stands; what had been undone is gone."""
+        """Append `state` after the current one; undone states are discarded."""
         if self.states and dict(state) == self.state:
             return
         self._write({"at": self.at + 1, "state": dict(state)})
 
     def go(self, at: int) -> dict[str, Any]:
-        """Make the state number `at` the one that stands, and return it."""
+        """Make the state number `at` the current one, and return it."""
         if not 0 <= at < len(self.states):
             raise FieldError(
                 "at",
@@ -84,7 +84,7 @@ class History:
         return self.states[at]
 
     def keep(self) -> None:
-        """Remember that the state that stands was kept."""
+        """Record that the current state was kept."""
         if self.states and self.at not in self.kept:
             self._write({"at": self.at, "kept": True})
 

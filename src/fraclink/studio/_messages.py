@@ -38,7 +38,7 @@ _NAME = 40
 
 @dataclass(frozen=True)
 class Message:
-    """One request: its number, what is to be done, and the rest of its object."""
+    """One request: its number, its verb, and the rest of its object."""
 
     seq: int
     verb: str
@@ -56,8 +56,7 @@ class Reply:
         """The length of the head in four bytes, little-endian; the head, padded to 4;
         the curves.
 
-        Numbers that are not finite become null in the head; a curve that holds one is a
-        defect.
+        Non-finite numbers become null in the header; in a curve they are a defect.
         """
         arrays = {
             name: np.atleast_2d(np.asarray(curve, dtype="<f4"))
@@ -86,7 +85,7 @@ def _no_constant(name: str) -> float:
 
 
 def parsed(text: object) -> Message:
-    """Return the request in `text`; FieldError for anything that is not one."""
+    """Return the request in `text`; FieldError if it is not a valid one."""
     if not isinstance(text, str) or len(text) > LONGEST:
         raise _refused(
             "bytes" if not isinstance(text, str) else f"{len(text)} characters"
@@ -117,8 +116,8 @@ def _refused(value: object) -> FieldError:
 
 
 def refusal(error: FraclinkError) -> Reply:
-    """Return an error as an answer: its sentence, and the parts that a page can put
-    beside a field.
+    """Return an error as an answer: its sentence, and the parts that a page can show
+    next to a field.
     """
     head: dict[str, Any] = {"ok": False, "error": str(error)}
     if isinstance(error, FieldError):
@@ -157,11 +156,11 @@ NAMES = tuple(_HINTS)
 
 
 def checked_request(given: object) -> dict[str, Any]:
-    """Return what a page asked for, every option present; None leaves one to the rig or
-    to its rule.
+    """Return the request of a page with every option present; None leaves one to the
+    rig or to its rule.
 
-    Raises FieldError for a name that `fraclink design` does not have, and for a value
-    out of its range.
+    Raises FieldError for an option unknown to `fraclink design`, and for a value out of
+    its range.
 
     >>> checked_request({"gain_crossover": 12, "payloads": [0.02, 0.04]})["payloads"]
     (0.02, 0.04)
@@ -197,7 +196,7 @@ def checked_request(given: object) -> dict[str, Any]:
 
 def wanted_of(request: Mapping[str, Any]) -> dict[str, Any]:
     """Return the request as `design_for` takes it: the margin in radians, the box only
-    where it is wanted.
+    if requested.
     """
     margin = request["phase_margin_deg"]
     rest = {

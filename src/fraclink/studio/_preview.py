@@ -52,8 +52,8 @@ _FASTEST, _WIDEST = (4.0, 100.0)
 
 @dataclass(frozen=True)
 class Subject:
-    """What is designed for: rig and link; and what a preview borrows of the last exact
-    design.
+    """The subject of a design: rig and link; and the part of the last exact design used
+    by a preview.
 
     Of its `law` the poles.
     """
@@ -64,7 +64,7 @@ class Subject:
 
     @cached_property
     def key(self) -> str:
-        """Digest of rig and link: what is drawn of another pair is outdated."""
+        """Digest of rig and link: drawings of another pair are outdated."""
         return hashlib.sha256(repr((self.rig, self.model)).encode()).hexdigest()[:16]
 
     @cached_property
@@ -93,8 +93,8 @@ class Subject:
         return np.geomspace(min(0.1 * slowest, 0.01 * nyquist), nyquist, _POINTS)
 
     def axes(self) -> dict[str, Any]:
-        """What does not change while a hand drags: a page that scaled its axes would
-        hide what it does.
+        """The axes, which are fixed during a drag: with scaled axes the page would hide
+        its effect.
         """
         span = self.rig.payloads
         return {
@@ -108,10 +108,9 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     """Return design, loop and margins of `state`, or the refusal that `fraclink design`
     would print.
 
-    A plain function of its arguments: no file is read or written, nothing is
-    remembered. The law of the answer, where there is one, is `refitted`, and its
-    figures are a preview of those of the exact law. With `fan` the answer has arms of
-    the box, too.
+    A pure function of its arguments: no file is read or written, nothing is stored. The
+    law of the answer, if there is one, is `refitted`, and its figures are a preview of
+    those of the exact law. With `fan` the answer also contains arms of the box.
     """
     try:
         request = checked_request(state)
@@ -126,8 +125,8 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
 
 
 def nearest(subject: Subject, state: object) -> Reply:
-    """Return the state nearest to a refused one: the offer of the refusal, which passed
-    when it was followed.
+    """Return the feasible state nearest to a rejected one: the offer of the error,
+    which passed when followed.
     """
     request = checked_request(state)
     try:
@@ -233,8 +232,8 @@ def _quick(law: Law, made: Design) -> Mapping[str, Any]:
 
 
 def blocks_of(law: Law) -> list[str]:
-    """Return the parameter blocks of `law` in both precisions, as the engine in the
-    page takes them.
+    """Return the parameter blocks of `law` in both precisions for the engine in the
+    page.
     """
     return [
         base64.b64encode(law.in_precision(name).block).decode()
@@ -243,7 +242,7 @@ def blocks_of(law: Law) -> list[str]:
 
 
 def described(made: Design, payloads: Real, margin: Real) -> str:
-    """Return what the plot of margins shows, in a sentence for those who do not see it."""
+    """Return a sentence that describes the plot of margins for those who cannot see it."""
     low, high = made.payloads
     # The points of the plot are fixed while the range is dragged: a narrow range may
     # lie between two of them.
@@ -273,8 +272,8 @@ def described(made: Design, payloads: Real, margin: Real) -> str:
 def map_of(
     subject: Subject, state: object, going: Callable[[], object] = lambda: None
 ) -> dict[str, Any]:
-    """Return which pairs of crossover and margin can be had: noise gain of each cell,
-    −1 where none is.
+    """Return the feasible pairs of crossover and margin: the noise gain of each cell,
+    −1 if infeasible.
 
     It takes seconds: `going` is called before each crossover, and may wait or raise.
     """
@@ -305,8 +304,8 @@ def map_of(
 
 
 def fan_of(made: Design, frequencies: Real) -> dict[str, Real]:
-    """Return gain [dB] and phase [°] of arms at the corners of what fit and rig leave
-    open, at both payloads.
+    """Return gain [dB] and phase [°] of arms at the corners of the box of fit and rig,
+    at both payloads.
 
     Every row is one arm; of more than sixteen corners, sixteen spread over them.
     """

@@ -65,11 +65,11 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
 class Studio:
-    """What all pages of one server share: the session, the token, and since when nobody
-    has looked.
+    """State shared by all pages of a server: the session, the token, and the time since
+    which no page is open.
 
-    `opening` makes the session. It runs beside the server: arrays, optimisation and the
-    study take a second to load, and a browser has the page by then.
+    `opening` creates the session in parallel with the server: arrays, optimisation and
+    the study take a second to load, and by then the browser has the page.
     """
 
     def __init__(
@@ -96,16 +96,16 @@ class Studio:
 
     @property
     def session(self) -> Session:
-        """The open study; waits for it, and raises what opening it raised."""
+        """The open study; waits for it, and raises the errors of opening it."""
         return self._session.result()
 
     @property
     def failed(self) -> bool:
-        """Whether there is no study to show, and never will be."""
+        """Whether opening the study has failed."""
         return self._session.done() and self._session.exception() is not None
 
     def knows(self, token: object) -> bool:
-        """Whether `token` is the one; compared in a time that does not depend on it."""
+        """Whether `token` is correct; compared in constant time."""
         return isinstance(token, str) and hmac.compare_digest(
             token.encode(), self.token.encode()
         )

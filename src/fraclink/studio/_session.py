@@ -59,8 +59,8 @@ class Session:
     """A study in memory, the folder that Keep writes it to, and the states that led to
     it.
 
-    `draft` is a folder for what is not kept, which `close` removes; `source` is the
-    log's file, `upload` the last file that the page sent.
+    `draft` is a folder for unsaved files, which `close` removes; `source` is the log's
+    file, `upload` the last file that the page sent.
     """
 
     def __init__(
@@ -128,12 +128,12 @@ class Session:
         return request
 
     def become(self, study: Study) -> None:
-        """Show another study: what is designed for may have changed with it."""
+        """Show another study, whose rig and link may differ."""
         self.study, self.subject = study, _subject_of(study)
 
     def renew(self) -> None:
-        """Begin a history of its own for another rig: a state of the old one may ask
-        what this has not.
+        """Begin a new history for another rig, which may not support the states of the
+        old one.
         """
         self.history.states, self.history.at = [], -1
         self.state = self._first_state()
@@ -146,11 +146,11 @@ class Session:
         arm_key: object = "",
         newer: Callable[[], bool] = lambda: False,
     ) -> Reply:
-        """Make the design of `state` as `fraclink design` does, its law and its moves;
-        the study has them.
+        """Compute the design of `state` as `fraclink design` does, its law and its
+        moves, and store them in the study.
 
-        `newer` tells whether somebody has asked for something else meanwhile:
-        SupersededError is raised then.
+        `newer` tells whether a newer request has arrived: SupersededError is then
+        raised.
         """
         request, before = checked_request(state), self.study
         if before.runs and request == self.asked:
@@ -189,8 +189,8 @@ class Session:
         return {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
 
     def arm(self, known: object = "") -> dict[str, Any]:
-        """What the engine in the page runs; the key of the arm alone, and its law,
-        where the page has it.
+        """The data of the engine in the page; only the key of the arm, and its law, if
+        the page already has the arm.
         """
         made, law = self.study.design, self.study.law
         if made is None or law is None:
@@ -286,8 +286,8 @@ class Session:
     def keep(self, *, force: bool = False) -> Reply:
         """Write the study to its folder by the functions of the command line.
 
-        Raises FieldError where a file there is not the one that was read or kept,
-        unless `force` is given.
+        Raises FieldError if a file there is not the one that was read or kept, unless
+        `force` is given.
         """
         # Written to the draft first, which shows the files that Keep would write.
         trial = self.draft / "keep"
@@ -345,9 +345,9 @@ class Session:
 def opened(
     place: Path | None, *, rig: Rig | None = None, out: Path = Path("results")
 ) -> Session:
-    """Return the session of a folder of results, a design, a log, or of the rig alone.
+    """Return the session for a folder of results, a design, a log, or the rig alone.
 
-    Raises what reading the file raises.
+    Raises the errors of reading the file.
     """
     if place is None:
         return Session(Study(rig=rig or Rig.named("paper-2023")), out)
@@ -363,7 +363,7 @@ def opened(
 
 
 def bare(study: Study) -> Study:
-    """Return the study without its design, and without all that was made of it."""
+    """Return the study without its design and all results based on it."""
     return replace(
         study, **_BARE, assumptions=study.rig.assumptions if study.rig else ()
     )

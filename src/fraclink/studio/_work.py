@@ -60,15 +60,15 @@ class Job:
         self._lock, self._cancelled = Lock(), False
 
     def cancel(self) -> None:
-        """Kill the process; what it had not finished is lost, and nothing else."""
+        """Kill the process; only its unfinished work is lost."""
         with self._lock:
             self._cancelled = True
             if self._process is not None:
                 self._process.kill()
 
     def done(self, tell: Callable[[Mapping[str, Any]], None]) -> Reply:
-        """Run to the end, with every piece of progress handed to `tell`, and return the
-        study's answer.
+        """Run to the end, passing all progress to `tell`, and return the answer about
+        the study.
         """
         part, options = JOBS[self.verb]
         if getattr(self.study, part) is None:
@@ -251,8 +251,8 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
     """Return moves of arms of a campaign in percent of their goal, one row each, over
     `fan_t` [s].
 
-    `fan_passed` are the first arms that pass, `fan_failed` the first that fail; without
-    rows a curve is left out.
+    `fan_passed` are the first arms that pass, `fan_failed` the first that fail; a curve
+    without rows is omitted.
     """
     law = campaign.law
     # Enough runs to contain _ARMS that pass, even if all failing ones are among them.
@@ -281,8 +281,8 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
 
 
 def proof_of(study: Study) -> dict[str, Any]:
-    """Return what step 6 shows: the statement that was proved, the spread of the arms,
-    the faults.
+    """Return the content of step 6: the proved statement, the spread of the arms, the
+    faults.
     """
     found: dict[str, Any] = {}
     if study.certificate is not None:

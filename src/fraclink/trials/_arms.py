@@ -80,8 +80,8 @@ def unit_paths(campaign: Campaign, times: int = 1) -> Real:
 
 @dataclass(frozen=True)
 class Block:
-    """Some arms of a part, which reference each follows, and the period of each link's
-    vibration [s], shape (R,).
+    """Some arms of a part, the index of the reference that each follows, and the period
+    of each link's vibration [s], shape (R,).
     """
 
     arms: LumpedArms
@@ -89,12 +89,12 @@ class Block:
     vibration: Real
 
     def rows(self, rows: NDArray[np.intp]) -> Block:
-        """Return some of the arms."""
+        """Return the arms at the given indices."""
         return Block(self.arms.rows(rows), self.chosen[rows], self.vibration[rows])
 
 
 def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) -> Block:
-    """Return the block of arms of a part's draws that begins with run `at`."""
+    """Return the block of arms from the draws of a part that begins with run `at`."""
     rig, period = campaign.rig, campaign.law.period
     own = {name: column[at : at + BLOCK] for name, column in values.items()}
     # Equation (5) for each arm: the link is massless, so stiffness and payload
@@ -208,10 +208,9 @@ def _drawn(campaign: Campaign, run: int) -> tuple[dict[str, Real], int]:
 
 @checked
 def arm_of(campaign: Campaign, run: int) -> tuple[Rig, LinkModel, dict[str, float]]:
-    """Return rig and link of run number `run`, and everything that was drawn for it, by
-    name.
+    """Return rig and link of run number `run`, and all values drawn for it, by name.
 
-    Hand them to `simulate` to see what the run would be otherwise.
+    Pass them to `simulate` to vary the run.
     """
     values, at = _drawn(campaign, run)
     own = {name: float(column[at]) for name, column in values.items()}

@@ -386,7 +386,7 @@ class Campaign:
 
 
 def is_campaign(folder: FilePath) -> bool:
-    """Whether the folder is that of a campaign."""
+    """Whether the folder belongs to a campaign."""
     return (folder / FILE).is_file()
 
 

@@ -123,7 +123,7 @@ Measurement = Callable[..., Check]
 
 
 def check_named(words: str) -> Callable[[Evidence], Check]:
-    """Return the requirement that words state: its name, then its numbers and words."""
+    """Return the requirement stated by words: its name, then its numbers and words."""
     name, *rest = words.split()
     values = [_value(word) for word in rest]
     return lambda e: CHECKS[name](e, *values)
@@ -141,7 +141,7 @@ def _value(word: str) -> float | str:
 
 
 def only(e: Evidence, *modes: str) -> Check:
-    """No other mode than `modes` after the law started: no other trip."""
+    """Only `modes` after the law started: no other trip."""
     # A law is idle until it has read both sensors once, with or without a fault.
     begun = int(np.argmax((e.faulty.flags & FLAGS["started"]) != 0))
     allowed = [MODES.index(mode) for mode in modes]
@@ -150,7 +150,7 @@ def only(e: Evidence, *modes: str) -> Check:
 
 
 def flagged(e: Evidence, name: str) -> Check:
-    """Every marked period carries a flag, in that very period."""
+    """Every marked period carries a flag in the same period."""
     missing = int(np.count_nonzero(e.marked & ((e.faulty.flags & FLAGS[name]) == 0)))
     # A fault that was never injected must not pass.
     return Check.at_most(
@@ -186,7 +186,7 @@ def peak_ratio(e: Evidence, limit: float) -> Check:
 
 def peak_over_best(e: Evidence, ratio: float) -> Check:
     """Largest tip error over that of the clean run, or of a law that knows of the fault
-    at once: no law can do better, and a smaller bound asks for more.
+    at once, which no law can surpass; a smaller bound applies in addition.
     """
     best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
     return Check.at_most(
@@ -195,10 +195,10 @@ def peak_over_best(e: Evidence, ratio: float) -> Check:
 
 
 def peak(e: Evidence, limit: float, *phases: str) -> Check:
-    """Largest tip error [rad]; in other phases, how far the tip ran after the fault.
+    """Largest tip error [rad]; in other phases, the motion of the tip after the fault.
 
-    A drive that is switched off at the beginning of a move leaves the whole move
-    undone, which is no harm.
+    A drive that is switched off at the beginning of a move omits the whole move, which
+    is harmless.
     """
     if e.case.phase in (phases or PHASES):
         return Check.at_most("peak tip error [rad]", e.peak, limit)
@@ -220,8 +220,8 @@ def bounded(e: Evidence, limit: float) -> Check:
 
 
 def settled(e: Evidence, after: float) -> Check:
-    """The tip is within 0.02 rad of reference or clean run from `after` [s] behind the
-    fault on.
+    """The tip is within 0.02 rad of reference or clean run, starting `after` [s] after
+    the fault.
     """
     # The clean run is included, since the move itself also has an error.
     tip = e.faulty.tip_angle
@@ -259,12 +259,11 @@ def settling(e: Evidence, ratio: float) -> Check:
 
 
 def recovery(e: Evidence, ratio: float) -> Check:
-    """Settling of the move back over that of a law that was never asked for more than
-    it could give.
+    """Settling of the return move relative to that of a law that was never given an
+    impossible reference.
 
-    Not over the clean run: whoever stands at the limit joins a reference that comes
-    back at full speed, and the blow of that speed rings the link, whatever the law
-    remembers.
+    Not relative to the clean run: an arm at its limit joins the returning reference at
+    full speed, and this shock excites the link whatever the state of the law.
     """
     assert e.best is not None  # faults.toml states it  # noqa: S101
     # 2 % of the return move
@@ -282,8 +281,8 @@ def _last_outside(run: Run, band: float, e: Evidence) -> float:
 
 
 def noise_bound(e: Evidence, *deviations: float) -> Check:
-    """rms of the command against Ms σ/c ‖Ĉ‖₂: the sensitivity amplifies what the
-    correction passes.
+    """RMS of the command against Ms σ/c ‖Ĉ‖₂: the sensitivity amplifies the noise
+    passed by the correction.
     """
     # Midpoints of 4096 equal parts of the band up to the Nyquist frequency: this rule
     # converges exponentially for a periodic function such as Ĉ(z).
@@ -299,11 +298,11 @@ def one_count(e: Evidence, *counts: float) -> Check:
 
 
 def jitter_peak(e: Evidence, ratio: float) -> Check:
-    """More than clean by a ratio, and by what two instants of sampling, each off by 1
-    ms, are apart at full speed.
+    """Exceeds the clean run by at most a ratio plus the motion at full speed between
+    two sampling instants that are each off by 1 ms.
 
-    The arm follows the table of the reference by what it sampled before, and is seen at
-    an instant that is off the other way: 2 v δ, which no law can know of.
+    The arm follows the reference according to its previous sample, and is observed at
+    an instant shifted the other way: 2 v δ, which no law can know.
     """
     speed = float(np.abs(np.diff(e.clean.reference)).max()) / e.law.period
     limit = ratio * e.clean_peak + 2 * speed * JITTER
@@ -311,12 +310,12 @@ def jitter_peak(e: Evidence, ratio: float) -> Check:
 
 
 def gap_peak(e: Evidence, ratio: float, *periods: float) -> Check:
-    """More than clean by a ratio, and by what the motor has gone astray by before the
-    law is called again.
+    """Exceeds the clean run by at most a ratio plus the deviation of the motor before
+    the law is called again.
 
-    While the task does not run, the motor keeps its last voltage, that of one sample of
-    noise: up to there the two runs have the same noise, so that the difference of their
-    motors is the gap's alone.
+    While the task does not run, the motor keeps its last voltage, which includes one
+    sample of noise. Until then the two runs have the same noise, so the difference of
+    their motors is due to the gap alone.
     """
     back = e.row + int(e.pick(*periods))
     astray = abs(float(e.faulty.motor_angle[back] - e.clean.motor_angle[back]))
@@ -324,8 +323,8 @@ def gap_peak(e: Evidence, ratio: float, *periods: float) -> Check:
 
 
 def off_at_once(e: Evidence, *periods: float) -> Check:
-    """The watchdog has already stopped the drive; the law must know by itself that it
-    was away, and say so at its first call.
+    """The watchdog has already stopped the drive; the law must detect by itself that it
+    was not called, and report it at its first call.
     """
     reaction = reacts(e, "off", math.inf, "missed periods")
     calls = e.reacted - e.pick(*periods) if reaction.passed else math.inf
@@ -369,7 +368,7 @@ def blind_is_idle(e: Evidence) -> Check:
 
 
 def wiring(e: Evidence, which: str, wanted: str) -> Check:
-    """What the wiring test says of the faulty or the clean run."""
+    """The result of the wiring test for the faulty or the clean run."""
     run = e.clean if which == "clean" else e.faulty
     answer = e.law.check_wiring(run.motor_angle_measured, run.torque_measured)
     name = f"wiring test of the {which} run (it says: {answer})"
@@ -377,12 +376,13 @@ def wiring(e: Evidence, which: str, wanted: str) -> Check:
 
 
 def swap_reaction(e: Evidence) -> Check:
-    """Off; or no harm, where the exchange is over before its readings were incredible
-    for a guard's time.
+    """The drive is off, or no harm is done if the exchange ends before its readings
+    were incredible for the time of a guard.
 
-    A torque that lies within `residual_angle` of the motor's model is, to every guard,
+    For every guard, a torque within `residual_angle` of the motor's model looks like
     the angle of a good encoder: in the first quarter of a second of a move no law can
-    tell. What is left is the harm, for which the limit is that of a flipped bit.
+    detect the exchange. Only the harm remains to be tested, with the limit of a flipped
+    bit.
     """
     off = reacts(e, "off", math.inf, "encoder", "motor away from its model")
     if off.passed or e.detail == "for ever":
@@ -412,11 +412,11 @@ def hit_reaction(e: Evidence) -> Check:
 
 
 def hunting(e: Evidence, limit: float, *factors: float) -> Check:
-    """Half the peak-to-peak at rest: a limit, or what friction that is not compensated
-    holds the motor by.
+    """Half the peak-to-peak motion at rest: at most a limit, or the angle at which
+    uncompensated friction holds the motor.
 
     Within (x - 1) times the compensated voltage over the motor loop's stiffness, the
-    proportional action does not move the motor; only the integral does, and hunts
+    proportional action does not move the motor; only the integral does, and it hunts
     through that band.
     """
     loop = e.law.motor_loop
@@ -453,7 +453,7 @@ def _quiet(e: Evidence, seconds: float) -> tuple[NDArray[np.uint32], bytes]:
 
 
 def denormals(e: Evidence, *seconds: float) -> Check:
-    """Denormal numbers in the law's memory after long quiet."""
+    """Denormal numbers in the law's memory after a long rest."""
     memory = np.frombuffer(_quiet(e, e.pick(*seconds))[1], dtype=np.uint8)
     real = np.float32 if e.law.precision == "single" else np.float64
     reals = memory[4 * WORDS :].view(real)

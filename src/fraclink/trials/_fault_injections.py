@@ -39,7 +39,7 @@ COLUMNS = {
 
 
 def inject(trial: Trial, steps: Sequence[Mapping[str, Any]]) -> None:
-    """Do to a trial what the steps of a fault say, at the severity of its case."""
+    """Apply the steps of a fault to a trial, at the severity of its case."""
     for step in steps:
         options = {
             name: value[trial.case.severity - 1] if isinstance(value, list) else value
@@ -63,7 +63,7 @@ def reading(
     alternate: bool = False,
 ) -> None:
     """Replace a sensor's readings: for some samples or seconds, or for a second in
-    single samples with good ones in between.
+    isolated samples with good ones in between.
     """
     if every:
         # The law counts consecutive bad samples: any number of isolated ones must not
@@ -98,7 +98,7 @@ def add(
     seconds: float = math.inf,
     per_second: bool = False,
 ) -> None:
-    """Add to an input from the fault on, or a rate of it."""
+    """Add a constant or a ramp to an input from the fault on."""
     rows = trial.rows(seconds)
     time = trial.period * np.arange(len(trial.inputs[rows]))
     trial.inputs[rows, COLUMNS[to]] += value * (time if per_second else 1.0)
@@ -116,7 +116,7 @@ def put(
     seconds: float = math.inf,
     mark: bool = False,
 ) -> None:
-    """Put a number in the place of an input."""
+    """Replace an input by a number."""
     rows = trial.rows(seconds)
     trial.inputs[rows, COLUMNS[to]] = value
     trial.marks[rows] |= mark
@@ -151,12 +151,12 @@ def swap(trial: Trial, seconds: float) -> None:
 
 
 def scale_encoder(trial: Trial, factor: float) -> None:
-    """Count from when the reading of the motor differs from its angle by more than a
-    good one may.
+    """Scale the encoder; the fault counts from the time at which its reading differs
+    from the motor angle by more than a good one may.
 
-    At zero angle the fault does not show: `residual_angle` is what a motor may be away
-    from its model. The motor is where its reference was a lag of 2/p + 1.5 T ago, the
-    one that the guards count on, too.
+    At zero angle the fault does not show: `residual_angle` is the allowed deviation of
+    a motor from its model. The motor is where its reference was a lag of 2/p + 1.5 T
+    ago, the lag that the guards also assume.
     """
     trial.inputs[trial.row :, columns.ENCODER_GAIN] = factor
     lag = round((2 / trial.law.motor_loop_pole + 1.5 * trial.period) / trial.period)
@@ -166,7 +166,9 @@ def scale_encoder(trial: Trial, factor: float) -> None:
 
 
 def jitter(trial: Trial, kind: str) -> None:
-    """Move the sampling instants by up to one step of the twin, 1 ms; their mean stays."""
+    """Shift the sampling instants by up to one step of the twin, 1 ms, without changing
+    their mean.
+    """
     shifts = trial.chance.integers(-1, 2, trial.count)
     if kind == "alternating":
         shifts = np.resize([1, -1], trial.count)
@@ -182,7 +184,9 @@ def jitter(trial: Trial, kind: str) -> None:
 
 
 def miss(trial: Trial, periods: int, *, watchdog: bool = False) -> None:
-    """Do not run the task; the next period is marked, where the law can first tell."""
+    """Do not run the task; the next period is marked, in which the law can first detect
+    it.
+    """
     trial.set_bits(slice(trial.row, trial.row + periods), "tick missed")
     trial.marks[trial.row + periods] = True
     if watchdog:
@@ -211,15 +215,15 @@ def repeat(trial: Trial, times: int) -> None:
 
 
 def limit(trial: Trial, name: str, value: float = 0.0, share: float = 0.0) -> None:
-    """Give the law another limit: a value, or a share of its own."""
+    """Change a limit of the law to a value, or to a share of its own."""
     own: dict[str, Any] = asdict(trial.law.limits)
     limits = replace(trial.law.limits, **own | {name: value or share * own[name]})
     trial.use(replace(trial.law, limits=limits))
 
 
 def slow_motor_loop(trial: Trial, share: float) -> None:
-    """Place the law's own motor loop slower than the correction counts on, as with a
-    motor that was identified wrongly.
+    """Place the law's own motor loop slower than the correction assumes, as with a
+    wrongly identified motor.
     """
     pole = share * trial.law.motor_loop_pole
     pid = place_pid(trial.bench.rig.motor, pole).discretize(trial.period)
@@ -242,15 +246,15 @@ def self_test(trial: Trial) -> None:
 
 
 def without_gauge(trial: Trial) -> None:
-    """Let the law give up its gauge in the very period of the fault."""
+    """Make the law give up its gauge in the period of the fault."""
     # the four copies of the mode
     degraded = MODES.index("degraded")
     trial.at(trial.row, lambda arm: arm.law.__setitem__(slice(4, 8), degraded))
 
 
 def asked_for_less(trial: Trial) -> None:
-    """Give the law a reference that ends where its motor ends: nothing is left that
-    could be wound up.
+    """Give the law a reference that ends where its motor stops, so that nothing can
+    wind up.
     """
     most = trial.law.limits.motor_limit
     beyond = trial.inputs[:, columns.REFERENCE] > most
@@ -361,21 +365,21 @@ def change_payload(trial: Trial, factor: float) -> None:
 
 
 def stand(trial: Trial, away: float) -> None:
-    """Let the arm stand away from its reference at first [rad]."""
+    """Start the arm away from its reference [rad]."""
     # The arm is moved instead of the reference, so that the following move is that of
     # all other faults.
     trial.start_angle += away
 
 
 def wall(trial: Trial, ahead: float) -> None:
-    """Put a stop in the way of the tip, ahead of where the move is [rad]."""
+    """Place an obstacle in the way of the tip, ahead of the move [rad]."""
     if ahead:
         angle = float(trial.wanted[trial.row]) + ahead
         trial.at(trial.row, Obstacle(0.0, trial.count * trial.period, angle).act)
 
 
 def quiet(trial: Trial, seconds: float) -> None:
-    """Leave the gauge's noise out of the last seconds of the run."""
+    """Remove the gauge's noise from the last seconds of the run."""
     last = round(min(seconds / trial.period, trial.count))
     trial.inputs[trial.count - last :, columns.GAUGE_ERROR] = trial.twin.gauge.offset
 

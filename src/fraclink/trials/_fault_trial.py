@@ -130,7 +130,7 @@ class Bench:
 
 
 class Trial:
-    """A run before it begins, open to be tampered with. Internal, mutable."""
+    """A run before it begins, in which faults can be injected. Internal, mutable."""
 
     def __init__(
         self, bench: Bench, case: Case, law: Law, reference: Reference, duration: float
@@ -177,7 +177,7 @@ class Trial:
         return np.asarray(rows[rows >= 2])
 
     def at(self, row: int, action: Action) -> None:
-        """Do `action` to the arm just before period `row`."""
+        """Apply `action` to the arm just before period `row`."""
         self.actions.setdefault(row, []).append(action)
 
     def set_bits(self, rows: Rows, fault: str) -> None:

@@ -110,8 +110,8 @@ Builder = Callable[[], Rival]
 
 
 def open_guards(law: Law) -> Law:
-    """Return the law with guards that never act: what is compared is control, for all
-    rivals alike.
+    """Return the law with guards that never act, so that all rivals are compared by
+    their control alone.
     """
     # All thresholds except the fade, which is not a threshold: the values are angles,
     # torques and speeds.
@@ -124,15 +124,15 @@ def open_guards(law: Law) -> Law:
 
 
 def motor_alone(law: Law) -> Law:
-    """Return the motor loop of the law alone: the motor follows the reference, and
-    nothing looks at the tip.
+    """Return the motor loop of the law alone: the motor follows the reference without
+    any feedback from the tip.
     """
     return replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
 
 
 def builders(design: Design) -> dict[str, Builder]:
-    """Return how every rival is made, fraclink first; tuning happens when a builder is
-    called.
+    """Return a builder for every rival, fraclink first; tuning happens when a builder
+    is called.
     """
     link = design.model.at_payload(design.rig.payloads.nominal)
     w, ratio = integer_mode(link)
@@ -274,8 +274,8 @@ def integer_mode(model: LinkModel) -> tuple[float, float]:
 
 
 def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
-    """Return gain·(1 + s/ω)/(1 + T s), with a notch at the second mode where the link
-    knows one.
+    """Return gain·(1 + s/ω)/(1 + T s), with a notch at the second mode if the link has
+    one.
     """
     w, _ = integer_mode(link)
     above, below = np.array([gain / w, gain]), np.array([FILTER_TIME, 1.0])
@@ -296,9 +296,9 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     """Return an LQG correction with the gauge's offset as a state of its Kalman filter.
 
     The regulator minimises Σ tip² + u²/weight of the held and delayed arm. The filter
-    takes a motor reference noise of 10 mrad, the gauge's noise, and an offset that
-    walks 3 mrad in ten seconds; the controller works on the tip error, so the offset it
-    has found is left alone.
+    assumes a motor reference noise of 10 mrad, the gauge's noise, and an offset with a
+    random walk of 3 mrad in ten seconds; the controller uses the tip error, so it does
+    not compensate the estimated offset.
     """
     rig = tuned_for.rig
     period, pole, delay = rig.period, rig.motor_loop.pole, rig.motor_loop.delay_samples
@@ -356,8 +356,8 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
 
 
 def zv_impulses(frequency: float, ratio: float) -> tuple[tuple[float, float], ...]:
-    """Return the zero-vibration shaper of a mode of `frequency` [rad/s], (1, K): what
-    half a damped period leaves of a vibration is K = exp(−ζπ/√(1 − ζ²)).
+    """Return the zero-vibration shaper of a mode of `frequency` [rad/s], (1, K): after
+    half a damped period, K = exp(−ζπ/√(1 − ζ²)) of a vibration remains.
 
     Singer and Seering, ASME J. Dyn. Sys. 112 (1990) 76.
 

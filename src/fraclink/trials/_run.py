@@ -183,7 +183,7 @@ def _computed(
 
 @contextmanager
 def cluster(scheduler: str) -> Iterator[Executor]:
-    """Give the workers of a Dask scheduler."""
+    """Provide the workers of a Dask scheduler."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -212,10 +212,10 @@ def cluster(scheduler: str) -> Iterator[Executor]:
 
 @contextmanager
 def process_pool(workers: int) -> Iterator[Executor]:
-    """Give a pool of `workers` processes; at the end what waits is cancelled and what
-    runs is awaited.
+    """Provide a pool of `workers` processes; at the end waiting tasks are cancelled and
+    running ones are awaited.
 
-    Raises FieldError where a worker dies: because each runs the user's script again, or
+    Raises FieldError if a worker dies, because it executes the user's script again or
     because the system ends it.
     """
     # spawn: a forked child could inherit threads of numerical libraries that hold a
@@ -261,8 +261,8 @@ def _unguarded_script() -> Path | None:
 
 
 def part_path(folder: Path, part: int) -> Path:
-    """Return the file of a part; its number has seven digits, so that names sort as
-    numbers do.
+    """Return the file of a part; its number has seven digits, so that names sort like
+    numbers.
     """
     return folder / PARTS.replace("*", f"{part:07d}")
 
@@ -270,8 +270,8 @@ def part_path(folder: Path, part: int) -> Path:
 @document("campaign-part", container="npz")
 @dataclass(frozen=True, eq=False)
 class CampaignPart:
-    """A finished part: of which campaign and which part, and its columns by name, one
-    value for each run; what is true or false is 1 or 0.
+    """A finished part: its campaign and number, and its columns by name, one value per
+    run; booleans are 1 or 0.
     """
 
     fingerprint: str
@@ -297,7 +297,7 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
 
 
 def read_part(campaign: Campaign, folder: Path, part: int) -> Mapping[str, Real] | None:
-    """Return the columns of a finished part; None where the file is missing, damaged,
+    """Return the columns of a finished part; None if the file is missing, damaged,
     edited or of another campaign.
     """
     try:

@@ -153,7 +153,7 @@ def run(
 
 
 def examined(rig: Rig, log: Experiment) -> Study:
-    """Return the study of a log with what its examination found."""
+    """Return the study of a log with the findings of its diagnosis."""
     return Study(
         rig, log, (*rig.warnings, *diagnose(log, rig)), assumptions=rig.assumptions
     )
@@ -165,7 +165,7 @@ def identified(
     """Return the study with all four structures fitted.
 
     `structure` is used, or the one that the log supports; `heldout` is the share of
-    samples at the end that the fits do not see, as in `identify`.
+    samples at the end that the fits do not use, as in `identify`.
     """
     assert study.rig is not None and study.experiment is not None  # noqa: S101
     rig, log = study.rig, study.experiment
@@ -179,8 +179,8 @@ def identified(
 
 
 def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
-    """Return what a design of the study is made for: rig, link, and what had to be
-    assumed of it.
+    """Return the subject of a design of the study: rig, link, and the assumptions about
+    it.
 
     Raises FieldError where the study has neither a fit nor a rig with a model.
     """
@@ -212,7 +212,7 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
 def designed(study: Study, **wanted: Any) -> Study:
     """Return the study with a design and its law; `wanted` as in `design_for`.
 
-    The law is None where no law follows the controller, which is a finding of the
+    The law is None if no law represents the controller, which is a finding of the
     design.
     """
     rig, model, assumed = subject(study)
@@ -228,8 +228,8 @@ def designed(study: Study, **wanted: Any) -> Study:
 
 
 def moved(study: Study) -> Study:
-    """Return the study with moves of the model and of the twin: both ends of the payload
-    range, the nominal one within.
+    """Return the study with moves of the model and of the twin: at both ends of the
+    payload range and at the nominal payload.
     """
     assert study.design is not None  # noqa: S101
     low, high = study.design.payloads

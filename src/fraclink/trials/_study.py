@@ -36,10 +36,10 @@ _FILES = ("rig", "experiment", "fit", "design", "law", "certificate", "arms", "f
 
 @dataclass(frozen=True)
 class Refusal:
-    """A request that no controller meets, and the nearest one that can be met, as
-    arguments of `design`.
+    """A request that no controller meets, and the nearest feasible one, as arguments of
+    `design`.
 
-    Both are empty where the condition names none.
+    Both are empty if the condition names none.
     """
 
     asked: Mapping[str, float]
@@ -47,7 +47,7 @@ class Refusal:
 
     @classmethod
     def of(cls, wanted: Mapping[str, Any], nearest: Mapping[str, float]) -> Refusal:
-        """What was asked for of the values that the nearest request names."""
+        """The requested values of the quantities in the nearest request."""
         asked = {
             name: float(wanted[name])
             for name in nearest

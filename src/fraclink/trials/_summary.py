@@ -50,10 +50,9 @@ WORST = 5
 
 @dataclass(frozen=True)
 class Quantile:
-    """A quantile and its 95 % interval, free of any distribution: order statistics of
-    the sample.
+    """A quantile and its distribution-free 95 % interval from order statistics.
 
-    An end of the interval is infinite where the sample is too small to bound it.
+    An end of the interval is infinite if the sample is too small to bound it.
     """
 
     probability: float
@@ -74,13 +73,13 @@ class MetricSummary:
     drivers: tuple[tuple[str, float], ...]
 
     def row(self, label: str, value: float) -> Row:
-        """A value of the metric; infinite is a time that never comes."""
+        """A value of the metric; an infinite time means never."""
         unit = UNITS[self.name]
         return Row(self.name, label, value, unit, digits=3, infinite="never")
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """Its quantiles over the arms, and what drives it most."""
+        """Its quantiles over the arms, and its strongest driver."""
         # Only the strongest driver; the report of the campaign shows all of them.
         strong = [(name, r) for name, r in self.drivers[:1] if abs(r) >= WEAK]
         driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in strong)
@@ -119,7 +118,7 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """The claim in words, with the number of runs a stronger one needs."""
+        """The claim in words, with the number of runs needed for a stronger one."""
         claim = f"{self.count} of {self.runs} runs failed"
         if self.count:
             interval = f"95 % interval {100 * self.low:.3g} to {100 * self.high:.3g} %"
@@ -228,7 +227,7 @@ def _given(campaign: Campaign) -> str:
 
 def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
     """Return all columns of the finished parts of a campaign's folder, by name;
-    FieldError where no part is finished.
+    FieldError if no part is finished.
     """
     place = Path(folder)
     # Files are counted instead of parts: a campaign of 10⁹ runs that has just begun has

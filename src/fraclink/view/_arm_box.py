@@ -52,8 +52,8 @@ _LONGEST_SHARE = 0.75  # share of half a run: the tip settles in the rest of it
 
 @dataclass(frozen=True)
 class ArmBox:
-    """What a template of `arm_box.html` needs around it; all of it is the package's own
-    or escaped.
+    """The data of the template `arm_box.html`; all of it comes from the package or is
+    escaped.
     """
 
     data: str
@@ -66,10 +66,10 @@ class ArmBox:
 def arm_box(
     study: Study, design: Design, *, payloads: int = MOST_PAYLOADS, twin: bool = True
 ) -> ArmBox | None:
-    """Return the arm of a design; `payloads`: how many its slider has, 2 to 4 kB each;
-    with its twin or not.
+    """Return the arm of a design; `payloads`: their number on the slider, 2 to 4 kB
+    each; with or without its twin.
 
-    None where the model vibrates too fast for the law's period with every payload.
+    None if the model vibrates too fast for the law's period with every payload.
     """
     # Wrapped, so that no script of the page shares their names.
     script = "(() => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
@@ -142,9 +142,7 @@ def _packed(data: bytes) -> str:
 
 
 def assumed_mass(design: Design) -> float:
-    """Mass of the twin's link [kg]: the rig's, or one that is assumed where it states
-    none.
-    """
+    """Mass of the twin's link [kg]: the rig's, or an assumed one if it states none."""
     return design.rig.link.mass or DEFAULT_MASS
 
 

@@ -46,10 +46,9 @@ _ROW = 15.0  # dots between two lines of text
 
 @dataclass(frozen=True)
 class Panel:
-    """What is drawn over one vertical scale; its label stands above it, where it can be
-    read.
+    """The drawing over one vertical scale, with its label above it.
 
-    scale: the vertical one; without it that of everything drawn.
+    scale: the vertical one; by default that of everything drawn.
     """
 
     label: str
@@ -66,12 +65,12 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels over one another on one horizontal scale.
+    """Stacked panels with a common horizontal scale.
 
-    name: unique on its page. description: what a reader who does not see it is told.
-    link: figures of one link share their cursor. scale: the horizontal one; without it
-    that of everything drawn, from end to end, with a logarithmic axis where `log`.
-    left: dots for the vertical scale's texts.
+    name: unique on its page. description: text for readers who cannot see it. link:
+    figures of one link share their cursor. scale: the horizontal one; without it that
+    of everything drawn, from end to end, with a logarithmic axis where `log`. left:
+    dots for the vertical scale's texts.
     """
 
     name: str
@@ -95,7 +94,7 @@ class Figure:
         return self.scale or Scale.around(*places, room=0.0, log=self.log)
 
     def inline(self) -> str:
-        """The drawing as an element of a page that has `figure.css`."""
+        """The drawing as an element of a page with `figure.css`."""
         if self.rigid:
             # A plane must keep its proportions, so it has a viewBox like a file; the
             # page already provides style and background.
@@ -113,7 +112,9 @@ class Figure:
         return f'<svg class="fl" id="fig-{self.name}" role="img" {label} {data} style="{style}">{body}</svg>'
 
     def alone(self) -> str:
-        """The drawing as a file, or as a cell's: with its own style, in both themes."""
+        """The drawing as a file or for a notebook cell: with its own style, in both
+        themes.
+        """
         body, height, right = self._body()
         # Both axes of a rigid figure have the same scale, so it is as wide as high.
         across = self.panels[0].height if self.rigid else self.width - self.left - right
@@ -166,8 +167,8 @@ figure_of: _SingleDispatchCallable[Figure | str | None] = singledispatch(_no_fig
 
 
 def save_svg(text: str, path: Path | str) -> None:
-    """Write a drawing to a file, whole or not at all; FieldError for a file of another
-    kind.
+    """Write a drawing to a file, completely or not at all; FieldError for a file of
+    another kind.
     """
     # No program could open an SVG file named .png or .pdf: rejected before anything is
     # written.
@@ -183,7 +184,7 @@ def save_svg(text: str, path: Path | str) -> None:
 
 
 def beside(figures: Sequence[Figure], description: str) -> str:
-    """Figures beside one another as one whole SVG, each as wide as it says."""
+    """Figures side by side as one SVG, each with its own width."""
     parts, left, height = [], 0.0, 0.0
     for figure in figures:
         body, high, right = figure._body()
@@ -313,7 +314,7 @@ def _own_style() -> str:
 
 
 def stand_alone(body: str, width: float, height: float, description: str) -> str:
-    """Elements as a whole SVG of `width` by `height` dots on a ground of its own."""
+    """Elements as a separate SVG of `width` by `height` dots with its own background."""
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="fl alone" role="img" width="{width:g}" '
         f'height="{height:g}" viewBox="0 0 {width:g} {height:g}" aria-label="{escaped(description)}">'

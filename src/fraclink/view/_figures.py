@@ -108,7 +108,7 @@ def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Ma
 
 @figure_of.register
 def validation_figure(validation: Validation) -> Figure:
-    """Draw each other log under the prediction of the fit, and what it leaves."""
+    """Draw each other log with the prediction of the fit and its residual."""
     panels = [panel for each in validation.logs for panel in _predicted(each)]
     said = "Logs that the fit has not seen under its prediction, and what it leaves"
     return Figure("validation", said, panels, "time [s]", "log")
@@ -127,8 +127,8 @@ def _predicted(each: LogValidation) -> list[Panel]:
 
 @figure_of.register
 def structure_figure(fit: StructureFit) -> Figure:
-    """Draw what was measured over what the structure says, and what it leaves: in time
-    or over frequency.
+    """Draw measurement, prediction of the structure and residual, over time or
+    frequency.
     """
     return _over_time(fit) if fit.domain == "time" else _over_frequency(fit)
 
@@ -208,7 +208,7 @@ def _start(started: Start) -> Figure:
 
 
 def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
-    """Draw every model's residual of the whole log, on one scale."""
+    """Draw the residual of every model over the whole log, on a common scale."""
     some = next(iter(fits.values()))
     time = some.period * np.arange(some.samples)
     edge = float(time[some.fitted_samples - 1])
@@ -242,7 +242,7 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
 
 @figure_of.register
 def detail_figure(fit: Fit) -> Figure:
-    """Draw the first part of the measured output under its model."""
+    """Draw the first part of the measured output with its model."""
     time, measured = fit.period * np.arange(fit.samples), fit.predicted + fit.residual
     # At least two samples, so that a line is drawn for a short log.
     part = slice(0, max(2, int(_DETAIL * fit.samples)))
@@ -271,8 +271,9 @@ class Estimate:
     """Responses from motor angle to output at `frequency` [rad/s], of the log and of
     its model.
 
-    error: relative to the model's, what noise of the residual's size stays below with
-    95 %; explained: share of the output's power that the model explains.
+    error: relative to the response of the model, the bound that noise of the residual's
+    size meets with 95 %; explained: share of the output's power that the model
+    explains.
     """
 
     frequency: Real
@@ -313,12 +314,12 @@ def _spectra(length: int, *signals: Real) -> list[Complex]:
 
 
 def response_estimate(log: Experiment, fit: Fit) -> Estimate | None:
-    """Estimate the responses of log and model by Welch's means; None where the log is
-    too short for them.
+    """Estimate the responses of log and model by Welch's method; None if the log is too
+    short.
 
-    Both are seen through the same windows, which flatten a sharp resonance alike. Their
-    difference is that of the residual, S_ur/S_uu, whose noise is complex normal of
-    variance S_rr/(n S_uu): with 95 % it is below sqrt(−ln 0.05) of its root.
+    Both use the same windows, which flatten a sharp resonance equally. Their difference
+    is that of the residual, S_ur/S_uu, whose noise is complex normal of variance
+    S_rr/(n S_uu): with 95 % it is below sqrt(−ln 0.05) of its root.
     """
     length = _parts(len(log.time))
     if not length:
@@ -360,11 +361,12 @@ def _independent(lines: Complex) -> float:
 
 
 def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
-    """Frequency [rad/s], the residual's density over that of white noise, and its 99 %
-    band.
+    """Frequency [rad/s], the residual's spectral density relative to that of white
+    noise, and its 99 % band.
 
-    A Welch mean of n independent parts is χ² with 2 n degrees of freedom; the band
-    holds every single line of white noise with 99 %. None where the log is too short.
+    A Welch average over n independent segments is χ² with 2 n degrees of freedom; each
+    line of white noise lies in the band with 99 % probability. None if the log is too
+    short.
     """
     residual = np.asarray(fit.residual[: fit.fitted_samples])
     length = _parts(residual.size)
@@ -429,8 +431,8 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
 
 
 def residual_figure(fit: Fit) -> Figure | None:
-    """Draw the residual's spectrum and the band that 99 % of white noise of the same
-    size stays in.
+    """Draw the residual's spectrum and the band that contains 99 % of white noise of
+    the same size.
     """
     density = residual_density(fit)
     if density is None:

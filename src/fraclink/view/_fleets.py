@@ -101,7 +101,7 @@ def _histogram(name: str, unit: str, column: Real) -> Figure:
 
 
 def strongest(summary: Summary) -> tuple[str, str]:
-    """The two parameters that the settling time depends on most."""
+    """The two parameters on which the settling time depends most."""
     drivers = next(
         metric for metric in summary.metrics if metric.name == "settling_time"
     ).drivers
@@ -112,7 +112,7 @@ def strongest(summary: Summary) -> tuple[str, str]:
 def failures_figure(
     across: Real, up: Real, failed: NDArray[np.bool_], names: tuple[str, str]
 ) -> Figure:
-    """Share of runs that fail over two drawn parameters, whose axes `names` title."""
+    """Failure rate over two drawn parameters, with axes titled `names`."""
     # Cells with 2 · 30 runs on average, so that most of them can be coloured: a share
     # from 30 runs has a standard error of up to 9 %.
     cells = int(np.clip(np.sqrt(across.size / (2 * _FEWEST)), 3, _MOST_CELLS))
@@ -166,7 +166,7 @@ _SIGNS = ("✓", "!", "✗", "✗")
 
 
 def fault_columns(table: FaultTable) -> dict[tuple[int, float], str]:
-    """What the cells of a row stand for, from left to right, by severity and payload."""
+    """The meaning of the cells of a row, from left to right, by severity and payload."""
     cases = {(each.case.severity, each.case.payload) for each in table.outcomes}
     return {
         (severity, payload): f"severity {severity}, {grams(payload)}"
@@ -175,7 +175,7 @@ def fault_columns(table: FaultTable) -> dict[tuple[int, float], str]:
 
 
 def fault_counts(table: FaultTable) -> list[tuple[str, int, int]]:
-    """Each group with its level and how many faults are in it, the worst first."""
+    """Each group with its level and its number of faults, the worst first."""
     counts = Counter(row.group for row in table.rows())
     return [
         (group, level, counts[group]) for level, group in reversed([*enumerate(GROUPS)])
@@ -183,8 +183,8 @@ def fault_counts(table: FaultTable) -> list[tuple[str, int, int]]:
 
 
 def fault_rows(table: FaultTable) -> list[dict[str, Any]]:
-    """The rows of the map, the worst group first: a fault's summary, what the catalogue
-    says of it, its cells, and the command that repeats its worst run.
+    """The rows of the map, the worst group first: a fault's summary, its entry in the
+    catalogue, its cells, and the command that repeats its worst run.
     """
     summaries = sorted(
         table.rows(), key=lambda row: (-GROUPS.index(row.group), row.number)
@@ -282,8 +282,8 @@ def dots_in_columns(
     description: str,
     signs: Sequence[str] = (),
 ) -> str:
-    """Draw a dot for every row and column; the first row is drawn as the one that the
-    others are compared with.
+    """Draw a dot for every row and column; the first row is drawn as the reference for
+    the others.
     """
     figures = []
     count = len(names)

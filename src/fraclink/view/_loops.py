@@ -126,10 +126,10 @@ _REACH = (-2.3, 0.9)
 
 
 def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
-    """Draw L(jω) around −1, and the disk that these curves keep out of.
+    """Draw L(jω) around −1, and the disk that these curves avoid.
 
-    proved: its radius where a certificate states one, min |1 + L| over every payload of
-    the range.
+    proved: its radius if a certificate states one, min |1 + L| over all payloads of the
+    range.
     """
     turn = np.exp(1j * np.linspace(0, 2 * math.pi, 181))
     payloads = payloads_of(design)
@@ -161,11 +161,10 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
 
 
 def margins_figure(design: Design) -> Figure:
-    """Draw phase margin and crossover over the payload: on paper, and what is left in
-    the loop that runs.
+    """Draw phase margin and crossover over the payload: ideal, and in the real loop.
 
-    The band is that of the corners of the box of parameters: the one that the design
-    states, or what fit and rig leave open.
+    The band covers the corners of the parameter box: that of the design, or that of fit
+    and rig.
     """
     low, high = design.payloads
     # Below the range the mode is fast and the margin falls quickly; above it the margin
@@ -298,11 +297,11 @@ def map_figure(
     request: tuple[float, float] | None = None,
     nearest: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw which crossovers and margins are feasible, darker where the gauge's noise is
+    """Draw the feasible crossovers and margins, darker where the gauge's noise is
     amplified more.
 
-    `request` and `nearest` (ω_c [rad/s], φ_m [rad]): what was asked for, and the
-    nearest that can be had.
+    `request` and `nearest` (ω_c [rad/s], φ_m [rad]): the request, and the nearest
+    feasible one.
     """
     across, up = region.gain_crossover, np.degrees(region.phase_margin)
     x, y = (_edges(values) for values in (across, up))

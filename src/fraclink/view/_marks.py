@@ -45,18 +45,18 @@ _ASIDE = 0.55
 
 
 def escaped(text: object) -> str:
-    """`text` as it may stand in an element or an attribute."""
+    """`text` escaped for an element or an attribute."""
     return html.escape(str(text))
 
 
 def percent(share: float) -> str:
-    """A place across as a share of the width."""
+    """A horizontal position as a percentage of the width."""
     return f"{100 * share:.2f}".rstrip("0").rstrip(".") + "%"
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A panel's place: its scales, and its upper edge and height in dots."""
+    """The frame of a panel: its scales, and its upper edge and height in dots."""
 
     x: Scale
     y: Scale
@@ -66,16 +66,16 @@ class Frame:
     left: float = 46.0
 
     def across(self, value: float) -> str:
-        """A value's place across."""
+        """The horizontal position of a value."""
         return percent(float(self.x.share(value)))
 
     def down(self, value: float) -> float:
-        """A value's place down in dots, inside of the panel."""
+        """The vertical position of a value in dots, inside the panel."""
         share = float(np.clip(np.nan_to_num(self.y.share(value), nan=0.0), 0.0, 1.0))
         return round(self.top + self.height * (1.0 - share), 1)
 
     def path(self, x: ArrayLike, y: ArrayLike, *, dots: bool = False) -> str:
-        """A line through points, or a dot at each; what is not finite is a gap."""
+        """A line through points, or a dot at each; non-finite values are gaps."""
         with np.errstate(invalid="ignore"):
             # A scalar represents a horizontal or vertical line: Curve(w, 0.0) needs no
             # array.
@@ -110,8 +110,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Layers:
-    """What a mark adds to a panel: below the curves, among them, and above; and the
-    label at its end.
+    """The layers of a mark in a panel: below, among and above the curves; and the label
+    at its end.
     """
 
     below: str = ""
@@ -132,7 +132,7 @@ class Curve:
     dashed: bool | None = None  # None: according to its line
 
     def drawn(self, frame: Frame) -> Layers:
-        """The line, and where its name belongs."""
+        """The line, and the position of its name."""
         dash = "" if self.dashed is False else " w" if self.dashed else f" d{self.line}"
         style = f"c{self.line}{dash} {self.weight}".strip()
         if self.weight == "fill":
@@ -171,9 +171,7 @@ class Dots:
     large: bool = False
 
     def drawn(self, frame: Frame) -> Layers:
-        """Strokes without length and with round ends stay round in a box that
-        stretches.
-        """
+        """Strokes of zero length with round ends stay round in a stretched box."""
         large = " large" if self.large else ""
         text = f'<path class="c{self.line} dots{large}" d="{frame.path(self.x, self.y, dots=True)}"/>'
         values = np.asarray(self.y, dtype=float).ravel()
@@ -188,7 +186,7 @@ class Dots:
 
 @dataclass(frozen=True)
 class Band:
-    """The surface between two lines: what is uncertain."""
+    """The area between two lines: an uncertainty."""
 
     x: ArrayLike
     low: ArrayLike
@@ -196,7 +194,7 @@ class Band:
     line: int = 1
 
     def drawn(self, frame: Frame) -> Layers:
-        """One closed path, there on the upper edge and back on the lower."""
+        """A closed path along the upper edge and back along the lower one."""
         x, low, high = (
             np.asarray(v, dtype=float) for v in (self.x, self.low, self.high)
         )
@@ -245,7 +243,7 @@ class Box:
     line: int = 1
 
     def drawn(self, frame: Frame) -> Layers:
-        """It lies on the panel, and keeps its edges in any width."""
+        """The rectangle on the panel, whose edges keep their width at any scale."""
         left, right = (float(frame.x.share(v)) for v in (self.left, self.right))
         top, bottom = sorted((frame.down(self.low), frame.down(self.high)))
         place = f'x="{percent(min(left, right))}" width="{percent(abs(right - left))}"'
@@ -285,7 +283,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class Zone:
-    """A shaded range, of the horizontal scale or with `lying` of the vertical one."""
+    """A shaded range of the horizontal scale, or with `lying` of the vertical one."""
 
     low: float
     high: float
@@ -306,7 +304,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Across:
-    """A level over the whole width, dashed where it is a `limit`, with a text above its
+    """A level over the whole width, dashed if it is a `limit`, with a label above its
     left end.
     """
 
@@ -328,7 +326,7 @@ class Across:
 
 @dataclass(frozen=True)
 class Upright:
-    """A place over the whole height, with a text at its upper end."""
+    """A vertical line over the whole height, with a label at its upper end."""
 
     value: float
     text: str = ""
@@ -350,7 +348,7 @@ class Upright:
 
 @dataclass(frozen=True)
 class Point:
-    """One place with a sign, "dot", "cross", "ring" or none, and a text beside it."""
+    """A point with a sign, "dot", "cross", "ring" or none, and a label next to it."""
 
     x: float
     y: float
@@ -360,7 +358,7 @@ class Point:
     beside: Literal["", "left", "right"] = ""  # "": on the side with more room
 
     def drawn(self, frame: Frame) -> Layers:
-        """The sign in its own small system of dots, so that it keeps its shape."""
+        """The sign in its own coordinates in dots, so that it keeps its shape."""
         x, y = frame.across(self.x), frame.down(self.y)
         shapes = {
             "": "",
@@ -387,7 +385,7 @@ Mark = Curve | Dots | Band | Bars | Box | Cells | Zone | Across | Upright | Poin
 
 
 def reach(mark: Mark) -> tuple[tuple[ArrayLike, ...], tuple[ArrayLike, ...]]:
-    """Return what a mark has to show of the horizontal and of the vertical scale."""
+    """Return the values that a mark must show on the horizontal and the vertical scale."""
     match mark:
         case Curve() | Dots() | Point():
             return (mark.x,), (mark.y,)

@@ -35,8 +35,8 @@ _SIGNS = {"dot": "o", "cross": "x", "ring": "o"}
 def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
     """Draw the panels of `figure` into axes, new ones without `ax`, and return them.
 
-    `style` is that of its curves with a name, as `Axes.plot` takes it. Axes that hold
-    curves already keep them in view.
+    `style` applies to its named curves, as in `Axes.plot`. Existing curves in the axes
+    remain in view.
     """
     axes = _axes(figure, ax)
     for panel, one in zip(figure.panels, axes, strict=True):

@@ -19,13 +19,13 @@ _DRAWINGS = (_figures, _fleets, _loops, _runs, _sketches)
 
 
 def text(result: Any) -> str:
-    """Return what the command line prints of a result."""
+    """Return the output of the command line for a result."""
     return texts.plain_text(texts.view(result))
 
 
 def drawing(result: Any) -> str | None:
-    """Return the drawing of a result as SVG, in the colours of both themes; None where
-    it has none.
+    """Return the drawing of a result as SVG, in the colours of both themes; None if it
+    has none.
     """
     drawn = figure_of(result)
     return drawn if drawn is None or isinstance(drawn, str) else drawn.alone()

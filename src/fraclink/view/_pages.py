@@ -20,13 +20,13 @@ _FOLDER = files("fraclink.view") / "templates"
 
 
 def template_text(name: str) -> str:
-    """Return the text of one of the files beside the templates."""
+    """Return the text of one of the files next to the templates."""
     return (_FOLDER / name).read_text("utf-8")
 
 
 def squeezed(name: str) -> str:
-    """A script or style without indentation and lines of comment: 5 kB, room for two
-    more payloads.
+    """A script or style without indentation and comment lines; this saves 5 kB, the
+    size of two payloads.
     """
     # Including comments of several lines: a second line left in would disable the rule
     # after it.
@@ -38,9 +38,7 @@ def squeezed(name: str) -> str:
 
 
 def rendered(template: str, **contents: object) -> str:
-    """Return the page that `template` makes of `contents`; a name that is missing is an
-    error.
-    """
+    """Return the page from `template` with `contents`; a missing name is an error."""
     try:
         import jinja2
     except ModuleNotFoundError as error:
@@ -87,8 +85,8 @@ def colours(theme: int = LIGHT) -> dict[str, str]:
 
 
 def literal(style: str, theme: int = LIGHT) -> str:
-    """Return a style with its colours by value: a drawing that stands alone has no page
-    to ask.
+    """Return a style with literal colours, since a separate drawing has no page that
+    defines them.
 
     >>> literal("fill:var(--card)")
     'fill:#ffffff'

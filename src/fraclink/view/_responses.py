@@ -57,9 +57,9 @@ class Response:
         *,
         planar: bool = False,
     ) -> Response:
-        """The response of a system on `frequency` [rad/s], or on a grid of its own that
-        looks smooth over frequency or, where `planar`, in the complex plane; a measured
-        one as it was measured; of a design its loop.
+        """The response of a system on `frequency` [rad/s], or on its own grid that
+        looks smooth over frequency or, if `planar`, in the complex plane; a measured
+        response as measured; for a design its loop.
         """
         if isinstance(system, FrequencyResponse):
             return Response(system.frequency, system.response, name)
@@ -118,7 +118,9 @@ class Response:
         return np.asarray(np.degrees(np.append(first, first + np.cumsum(turns))))
 
     def in_plane(self) -> tuple[Real, Real]:
-        """Places in a Nyquist plot around −1; what is far from it need not be smooth."""
+        """Coordinates in a Nyquist plot around −1; far from it the curve need not be
+        smooth.
+        """
         near = np.nan_to_num(self.values)
         across, up = np.clip([near.real, near.imag], -_FAR, _FAR) / _NEAR
         return across, up
@@ -130,7 +132,9 @@ class Response:
         return replace(self, frequency=self.frequency[part], values=self.values[part])
 
     def over_frequency(self) -> tuple[Real, Real]:
-        """Places in a Bode plot, gain and phase at once: both bend at the same places."""
+        """Coordinates in a Bode plot, gain and phase together, since both bend at the
+        same frequencies.
+        """
         x, low_high = np.log(self.frequency), decibel_range(self)
         decibels = np.clip(np.nan_to_num(self.decibels), *low_high)
         degrees = np.nan_to_num(self.degrees)
@@ -141,8 +145,8 @@ class Response:
         return (x - x[0]) / (x[-1] - x[0]), level + turn
 
     def on_sheet(self, frequency: float, degrees: float) -> float:
-        """A phase [°] that is known to the turn, on the turn that is drawn at a
-        frequency [rad/s].
+        """A phase [°] known up to a whole turn, on the turn drawn at a frequency
+        [rad/s].
         """
         logs = np.log(self.frequency)
         drawn = float(np.interp(math.log(frequency), logs, self.degrees))
@@ -167,7 +171,7 @@ def loop_response(
 
 
 def decibel_range(response: Response) -> tuple[float, float]:
-    """What is shown: an undamped resonance is cut 30 dB above the rest."""
+    """The displayed range: an undamped resonance is cut off 30 dB above the rest."""
     usual = np.isfinite(response.decibels)
     if not usual.any():
         return -1.0, 1.0

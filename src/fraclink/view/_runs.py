@@ -118,8 +118,8 @@ def shaped_figure(move: ShapedMove) -> Figure:
 
 
 def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
-    """Run a case again and draw it: tip, motor and gauge beside the clean run, and what
-    the law did.
+    """Run a case again and draw it: tip, motor and gauge with the clean run, and the
+    actions of the law.
     """
     e = observe(bench, outcome.case)
     title = f"{outcome.name}: {fault_named(outcome.case.fault).title}"

@@ -52,10 +52,10 @@ def envelope(
 
 @dataclass(frozen=True)
 class Scale:
-    """Values from `low` to `high` along a side of a panel, on a logarithmic scale where
+    """Values from `low` to `high` along a side of a panel, on a logarithmic scale if
     `log`.
 
-    ticks: places with their texts; chosen where it is left out.
+    ticks: positions with their labels; chosen automatically by default.
     """
 
     low: float
@@ -64,7 +64,7 @@ class Scale:
     ticks: tuple[tuple[float, str], ...] | None = None
 
     def share(self, values: ArrayLike) -> Real:
-        """Where values lie between the ends: 0 to 1."""
+        """The relative position of values between the ends: 0 to 1."""
         at, ends = np.asarray(values, dtype=float), np.array([self.low, self.high])
         # Outside the domain of a logarithmic scale the share is −∞ or NaN, which paths
         # leave out as a gap.
@@ -74,7 +74,7 @@ class Scale:
         return np.asarray((at - ends[0]) / (ends[1] - ends[0]))
 
     def marks(self, most: int) -> tuple[tuple[float, str], ...]:
-        """Places and texts of at most about `most` ticks."""
+        """Positions and labels of at most about `most` ticks."""
         if self.ticks is not None:
             return self.ticks
         return (
@@ -91,8 +91,8 @@ class Scale:
         room: float = 0.06,
         log: bool = False,
     ) -> Scale:
-        """A scale that shows all finite values, at least `least` of them, with some
-        room beside them.
+        """A scale that shows all finite values with some margin, with a span of at
+        least `least`.
         """
         every = np.concatenate(
             [np.asarray(value, dtype=float).ravel() for value in values]
@@ -110,7 +110,7 @@ class Scale:
 
 
 def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
-    """Places at multiples of 1, 2, 2.5 or 5 times a power of ten.
+    """Positions at multiples of 1, 2, 2.5 or 5 times a power of ten.
 
     >>> nice_ticks(0.0, 1.0, 5)
     ((0.0, '0'), (0.2, '0.2'), (0.4, '0.4'), (0.6, '0.6'), (0.8, '0.8'), (1.0, '1'))

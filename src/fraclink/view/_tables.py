@@ -12,13 +12,13 @@ __all__ = ["controller_rows", "margins_table"]
 
 
 def controller_rows(design: Design, law: Law | None = None) -> tuple[Row, ...]:
-    """The controller's parameters, and how its law follows it."""
+    """The controller's parameters, and the accuracy of its law."""
     of_law = () if law is None else law.overview().rows
     return (*design.overview().rows, *of_law)
 
 
 def margins_table(design: Design, payloads: Iterable[float]) -> Table:
-    """Margins at some payloads: of the continuous loop designed for, then of the
+    """Margins at some payloads: of the continuous loop of the design, then of the
     sampled one.
     """
     return Table.of("margins", (_margins(design, payload) for payload in payloads))

@@ -43,8 +43,7 @@ def grams(payload: float | None) -> str:
 
 
 def option(name: str, value: float) -> str:
-    """A keyword argument as the option that stands for it, with every digit that
-    decides.
+    """A keyword argument as its command-line option, with all significant digits.
 
     >>> option("phase_margin", math.radians(50.0)), option("gain_crossover", 12.346)
     ('--phase-margin-deg 50', '--gain-crossover 12.346')
@@ -60,7 +59,7 @@ def option(name: str, value: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """`text` with a capital and a full stop; the name of a field keeps its spelling.
+    """`text` with a capital and a full stop; field names keep their spelling.
 
     >>> sentence("measure it"), sentence("link.stiffness = 1.56 contradicts 3EI/L")
     ('Measure it.', 'link.stiffness = 1.56 contradicts 3EI/L.')
@@ -79,7 +78,7 @@ def sentence(text: str) -> str:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table as texts; `words` tells which columns hold words and no figures."""
+    """A table as texts; `words` marks the columns with words instead of figures."""
 
     header: Cells
     lines: tuple[Cells, ...]
@@ -87,7 +86,7 @@ class Grid:
 
 
 def grid_of(figures: Table | Sequence[Row]) -> Grid:
-    """Return a table as texts: one line for each record, or for each of one's own rows."""
+    """Return a table as texts: one line per record, or per given row."""
     if not isinstance(figures, Table):
         known = (row for row in figures if row.label and row.value is not None)
         lines = tuple((row.label, marked(row.text)) for row in known)
@@ -112,14 +111,14 @@ def grid_of(figures: Table | Sequence[Row]) -> Grid:
 
 
 def grids(shown: Overview) -> list[Grid]:
-    """Every table of an overview that has a line."""
+    """All non-empty tables of an overview."""
     every = [grid_of(shown.rows), *map(grid_of, shown.tables)]
     return [grid for grid in every if grid.lines]
 
 
 def finding_line(finding: Finding) -> str:
-    """A finding in a line; the numbers behind a remark, which fill two lines more, are
-    left to the JSON.
+    """A finding in one line; the numbers of an info finding, which would fill two more
+    lines, are only in the JSON.
     """
     return str(finding if finding.severity != "info" else replace(finding, evidence={}))
 
@@ -130,8 +129,8 @@ def view(result: Any) -> Overview:
 
 
 def doubted(shown: Overview, findings: tuple[Finding, ...]) -> Overview:
-    """The same with errors of its input, which stand first: nothing that passed is
-    shown by this result.
+    """The same overview with errors of its input first: with these, nothing counts as
+    passed.
     """
     if not findings:
         return shown
@@ -146,8 +145,8 @@ def doubted(shown: Overview, findings: tuple[Finding, ...]) -> Overview:
 
 
 def notes(shown: Overview) -> list[str]:
-    """Findings that ask for something, and notes; what is only good to know is in the
-    report and in the JSON, but where findings are all that there is.
+    """Findings that require action, and notes; infos are only in the report and in the
+    JSON, unless there is nothing but findings.
     """
     alone = not shown.rows and not shown.tables
     findings = (f for f in shown.findings if alone or f.severity != "info")
@@ -158,8 +157,8 @@ def notes(shown: Overview) -> list[str]:
 
 
 def plain(value: Any) -> Any:
-    """Return `value` as JSON has it: results by their figures, other dataclasses by
-    their fields.
+    """Return `value` in the form of JSON: results by their figures, other dataclasses
+    by their fields.
 
     >>> plain({"gain": np.float64(1.5), "limit": math.inf, "payloads": (0.02, 0.04)})
     {'gain': 1.5, 'limit': None, 'payloads': [0.02, 0.04]}
@@ -201,8 +200,8 @@ def _object(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def to_json(result: Any) -> dict[str, Any]:
-    """Return what programs read of a result: plain values in SI units and radians, null
-    where not finite.
+    """Return a result for programs: plain values in SI units and radians, null if not
+    finite.
     """
     shown = view(result)
     verdict = {"passed": shown.state == "passed", "state": shown.state}

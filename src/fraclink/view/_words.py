@@ -22,7 +22,7 @@ __all__ = [
 
 
 def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
-    """The arm's numbers as a person would say them."""
+    """The numbers of the arm in words."""
     low, high = rig.payloads.low, rig.payloads.high
     said = [
         f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."
@@ -39,7 +39,7 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
 
 
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
-    """What stands beside motor, gauge and payload in the drawing of the arm."""
+    """The labels of motor, gauge and payload in the drawing of the arm."""
     late = model.gauge_delay if model is not None else 0.0
     payload = f"{number(1e3 * rig.payloads.low)} to {grams(rig.payloads.high)}"
     gauge = f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else ""
@@ -47,7 +47,7 @@ def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
 
 
 def nearest_command(study: Study) -> str:
-    """The command line that asks for the nearest request; empty where none is known."""
+    """The command line for the nearest request; empty if none is known."""
     if study.refused is None or study.rig is None:
         return ""
     options = " ".join(
@@ -86,7 +86,7 @@ def _request(values: object) -> str:
 
 
 def steps(study: Study) -> list[tuple[str, str]]:
-    """What to do next, each with the command that does it in the folder of the report."""
+    """The next steps, each with its command in the folder of the report."""
     if study.design is None:
         return (
             [("Request the nearest feasible design", nearest_command(study))]
@@ -123,7 +123,9 @@ def steps(study: Study) -> list[tuple[str, str]]:
 
 
 def power_on(design: Design) -> list[str]:
-    """The first power-on in the order in which a mistake costs least."""
+    """The steps of the first power-on, in the order in which a mistake does least
+    damage.
+    """
     volts = design.rig.motor.voltage_limit
     # A fifth of the voltage: with a wrong sign of encoder or gauge, the arm then moves
     # gently enough to be caught by hand.

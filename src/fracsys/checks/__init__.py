@@ -212,15 +212,15 @@ def checked_choice(
     *,
     remedy: str = "choose one of these",
 ) -> str:
-    """Return `value` where it is one of the words in `choices`."""
+    """Return `value` if it is one of the words in `choices`."""
     return str(_checked(rules.choice(tuple(choices)), field, value, remedy))
 
 
 def checked_noun(
     field: str, value: object, kind: type[Instance], *, remedy: str = ""
 ) -> Instance:
-    """Return `value` where it is a `kind`; `remedy` says where to get one, else the
-    class itself does.
+    """Return `value` if it is a `kind`; `remedy` says where to get one, by default the
+    class itself.
     """
     return cast(Instance, _checked(rules.instance(kind), field, value, remedy))
 

@@ -14,8 +14,8 @@ Kind = TypeVar("Kind", bound=type)
 
 
 def compared(kind: Kind) -> Kind:
-    """Let instances of a frozen dataclass be equal where all their fields are, arrays
-    element by element.
+    """Make instances of a frozen dataclass equal if all their fields are, with arrays
+    compared element by element.
 
     A field that is not compared (``field(compare=False)``) is left out, two NaN are
     equal.

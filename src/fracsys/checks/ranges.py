@@ -17,11 +17,11 @@ CHECK_UNIT = "check the value and its unit"
 
 
 class Refused(Exception):
-    """A value that a rule does not admit, before the name of its field is known.
+    """A value rejected by a rule, before the name of its field is known.
 
     `is_type` says that the value is of another kind, so that another member of a union
-    may take it. `keys` lead to it within the field, the outermost last. `inner` are the
-    refusals of several entries of it.
+    may accept it. `keys` are its path within the field, the outermost last. `inner` are
+    the errors of several of its entries.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Refused(Exception):
 
 
 class Form:
-    """How values are given: as the arguments of a call, or otherwise in a subclass."""
+    """The form of values: arguments of a call, or another form in a subclass."""
 
     def __call__(self, rule: Rule, value: Any) -> Any:
         """Return `value` converted; raises Refused if `rule` does not admit it."""
@@ -94,8 +94,8 @@ class Rule:
     def check(
         self, name: str, value: object, *, error: type[FieldError] = FieldError
     ) -> Any:
-        """Return `value` normalised; `error`, a FieldError about `name`, where it is
-        not admitted.
+        """Return `value` normalised; raise `error`, a FieldError about `name`, if it is
+        rejected.
 
         >>> number(Between(0.0, 1e6, "s")).check("filter_time", -2)
         Traceback (most recent call last):
@@ -182,7 +182,7 @@ class Array:
 
 @dataclass(frozen=True)
 class Where:
-    """A condition of its own, in words: ``Where(str.isidentifier, "a Python
+    """A custom condition with its description: ``Where(str.isidentifier, "a Python
     identifier")``.
     """
 
@@ -193,8 +193,8 @@ class Where:
 
 
 def length(low: int, high: int = 10**9) -> Where:
-    """Return the condition on the number of entries of a sequence or of letters of a
-    text.
+    """Return the condition on the number of entries of a sequence or of characters of a
+    string.
     """
     bounds = f"{low} to {high}" if high < 10**9 else f"at least {low}"
 
@@ -205,7 +205,7 @@ def length(low: int, high: int = 10**9) -> Where:
 
 
 def ascending(*, strict: bool = False) -> Where:
-    """Return the condition on a pair (low, high): low <= high, or low < high where
+    """Return the condition on a pair (low, high): low <= high, or low < high if
     `strict`.
     """
 
@@ -264,7 +264,7 @@ def _as_float(value: Any, expected: str, remedy: str) -> float:
 
 
 def whole_number(bounds: Between = Between()) -> Rule:
-    """Return the rule of a whole number, which a bool and 2.0 are not."""
+    """Return the rule of an integer, which excludes bool and 2.0."""
     low, high = bounds.low, bounds.high
     text = f" >= {_figure(low)}" if math.isfinite(low) else ""
     if math.isfinite(high):
@@ -304,8 +304,8 @@ def complex_number() -> Rule:
 
 
 def brief(value: object) -> str:
-    """Return a value of the wrong kind: small ones as written, the others by their
-    type.
+    """Return a value of the wrong kind for display: small ones as written, the others
+    by their type.
     """
     scalar = isinstance(value, str | bytes | int | float | complex | np.generic | None)
     # A message is one line: for a thousand samples the type is enough.

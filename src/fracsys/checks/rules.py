@@ -172,7 +172,7 @@ def _narrowed(base: Any, metadata: tuple[Any, ...]) -> Rule:
 
 
 def conditional(inner: Rule, where: Where) -> Rule:
-    """Return the rule of what `inner` admits and `where` holds of."""
+    """Return the rule of the values that `inner` accepts and for which `where` holds."""
     expected = f"{inner.expected}; {where.expected}"
 
     def convert(value: Any, form: Form) -> Any:
@@ -205,11 +205,11 @@ def _kind(
 
 
 def instance(kind: type) -> Rule:
-    """Return the rule of the instances of a class; its ``__made_by__`` says where to
+    """Return the rule of the instances of a class; its ``__made_by__`` states how to
     get one: ``"read_log(path)"``.
 
-    A class may take what it can be made of, such as a name for a bundled rig: its
-    ``__made_of__`` returns an instance, or None.
+    A class may accept values from which it can be created, such as the name of a
+    bundled rig: its ``__made_of__`` returns an instance, or None.
     """
     name = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
     source = getattr(kind, "__made_by__", None)
