@@ -185,8 +185,8 @@ def _role(name: str) -> str:
 def _unit(name: str, role: str, in_file: str) -> str:
     """The unit that the file or a name states, that of a name which needs none, or ""."""
     known, words = _UNITS[role], words_of(name)
-    # "freqHz" is split behind the word of the role, and not in front of the capital:
-    # "fkHz" is no "fk" in Hz.
+    # "freqHz" is split after the word of its role and not at the capital, so that
+    # "fkHz" is f in kHz and not "fk" in Hz.
     called = "|".join(sorted(_ROLES.get(role, ()), key=len, reverse=True))
     parted = re.sub(rf"^((?i:{called}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
     # The file's own statement goes before the name's: a TDMS property is set by the
