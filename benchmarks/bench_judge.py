@@ -409,19 +409,20 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
         )
         study = trials.run(rig, log, structure=structure, certified=True, arms=arms)
         outcomes[study.verdict.state] += 1
+        failed = []
+        if study.verdict.state == "passed" and study.law is not None:
+            for load in (rig.payloads.low, rig.payloads.nominal, rig.payloads.high):
+                loaded = with_payload(arm, load / rig.payloads.nominal)
+                moved = harness.move(study.law, loaded)
+                if not moved.settled:
+                    failed.append((seed, round(1e3 * load), int(moved.reason[-1])))
+        # Each rig as it ends: a run of two hundred takes an hour, and may be cut short.
         print(
             f"    {seed} {structure} {1e3 * arm.gauge_delay:.0f} ms: {study.verdict.state}",
+            *failed,
             flush=True,
         )
-        if study.verdict.state != "passed" or study.law is None:
-            continue
-        ends = (rig.payloads.low, rig.payloads.nominal, rig.payloads.high)
-        for load in ends:
-            moved = harness.move(
-                study.law, with_payload(arm, load / rig.payloads.nominal)
-            )
-            if not moved.settled:
-                false.append((seed, round(1e3 * load), int(moved.reason[-1])))
+        false += failed
     line(
         "random rigs whose run passes, and whose law fails on the arm",
         f"{len(false)} of {count} {dict(outcomes)} {false}",
