@@ -34,7 +34,7 @@ CONTROLLERS, BATCH = 2000, 125
 RIG = fl.Rig.named("paper-2023")
 assert RIG.model is not None
 _OWN = RIG.model.natural_frequency
-# the box of the fit whose ω₀ moves with the payload alone
+# the box of the fit, with ω₀ depending on the payload alone
 SKETCH_BOX = replace(fl.ParameterBox.of(RIG.model, RIG), natural_frequency=(_OWN, _OWN))
 # The figures of the one-solver sketch, without the rows that it does not know, and
 # those of the earlier procedure and searches: worst noise gain over 20 to 40 g.
@@ -215,8 +215,8 @@ class Judge:
         centre = math.inf if second is None else second.frequency
         own = crossed & (np.abs(place - centre) > 0.2 * place)
         last = np.max(np.where(own, place, 1e-3), axis=2)
-        # the crossover: where |L| first falls to one behind the resonance, at which it
-        # may just touch one
+        # the crossover: where |L| first falls to 1 beyond the resonance, at which it
+        # may just touch 1
         behind = crossed & (w[:-1] >= self.resonances[:, None])
         first = np.argmax(behind, axis=2)[..., None]
         falls = np.take_along_axis(behind & (rises < 0.0), first, 2)[..., 0]

@@ -128,7 +128,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
 
 def _operator(name: str) -> Callable[[FractionalResponse, Any], Any]:
     def operate(self: FractionalResponse, other: Any) -> Any:
-        # The very class and no subclass: a `FractionalResponse` is exact, and must not
+        # Exactly this class, no subclass: a `FractionalResponse` is exact and must not
         # fall back to a grid.
         if type(other) is control.FrequencyResponseData:
             return getattr(self.frd(other.omega), name)(other)

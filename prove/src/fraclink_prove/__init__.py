@@ -1,5 +1,4 @@
-"""Prove claims about the C files that fraclink exports, with the provers that are
-installed.
+"""Prove claims about the C files exported by fraclink, with the installed provers.
 
 `fraclink export c --prove` imports this package where it is installed; fraclink itself
 does not need it.
@@ -67,8 +66,8 @@ def loop_claim(law: Law, folder: Path, certificate: Certificate | None) -> Claim
         return replace(claim, reason=reason)
     if not certificate.passed:
         return replace(claim, status="failed", reason=certificate.verdict)
-    # By the hash of the block and not by the design: single precision has another one,
-    # and another proof.
+    # By the hash of the block instead of the design: single precision has another hash,
+    # and needs another proof.
     if certificate.statement.digest != law.digest:
         made_for = certificate.statement.digest[:12]
         return replace(

@@ -12,14 +12,15 @@ from fraclink_prove.source import Unreadable
 
 __all__ = ["FALSE", "TRUE", "ZERO", "Formulas", "Value", "kind_of", "real_literal"]
 
-# Bits of the exponent and of the significand with its hidden one, as SMT-LIB counts
-# them.
+# Bits of the exponent and of the significand including the hidden bit, as counted in
+# SMT-LIB.
 _WIDTHS = {"single": (8, 24), "double": (11, 53)}
 _REAL = {"+": "fp.add RNE", "-": "fp.sub RNE", "*": "fp.mul RNE", "/": "fp.div RNE"}
+# not operators of C: differences that enclose the exact one
 _REAL |= {
     "-up": "fp.sub RTP",
     "-down": "fp.sub RTN",
-}  # no signs of C: a difference that encloses the exact one
+}
 _REAL_TESTS = {
     "<": "fp.lt",
     "<=": "fp.leq",
@@ -38,7 +39,7 @@ _WORD = {
     ">>": "bvlshr",
 }
 _WORD_TESTS = {"<": "bvult", "<=": "bvule", ">": "bvugt", ">=": "bvuge", "==": "="}
-# Every name that is made here begins like this; no operation of SMT-LIB does.
+# Prefix of all names created here; no operation of SMT-LIB has it.
 _NAMES = re.compile(r"\b(?:any_\w+|t\d+)\b")
 _SUM = re.compile(r"\(fp\.(?:add|sub) R.. (\S+) ([^\s)]+)\)\)$")
 
@@ -88,10 +89,10 @@ class Formulas:
         ] = {}  # by name: condition, and both values
         self.operations: dict[
             str, tuple[str, Value, Value]
-        ] = {}  # of reals, by name: sign, and both operands
+        ] = {}  # for reals, by name: sign, and both operands
         self.bounded: dict[
             str, float
-        ] = {}  # by name: |value| is assumed to be at most this, and no NaN
+        ] = {}  # by name: |value| is assumed to be at most this, and not NaN
 
     def sort(self, kind: str) -> str:
         """Return the SMT-LIB sort of a kind."""
@@ -108,7 +109,7 @@ class Formulas:
         """Return a name for `term`, so that it is written once however often it is
         used.
         """
-        # Equal terms get one name: that two sums round alike is then seen without
+        # Equal terms get the same name: that two sums round alike then needs no
         # arithmetic, where a solver would compare two adders bit by bit.
         if (kind, term) not in self._names:
             self.count += 1
@@ -119,8 +120,8 @@ class Formulas:
 
     def choice(self, test: Value, yes: Value, no: Value) -> Value:
         """Return `yes` where `test` holds, else `no`."""
-        # What is decided here never reaches a solver; each branch less halves what it
-        # has to look at.
+        # Conditions decided here never reach a solver; each branch less halves its
+        # work.
         if test == TRUE or yes == no:
             return yes
         if test == FALSE:
@@ -154,7 +155,7 @@ class Formulas:
         """
         if a.kind != b.kind or a.kind not in ("real", "word"):
             raise Unreadable(f"{a.kind} {sign} {b.kind}")
-        # Not a test of its own: IEEE's != is true of NaN, and so is the negation of ==.
+        # Not a separate test: IEEE's != is true for NaN, and so is the negation of ==.
         if sign == "!=":
             return self.negated(self.operated("==", a, b))
         for left in (True, False):
@@ -181,11 +182,9 @@ class Formulas:
         raise Unreadable(f"{a.kind} {sign} {b.kind}")
 
     def _decided(self, sign: str, a: Value, b: Value) -> Value | None:
-        """A comparison whose answer is known already: of constants, or by what is
-        assumed.
-        """
+        """A comparison with a known result: of constants, or from the assumptions."""
         if a.kind == "word":
-            # Only literals: two names may stand for one word.
+            # Only literals: two names may denote the same word.
             if (
                 a.term.startswith("(_ bv")
                 and b.term.startswith("(_ bv")
@@ -193,7 +192,7 @@ class Formulas:
             ):
                 return TRUE if a == b else FALSE
             return TRUE if a == b and sign == "==" else None
-        # x == x is false for NaN: it takes an assumption that there is none.
+        # x == x is false for NaN: an assumption is needed that there is none.
         if a == b and sign == "==" and a.term in self.bounded:
             return TRUE
         limit = self.known.get(b.term)
@@ -203,7 +202,7 @@ class Formulas:
             or self.bounded[a.term] > abs(limit)
         ):
             return None
-        # Where a bound of |a| alone decides; a.term may still have either sign.
+        # If a bound of |a| alone decides; the sign of a.term remains open.
         if sign == "<=" and limit >= self.bounded[a.term]:
             return TRUE
         if (sign == ">" and limit > 0) or (sign == "<" and limit < 0):
@@ -212,10 +211,10 @@ class Formulas:
 
     def negative(self, value: Value) -> Value:
         """Return `-value`."""
-        if value.kind == "float":  # a constant that a cast makes a real
+        if value.kind == "float":  # a constant that a cast turns into a real
             return Value("float", f"-{value.term}")
         if value.term in self.known:
-            # The negative of a literal is one, too, and stays known: bounds are
+            # The negative of a literal is again a literal and stays known: bounds are
             # compared with both ends of a range.
             literal = real_literal(-self.known[value.term], self.precision)
             self.known[literal] = -self.known[value.term]
@@ -326,7 +325,7 @@ class Formulas:
 
 
 def _uses(defined: Mapping[str, str], goals: Sequence[str]) -> dict[str, int]:
-    """How often each name is used by the goals and by what they stand on."""
+    """The number of uses of each name in the goals and the terms on which they depend."""
     uses: dict[str, int] = {}
     waiting = [name for goal in goals for name in _NAMES.findall(goal)]
     while waiting:
@@ -338,14 +337,14 @@ def _uses(defined: Mapping[str, str], goals: Sequence[str]) -> dict[str, int]:
 
 
 def _single(digits: str) -> float:
-    # Through the four bytes: numpy's float32 would warn where a constant overflows, and
-    # struct refuses it.
+    # Through its four bytes: numpy's float32 would warn if a constant overflows, while
+    # struct rejects it.
     return float(struct.unpack("<f", struct.pack("<f", float(digits)))[0])
 
 
 def kind_of(c_type: str) -> str:
     """Return the kind of a type of C."""
-    # int and double are left out on purpose: C would promote them silently, and this
+    # int and double are omitted on purpose: C would promote them silently, but this
     # arithmetic would not.
     kinds = {"law_real": "real", "uint32_t": "word"}
     if c_type not in kinds:

@@ -33,9 +33,9 @@ def worst_gain(law: Law) -> float:
         complex(a, b) for _, _, a, b in pair
     ]
     slowest = max((abs(p) for p in poles), default=0.0)
-    # e^(−40) = 4e-18 of the slowest mode: what is left is below the last bit of a
-    # double. The cap ends the sum of a pole such as 0.99997 early, which costs
-    # sharpness and no rigour, since the tail is added as a bound.
+    # e^(−40) = 4e-18 of the slowest mode: the rest is below the last bit of a double.
+    # The limit ends the sum of a pole such as 0.99997 early, which makes the bound less
+    # sharp but no less rigorous, since the tail is added as a bound.
     count = (
         3 if slowest == 0 else min(200_000, max(50, math.ceil(-40 / math.log(slowest))))
     )
@@ -45,16 +45,17 @@ def worst_gain(law: Law) -> float:
 def _ball_norm(
     direct: float, poles: list[complex], gains: list[complex], count: int
 ) -> float:
-    # A rectangle around a complex number grows by a factor √2 each time it is turned,
-    # half a bit: more bits while a pair lives, and it is let go once no double sees it.
+    # A rectangle around a complex number grows by a factor √2 with each rotation, half
+    # a bit: more bits while a pair decays, which is dropped when it is below the last
+    # bit of a double.
     lives = max(
         (math.ceil(-_GONE / math.log(abs(p))) for p in poles if isinstance(p, complex)),
         default=0,
     )
     before, ctx.prec = ctx.prec, 106 + (lives + 1) // 2
     try:
-        # The coefficients are doubles: each is an exact ball, so that the norm is that
-        # of the shipped numbers and not of the design they were rounded from.
+        # The coefficients are doubles: each is an exact ball, so the norm is that of
+        # the numbers that ship, not of the design from which they were rounded.
         p, g = [acb(x) for x in poles], [acb(x) for x in gains]
         total = abs(arb(direct))
         power = list(g)  # g p^(k-1)
@@ -64,7 +65,7 @@ def _ball_norm(
             if lives and k == lives:
                 pairs = [isinstance(x, complex) for x in poles]
                 dropped = zip(before_it, power, p, pairs, strict=True)
-                # `previous` holds what the pairs were in it: that is counted, too
+                # `previous` includes the pairs, whose contribution is counted too
                 tail += sum(
                     (abs(w) + _rest(x, y) for w, x, y, pair in dropped if pair), arb(0)
                 )
@@ -80,15 +81,15 @@ def _ball_norm(
         tail += sum((_rest(x, y) for x, y in zip(power, p, strict=True)), arb(0)) + abs(
             previous
         )
-        # float() rounds to nearest, perhaps below the ball's upper end: one unit in the
-        # last place more is above.
+        # float() rounds to nearest, possibly below the upper end of the ball; one unit
+        # in the last place more is above it.
         return math.nextafter(float((total + tail).upper()), math.inf)
     finally:
         ctx.prec = before
 
 
 def _rest(power: Any, pole: Any) -> Any:
-    """What a mode still adds to the sum of |h[k] − h[k−1]|: Σ |g p^j (p − 1)| ≤ 2 |g
-    p^k|/(1 − |p|).
+    """The remaining contribution of a mode to the sum of |h[k] − h[k−1]|: Σ |g p^j (p −
+    1)| ≤ 2 |g p^k|/(1 − |p|).
     """
     return abs(power) * 2 / (1 - abs(pole))

@@ -1,5 +1,5 @@
-"""All-time bound of the rounding: one step by Gappa, carried to the output by norms in
-ball arithmetic.
+"""Bound of the rounding for all time: one step by Gappa, propagated to the output by
+norms in ball arithmetic.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fraclink_prove.tools import GAPPA, at_most, sha256_of_text
 
 __all__ = ["Rounding", "rounding_bound", "rounding_claim"]
 
-# The statements of law.c that the Gappa script below is a copy of; another text is
+# The statements of law.c from which the Gappa script below was made; another text needs
 # another proof.
 _FORM = (
     "sum += modes[i].gain * value;",
@@ -37,9 +37,8 @@ _FORM = (
     "command(s, p, forward + faded(s, p, correction));",
 )
 _SWEPT = Fraction(1, 10**18)  # a mode below it is set to 0, one in each period
-_ROOM = Fraction(
-    1025, 1024
-)  # of the states above their exact bounds, for what the rounding adds to them
+# margin of the states above their exact bounds for the rounding added to them
+_ROOM = Fraction(1025, 1024)
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,8 @@ class _Mode:
             if self.paired
             else abs(Fraction(self.pole))
         )
-        # Four units in the last place for the rounding of the square and of its root: a
-        # leak that is taken too large makes every bound behind it too small.
+        # Four units in the last place for the rounding of the square and of its root:
+        # an overestimated leak would make all later bounds too small.
         return 1 - root * (1 + Fraction(1, 2**50)) if self.paired else 1 - root
 
     @property
@@ -97,8 +96,8 @@ class _Mode:
         """
         if not of_change:
             return change / self.leak
-        # (1 - 1/z)/(z - p) has the norm 2 where the mode leaks without turning, else 1
-        # + |1 - p|/(1 - |p|)
+        # (1 - 1/z)/(z - p) has the norm 2 if the mode decays without oscillating, else
+        # 1 + |1 - p|/(1 - |p|)
         if not self.paired and self.pole >= 0:
             return change
         away = abs(1 - Fraction(self.pole)) + abs(Fraction(self.turn))
@@ -152,7 +151,7 @@ def rounding_claim(law: Law, folder: Path, *, error: float = 0.5) -> Claim:
     )
     if GAPPA.path is None:
         return replace(claim, reason=GAPPA.missing)
-    # Blanks do not count: how the text is laid out is no part of the arithmetic.
+    # Blanks do not count, since the layout of the text does not affect the arithmetic.
     text = re.sub(r"\s+", " ", (folder / "law.c").read_text(encoding="utf-8"))
     gone = [form for form in _FORM if form not in text]
     if gone:
@@ -200,7 +199,7 @@ def rounding_bound(law: Law, answer: str, gain: float, error: float) -> Rounding
     step = _answers(answer)
     correction, ahead = _modes(law)
     own = _of_filter(correction, step, "sum", Fraction(2 * error), of_change=True)
-    # the change of the error is rounded too; that acts through the filter without its
+    # the change of the error is rounded too; this acts through the filter without its
     # difference
     static = abs(Fraction(_real(law, "direct"))) + sum(
         (mode.weight / mode.leak for mode in correction), Fraction(0)
@@ -213,8 +212,8 @@ def rounding_bound(law: Law, answer: str, gain: float, error: float) -> Rounding
         Fraction(_real(law, "acceleration_limit")),
         of_change=False,
     )
-    # An error of the error passes through the whole filter: its worst gain is the l1
-    # norm of the correction.
+    # An error of the error passes through the whole filter, whose worst-case gain is
+    # the l1 norm of the correction.
     from_samples = Fraction(gain) * step["error"]
     command = own + forward + from_samples + step["offset"] + step["wanted"]
     return Rounding(_up(own), _up(command), error)
@@ -230,11 +229,11 @@ def _of_filter(
 ) -> Fraction:
     total = step[f"{name}_output"]
     for mode in modes:
-        # A pair's two states err by at most the sum of both errors in modulus.
+        # The error of the two states of a pair is at most the sum of both errors in
+        # modulus.
         entering = step[mode.tag] + step.get(f"{mode.tag}_turned", Fraction(0)) + _SWEPT
-        # The bound of one step was made for states up to `_ROOM` times their exact
-        # bound: it holds for ever if the rounding itself never carries them beyond
-        # that.
+        # The bound of one step was computed for states up to `_ROOM` times their exact
+        # bound: it holds for all time if the rounding never carries them beyond that.
         through = (
             (entering + step["change"]) / mode.leak
             if of_change
@@ -281,7 +280,7 @@ def _dyadic(text: str) -> Fraction:
 
 def _script(law: Law, error: float) -> str:
     """The Gappa script of one period: every rounding of law.c's outer law, in the order
-    it computes.
+    of computation.
     """
     single = law.precision == "single"
     correction, ahead = _modes(law)
@@ -295,8 +294,8 @@ def _script(law: Law, error: float) -> str:
     asked: list[str] = []
 
     def sample(name: str, limit: float) -> None:
-        # Any number of this precision, and not any real: Gappa then knows that it
-        # carries no rounding of its own.
+        # Any number of this precision instead of any real: Gappa then knows that it has
+        # no rounding of its own.
         lines.append(f"{name} = rnd({name}_any);")
         # In hexadecimal and one double outwards: a decimal could be read back below the
         # limit.
@@ -345,8 +344,8 @@ def _script(law: Law, error: float) -> str:
     sample("now", error)
     sample("before", error)
     computed("change", "now - before")
-    # The computed change may be a rounding above 2·error; 2^-20 is far more, and costs
-    # nothing of the bound.
+    # The computed change may be one rounding above 2·error; 2^-20 is far more, and does
+    # not affect the bound.
     sample("driven", 2 * error * (1 + 2.0**-20))
     filtered(correction, "sum", number["direct"], "driven", change, of_change=True)
     sample("acceleration", _real(law, "acceleration_limit"))

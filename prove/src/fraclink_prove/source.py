@@ -1,9 +1,9 @@
-"""law.c as statements: the part of C that the law is written in, read from its
-preprocessed text.
+"""law.c as statements: a parser for the subset of C in which the law is written,
+applied to its preprocessed text.
 
-Conditions, assignments, calls and returns; loops are seen but not read. Whatever else
-stands in a function makes `Unreadable`: a proof about a text that was half understood
-would be worth nothing.
+Conditions, assignments, calls and returns; loops are recognised but not parsed.
+Anything else in a function raises `Unreadable`: a proof about a partly understood text
+would be worthless.
 """
 
 from __future__ import annotations
@@ -85,17 +85,17 @@ class Source:
         return self._effects(name, ())
 
     def _effects(self, name: str, above: tuple[str, ...]) -> frozenset[tuple[str, str]]:
-        # What it changes would be what it changes: there is no end to wait for.
+        # Recursion: its effects would depend on themselves, without an end.
         if name in above:
             raise Unreadable(f"{name} calls itself")
         function = self.functions[name]
         changed: set[tuple[str, str]] = set()
         for kind, pointer, parameter in function.parameters:
             if pointer:
-                # Found in the text and not by reading it: functions with loops, which
-                # are not read, have effects, too.
+                # Found in the text instead of by parsing: functions with loops, which
+                # are not parsed, also have effects.
                 assigned = rf"\b{parameter}->(\w+)(?:\[[^\]]*\])?\s*(?:[-+*|&^/]?=(?!=)|\+\+|--)"
-                # an address that is handed on may be written through
+                # an address passed on may be written through
                 for member in re.findall(
                     rf"{assigned}|&{parameter}->(\w+)", function.text
                 ):
@@ -125,8 +125,8 @@ def read_source(text: str) -> Source:
     members: dict[str, str] = {}
     for struct in re.findall(r"typedef struct\s*\{(.*?)\}", text, flags=re.DOTALL):
         for kind, member in _MEMBER.findall(struct):
-            # A type is looked up by the member's name alone: two structs may
-            # share one, but then with one type.
+            # A type is looked up by the name of the member alone: two structs may have
+            # the same member, but only with the same type.
             if members.setdefault(member, kind) != kind:
                 raise Unreadable(f"{member} has two types")
     return Source(functions, members)
@@ -231,7 +231,7 @@ class _Reader:
         return [("declare", kind, name, value)]
 
     def assignment(self) -> Node:
-        # (void)f(x); a value that is dropped on purpose.
+        # (void)f(x): a value dropped on purpose.
         if self.peek() == "(" and self.peek(1) == "void":
             self.place += 3
         target = self.unary()
@@ -239,14 +239,13 @@ class _Reader:
             self.take()
             return ("do", target)
         sign = self.take()
-        # An element of an array is no target: which one it is would have to be
-        # followed, and no proof needs it.
+        # An element of an array is not a target: its index would have to be tracked,
+        # and no proof needs it.
         if sign not in _ASSIGNMENTS or target[0] not in ("name", "member", "at"):
             raise Unreadable(f"{sign!r} after {target[0]!r}")
         value = self.expression()
         self.take(";")
-        # a += b is a = a + b: no target here has an effect that would then happen
-        # twice.
+        # a += b is a = a + b: no target here has an effect that would then occur twice.
         return (
             "set",
             target,

@@ -21,11 +21,11 @@ from fraclink_prove.tools import COMPILER, SOLVERS, Tool, at_most, sha256_of_tex
 
 __all__ = ["finite_claim", "slew_bound", "slew_claim"]
 
-# Modes of a law that was started, as its state keeps them: a copy in each byte (law.c,
+# Modes of a started law as stored in its state: one copy in each byte (law.c,
 # `copied`).
 _STARTED, _COPIES = (1, 2, 3, 4), 0x01010101
-# Far below the largest number of single precision, 3.4e38, and far above an angle, a
-# torque or a voltage.
+# Far below the largest number of single precision, 3.4e38, and far above any angle,
+# torque or voltage.
 _FINITE = 1e30
 _STRUCTS = ("law_state", "law_params", "law_input", "law_output")
 
@@ -65,7 +65,7 @@ def slew_claim(law: Law, folder: Path) -> Claim:
     def query(executed: Symbolic) -> list[Value]:
         before = executed.memory["before", "motor_reference"]
         after = executed.memory["law_output", "motor_reference"]
-        # Rounded up and down: the exact difference of the two commands lies between,
+        # Rounded up and down: the exact difference of the two commands lies in between,
         # whatever its rounding.
         up, down = (executed.operated(sign, after, before) for sign in ("-up", "-down"))
         most, least = (
@@ -94,8 +94,8 @@ def finite_claim(law: Law, folder: Path) -> Claim:
         "not proved",
     )
     outputs = ("tip_estimate", "error", "compensation")
-    # What the three are computed from: a function that writes none of these is taken to
-    # return anything.
+    # The sources of the three outputs: a function that writes none of these is assumed
+    # to return anything.
     sources = ("motor_angle", "torque", "reference", "track", "error")
 
     def query(executed: Symbolic) -> list[Value]:
@@ -104,8 +104,8 @@ def finite_claim(law: Law, folder: Path) -> Claim:
             for name in outputs
         ]
 
-    # Comparisons alone keep what the outputs are made of in its range, whatever the
-    # sums between them give.
+    # Comparisons alone keep the sources of the outputs within their ranges, whatever
+    # the sums between them give.
     tracked = {("law_output", name) for name in outputs} | {
         ("law_state", name) for name in sources
     }
@@ -132,8 +132,8 @@ def _decided(
     started: bool = True,
     arithmetic: bool = True,
 ) -> Claim:
-    """Ask the solvers whether a negation of the claim can be met: "unsat" for all of
-    them proves it.
+    """Ask the solvers whether a negation of the claim is satisfiable: "unsat" for all
+    of them proves it.
     """
     solvers = [tool for tool in SOLVERS if tool.path]
     if not solvers:
@@ -177,7 +177,7 @@ def _decided(
 def _first_answer(
     solvers: list[Tool], name: str, folder: Path
 ) -> tuple[str, str] | None:
-    """The first solver that answers, and "sat" or "unsat"; None where none does."""
+    """The first solver that answers, with "sat" or "unsat"; None if none does."""
     for tool in solvers:
         language = ("--lang", "smt2") if tool.program == "cvc5" else ()
         answer = tool.run((*language, name), folder).text.split("\n", 1)[0]
@@ -198,7 +198,7 @@ def _problems(
     single = ("-DLAW_SINGLE",) if law.precision == "single" else ()
     text = COMPILER.run(("-E", "-P", "-std=c99", *single, "law.c"), folder).text
     # Modes are left free: neither claim depends on the filter, and a proof without them
-    # holds for every one.
+    # holds for every filter.
     names = [name for name, length in REALS if length == 1]
     values = {name: float(law.coefficients[name]) for name in names}  # type: ignore[arg-type]
     undamaged = {"damaged": ZERO} if started else {}
@@ -224,17 +224,17 @@ def _problems(
 
 
 def _started(executed: Symbolic, limit: float) -> list[str]:
-    """Assume a law that was started with these parameters and whose last command is
-    still in its memory.
+    """Assume a law that was started with these parameters and still has its last
+    command in memory.
     """
     state = {
         name: executed.load(("law_state", name)) for name in ("mode", "motor_reference")
     }
-    # Else the state counts as that of another law, and law_step begins anew.
+    # Otherwise the state counts as that of another law, and law_step restarts.
     executed.memory["law_state", "stamp"] = executed.load(("law_params", "crc"))
     command = executed.memory["before", "motor_reference"] = state["motor_reference"]
-    # Told to the formulas, too: comparisons with the limit are then decided without a
-    # solver.
+    # Also passed to the formulas, so that comparisons with the limit are decided
+    # without a solver.
     executed.bounded[command.term] = limit
     modes = (f"(= {state['mode'].term} (_ bv{mode * _COPIES} 32))" for mode in _STARTED)
     return [

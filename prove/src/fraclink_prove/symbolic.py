@@ -1,9 +1,9 @@
 """Functions of law.c as formulas: every path at once, in exact IEEE arithmetic, as
 SMT-LIB (QF_BVFP).
 
-A call whose effects matter is followed into; any other one is taken to leave anything
-at all in what it may write. The formulas therefore allow more than the law can do, and
-what holds for them holds for the law.
+A call whose effects matter is followed; any other one is assumed to leave arbitrary
+values in everything that it may write. The formulas therefore allow more than the law
+can do, and what holds for them holds for the law.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ class Symbolic(Formulas):
     def call(self, name: str, arguments: tuple[Value, ...]) -> Value | None:
         """Return what the function returns after its effects; None for void."""
         function = self.source.functions[name]
-        # A pure function costs its formula once, and its result may bound what is
-        # asked; one with effects elsewhere would only grow the problem.
+        # A pure function costs its formula once, and its result may bound the goal; one
+        # with effects elsewhere would only enlarge the problem.
         followed = function.pure or bool(self.source.effects(name) & self.tracked)
         if not followed or function.loops:
             return self._anything(function, arguments)
         self.count += 1
-        # A frame of its own for each call, so that two calls of one function share no
-        # variable.
+        # A separate frame for each call, so that two calls of one function share no
+        # variables.
         frame = f"{name}#{self.count}"
         for (kind, pointer, parameter), value in zip(
             function.parameters, arguments, strict=True
@@ -86,8 +86,8 @@ class Symbolic(Formulas):
         returned: Value | None = None
         for number, statement in enumerate(body):
             if statement[0] == "return":
-                # An early return makes all that follows conditional; law.c has one exit
-                # a function.
+                # An early return makes all following statements conditional; functions
+                # of law.c have one exit each.
                 if number != len(body) - 1:
                     raise Unreadable(f"{name} returns before its end")
                 returned = self.converted(
@@ -100,7 +100,7 @@ class Symbolic(Formulas):
     def _anything(
         self, function: Function, arguments: tuple[Value, ...]
     ) -> Value | None:
-        # Sorted, so that the same text always makes the same problem: the logs are
+        # Sorted, so that the same text always gives the same problem: the logs are
         # compared by their hashes.
         for owner, member in sorted(self.source.effects(function.name)):
             kind = self.source.members.get(member)
@@ -148,13 +148,14 @@ class Symbolic(Formulas):
 
     def _branch(self, statement: Node, frame: str) -> None:
         test = self.truth(self._value(_node(statement[1]), frame))
-        # A branch that cannot be taken is not executed: its members would be
-        # joined with what they never become.
+        # A branch that cannot be taken is not executed: its members would be merged
+        # with values that never occur.
         if test in (TRUE, FALSE):
             for part in _nodes(statement[2 if test == TRUE else 3]):
                 self._run(part, frame)
             return
-        # Both branches from the same memory; what they leave is joined place by place.
+        # Both branches start from the same memory; their results are merged place by
+        # place.
         before = dict(self.memory)
         for part in _nodes(statement[2]):
             self._run(part, frame)
@@ -164,15 +165,14 @@ class Symbolic(Formulas):
         for place in dict.fromkeys((*after, *self.memory)):
             yes = after.get(place) or self._late(place)
             no = self.memory.get(place) or self._late(place)
-            if (
-                yes is None or no is None
-            ):  # a variable of one branch alone: nothing behind reads it
+            # a variable of one branch only, which no later statement reads
+            if yes is None or no is None:
                 self.memory.pop(place, None)
             else:
                 self.memory[place] = self.choice(test, yes, no)
 
     def _late(self, place: Place) -> Value | None:
-        """A member that one branch alone has touched: in the other it has any value,
+        """A member written in one branch only: in the other it has an arbitrary value,
         which is sound.
         """
         kind = self.source.members.get(place[1])
@@ -198,9 +198,8 @@ class Symbolic(Formulas):
         name = str(node[1])
         if name in ("__builtin_fabs", "__builtin_fabsf"):
             return self.magnitude(self._value(_nodes(node[2])[0], frame))
-        if (
-            name == "__builtin_expect"
-        ):  # a word to the compiler about the first of the two
+        # a hint for the compiler about the first of the two
+        if name == "__builtin_expect":
             return self._value(_nodes(node[2])[0], frame)
         if name in self.assumed:
             return self.assumed[name]
@@ -218,9 +217,8 @@ class Symbolic(Formulas):
             return self.load(self._place(node, frame))
         if kind == "address":
             target = _node(node[1])
-            whole = (
-                _node(target[1]) if target[0] == "element" else target
-            )  # an element stands for its array
+            # an element represents its array
+            whole = _node(target[1]) if target[0] == "element" else target
             return Value("pointer", ".".join(self._place(whole, frame)))
         if kind == "call":
             value = self._call_node(node, frame)
@@ -246,8 +244,8 @@ class Symbolic(Formulas):
         if sign in ("&&", "||"):
             before = dict(self.memory)
             tests = [self.truth(self._value(part, frame)) for part in (left, right)]
-            # C evaluates the second part only where the first lets it: an effect
-            # there would be unconditional here.
+            # C evaluates the second part only depending on the first: an effect there
+            # would be unconditional here.
             if any(self.memory.get(place) != value for place, value in before.items()):
                 raise Unreadable("an effect inside a condition")
             return self.joined(sign, tests)

@@ -1,6 +1,4 @@
-"""The provers that may be installed, how each is run, and how their numbers are
-printed.
-"""
+"""The supported provers, their command lines, and the format of their numbers."""
 
 from __future__ import annotations
 
@@ -24,8 +22,7 @@ __all__ = [
     "sha256_of_text",
 ]
 
-# A proof takes seconds on a desktop; ten minutes without an answer is one that will not
-# come.
+# A proof takes seconds on a desktop; without an answer in ten minutes none will come.
 SECONDS = 600
 
 
@@ -71,7 +68,7 @@ class Tool:
     ) -> Answer:
         """Run the program in `folder` and return all that it printed."""
         # Frama-C takes the working directory from PWD, which a change of directory
-        # alone leaves behind
+        # alone does not update
         environment = os.environ | {"PWD": str(folder.resolve())}
         command = [self.path or self.program, *arguments]
         try:
@@ -92,7 +89,7 @@ class Tool:
 FRAMA_C = Tool("frama-c", "frama-c-base", ("-version",))
 GAPPA = Tool("gappa", "gappa")
 COMPILER = Tool("cc", "gcc")
-# In the order they are asked, until one decides.
+# In the order in which they are run, until one decides.
 SOLVERS = (Tool("z3", "z3"), Tool("cvc5", "cvc5"))
 
 

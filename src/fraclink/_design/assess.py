@@ -282,10 +282,11 @@ def feasibility_map(
             if found is None:
                 search = Search(cell, cell.first_links, cell.filter_orders[-1])
                 starts = search.starts
-            else:  # from the last cell, and at all links that were worst there
+            # start from the previous cell, and from all links that were worst there
+            else:
                 search, starts = replace(found.search, request=cell), found.x[:, None]
             found = search.over_links(starts)
             if found.slack > 0.0:
-                break  # nor is there one with a larger margin
+                break  # a larger margin is infeasible as well
             noise[row, column] = found.noise_gain
     return FeasibilityMap(crossovers, angles, noise)

@@ -324,10 +324,9 @@ def _run(
     one period later.
     """
     modes = discrete_modes(plant, law.period, span=count * law.period)
-    # Convolution with the plant's pulse response, O(N²): carrying a state along would
-    # require another implementation of the modes of a delayed plant, and N is a few
-    # thousand.
-    # response to a pulse of one period, at the later samples
+    # Convolution with the plant's response to a pulse of one period, O(N²): carrying a
+    # state along would require another implementation of the modes of a delayed plant,
+    # and N is a few thousand.
     weights = modes.respond(np.eye(1, count)[0])
     state, given = law.initial_state(), np.zeros(count)
     measured = np.zeros(count)

@@ -23,9 +23,9 @@ __all__ = ["Search", "Solution", "solved"]
 
 Real = NDArray[np.float64]
 
-# ln δ [s]: ten periods of the slowest arm, and below every control period
+# Bounds of ln δ [s]: ten periods of the slowest arm, and less than any control period.
 _LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
-_LEAST_ORDER = 0.05  # β → 0 is a constant Ĉ, which (28) forbids
+_LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
 # Least gain in ln of the noise that justifies another descent: the third digit, which is
 # printed.
 _IDLE = 1e-3

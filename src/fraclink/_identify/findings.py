@@ -23,9 +23,10 @@ from fraclink.findings import Finding, worst_first
 # Share of the power of an unseen motion: a law that cancels with such a model leaves
 # half of the vibration, 6 dB, as for the gate of a structure.
 HELDOUT_MOST = 0.25
-WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone leaves
-# Calibrations of strain gauges are good to some 20 %; mrad for rad, volts for radians
-# are off by more.
+# ratio of held-out to fitted error, when both exceed what noise alone leaves
+WORSE = 4.0
+# The calibration of a strain gauge is accurate to about 20 %; mrad for rad or volts for
+# radians differ by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
 # n ln(power/mse)/k: pure noise reaches 20 in one log of a thousand, because the fit may
 # choose its frequency.
@@ -36,8 +37,8 @@ RESONANCE_MOST = 0.1
 # Vibration periods at the beginning of a log that are compared with the rest, and the
 # largest ratio of their error to that of the rest.
 _START, _FIRST_ERROR = 2.0, 2.0
-# No encoder of a rig resolves less.
-_TREMBLE = 1e-3  # [rad]
+# [rad]: the encoder of every rig is finer than this
+_TREMBLE = 1e-3  # p-value below which the residual is reported as coloured
 _COLOURED = 0.01  # p-value below which the residual is said to be coloured
 
 _AT_BOUND = {
@@ -71,8 +72,8 @@ def findings_of(
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, sure[1]),
         *_of_other_valleys(fit, solution),
-        # Of noise, too: `Fit.loop_model` takes the rig's stiffness where this one is
-        # said to be nobody's.
+        # Also for noise: `Fit.loop_model` takes the stiffness of the rig if this
+        # finding says that the log does not determine it.
         *_of_the_stiffness(fit, stiffness),
         *(_of_the_gain(fit) if heard else ()),
         *(_of_the_delay(fit, solution) if heard else ()),
@@ -199,8 +200,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         )
     elif relative > HELDOUT_MOST:
         yield _not_predicted(fit, relative)
-    # Both: a quiet end has a large relative error by its small power alone, a loud one
-    # a large mean square.
+    # Both conditions: at a quiet end the relative error is large because of the small
+    # power alone, at a loud end the mean square is.
     elif relative > WORSE * fit.nmse and held > 2 * fit.mse:
         yield Finding(
             "W318",

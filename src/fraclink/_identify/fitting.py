@@ -60,7 +60,7 @@ Stiffness = Annotated[
 ]
 Motion = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
-# How sure a fit is: the covariance, and the resonance's relative standard error.
+# Uncertainty of a fit: the covariance, and the resonance's relative standard error.
 Known = tuple[Covariance, float]
 SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 
@@ -273,13 +273,14 @@ def fit_from(
     predicted = predicted_output(search, solution, log)
     residual = log.output - predicted
     if known is None or not details:
-        # Without details the white covariance alone: the coloured one takes as long as
+        # Without details only the white covariance: the coloured one takes as long as
         # the fit.
         known = link_covariance(search, solution, coloured=details)
     covariance, resonance = known
     tests, intervals = None, {}
     if details:
-        # On the fitted part: what was held out judges the prediction, not the noise.
+        # On the fitted part: the held-out part is for judging the prediction, not the
+        # noise.
         tests = _tests(search, residual[: window.samples], covariance)
         intervals = _intervals(search, solution, covariance)
     fit = Fit(
@@ -314,7 +315,7 @@ def fit_from(
     motion = motion_after(log, window.samples)
     sure = (resonance, covariance.singular)
     findings = findings_of(fit, solution, sure, stiffness, motion, log)
-    # What makes the log unusable makes the model so.
+    # Errors that make the log unusable make the model unusable.
     return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
 
 
@@ -394,8 +395,8 @@ def _identified(
 
 
 def _tests(search: Search, residual: Vector, covariance: Covariance) -> ResidualTests:
-    # The worst one: it says by how much fewer samples the least certain parameter
-    # counts.
+    # The worst ratio: the factor by which the number of samples counts less for the
+    # least certain parameter.
     ratio = max(covariance.inflation.values(), default=1.0)
     motion = search.window.increments()[-search.window.samples :]
     return residual_tests(residual, motion, search.window.period, covariance.lag, ratio)

@@ -152,7 +152,7 @@ def weight_of(search: Search, solution: Solution) -> float:
     if not variance > 0:
         return 1.0
     inflation = link_covariance(search, solution, coloured=True)[0].inflation
-    # The median over the link's own parameters: one that hardly matters may have any
+    # The median over the parameters of the link: one with little influence may have any
     # ratio.
     own = ("order", "natural_frequency", "damping")
     ratios = [inflation[name] for name in own if name in inflation]

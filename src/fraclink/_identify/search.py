@@ -37,14 +37,17 @@ _SCAN_ORDER, _SCAN_STEP = 1.85, 0.2
 # covers an eighth of a period by itself, and the largest delay is a third of one.
 _DELAYS = (0.0, 0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
-_VALLEYS = 2  # of a broad resonance: the lowest need not be that of a narrow one
-_PLACES = 9  # over all frequencies, where a descent ended at a limit
-# ζ, each a third of the one before, for what rings on from before a cut; steps in ln Ω
-# of a fifth of it, as gain and phase at the cut leave a fifth of the resonance's width.
+_VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a narrow one
+_PLACES = 9  # starts over all frequencies, if a descent ended at a limit
+# ζ, each a third of the previous one, for the vibration that continues from before a
+# cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
+# of the resonance's width.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
-_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 forgets in 180 periods
-_WORTH = 4.0  # times the least power that is left: no vibration of this log
-_ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
+_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 decays in 180 periods
+# multiple of the smallest remaining power: beyond it there is no such vibration in this
+# log
+_WORTH = 4.0
+_ITERATIONS = 200  # an undamped link on a damped log converges by a third per step
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +175,9 @@ class Search:
         grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
         costs = self._costs(self.kernel, self._links(grid, _SCAN_ORDER, 0.0))
         valleys = grid[lowest_valleys(costs, _VALLEYS)]
-        # A delay of a quarter of a vibration makes a velocity of the torque: the scan
-        # without it then finds the right frequency with the wrong phase, or another
-        # frequency.
+        # A delay of a quarter of the vibration period turns the torque into a velocity:
+        # the scan without it then finds the right frequency with the wrong phase, or
+        # another frequency.
         rows = np.concatenate(
             [self._links(valleys, _SCAN_ORDER, part) for part in _DELAYS]
         )
@@ -262,14 +265,14 @@ class Search:
         if name not in self.solutions:
             ends = [self._descended(name, row) for row in self._starts(name)]
             if name == FRACTIONAL:
-                # The other structures start from it, and in its valleys.
+                # The other structures start from it, in its valleys.
                 ends += self._from_elsewhere(self._lowest(ends))
             found = self._lowest(ends)
             rivals = self._rivals(found, ends)
             if "delay" not in self.fixed:
                 found = self._between_samples(found)
-            # The best one need not be the last one: what was tried after it was work,
-            # too.
+            # The best one need not be the last one; the work on later attempts counts
+            # as well.
             self.solutions[name] = replace(
                 found, evaluations=self._evaluations, rivals=rivals
             )
@@ -279,7 +282,8 @@ class Search:
         self, found: Solution, ends: Sequence[Solution]
     ) -> tuple[Solution, ...]:
         """The ends in other valleys that explain the log nearly as well."""
-        # Two vibrations are told apart by half a turn over all that moved the link.
+        # Two vibrations can be separated if they differ by half a turn over all the
+        # motion of the link.
         turn = math.pi / (2 * self.window.angle.size * self.window.period)
         kept = [found]
         for end in sorted(ends, key=lambda each: each.cost):
@@ -425,14 +429,14 @@ class Search:
             yield from (self.solve(special).shape for special in special_cases(name))
             return
         for fractional in (end.shape for end in (best, *best.rivals)):
-            # The pole of s^λ + ω₀² lies at the angle π/λ: its damping ratio is
+            # The pole of s^λ + ω₀² has the argument π/λ: its damping ratio is
             # −cos(π/λ).
             ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
             if "damping_order" in free:
                 yield from self._damped(name, fractional, ratio)
             elif "damping" in free:
-                # The undamped link of order λ decays as one with ζ = −cos(π/λ): a start
-                # beside the optimum.
+                # The undamped link of order λ decays like one with ζ = −cos(π/λ): a
+                # start close to the optimum.
                 yield np.array(
                     [2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]]
                 )

@@ -18,15 +18,18 @@ from fracsys._loops import log_corners
 
 __all__ = ["structure_findings"]
 
-# Correlation beyond which a parameter is known seven times better where the other one is
-# given.
+# Correlation beyond which a parameter would be known seven times better if the other
+# one were given.
 _CORRELATED = 0.99
-# Of the squared output: 0.1 % in amplitude, the class of good force transducers; and
-# the part of a residual that may be noise where all else is smooth, as of a simulation:
-# no sensor is that quiet.
+# Shares of the squared output: 0.1 % in amplitude, the class of good force transducers;
+# and the largest share of noise in a residual that is otherwise smooth, as from a
+# simulation: no sensor is that quiet.
 _RESOLUTION, _SMOOTH = 1e-6, 0.01
-_ALIKE = 0.5  # of the power of what lines leave with their neighbours, of noise 0
-# a corner may lie outside of the excited band by that factor: its slope reaches in
+# share of the power of lines that they have in common with their neighbours; 0 for
+# noise
+_ALIKE = 0.5
+# factor by which a corner may lie outside the excited band, since its slope extends
+# into it
 _BEYOND = 3.0
 _LARGEST = 700.0  # the largest logarithm of a double
 
@@ -124,19 +127,19 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
 
 
 def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
-    """A residual that is no noise: what was measured holds more than the structure."""
+    """A residual that is not noise: the measurement contains more than the structure."""
     if fit.nmse < _RESOLUTION:
         return
     residual = fit.measured - fit.predicted
     if isinstance(data, Lines):
-        # A resonance that is missed moves neighbouring lines alike; noise does not.
+        # A missed resonance shifts neighbouring lines in the same way; noise does not.
         left = residual[: fit.fitted] + 1j * residual[fit.fitted :]
         alike = float(np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real)
         smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
     else:
         rest = residual[: fit.fitted]
-        # The second difference of white noise has √6 times its size; the median leaves
-        # out the samples at which the input jumps, 1.48 times it is the standard
+        # The second difference of white noise has √6 times its size. The median ignores
+        # the samples at which the input jumps; 1.48 times the median is the standard
         # deviation.
         noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(rest, 2))))
         size = float(np.std(rest))
@@ -157,16 +160,16 @@ def _of_rivals(
     rivals: Sequence[Place],
     data: RecordStart | Lines,
 ) -> Iterator[Finding]:
-    """Other parameters that fit as well as the data can tell, and are not the same.
+    """Other parameters that fit equally well within the accuracy of the data.
 
-    An interval follows one valley of the cost; another valley is as good by the same
+    An interval covers one valley of the cost; another valley may be as good by the same
     measure.
     """
     least = fit.nmse
     for rival in rivals:
         ratio = rival.cost / max(_cost(fit, data), 1e-300)
-        # n ln(cost/least) is the likelihood ratio of Gaussian noise, as the intervals
-        # are cut by.
+        # n ln(cost/least) is the likelihood ratio for Gaussian noise, which also
+        # defines the intervals.
         told = data.measured.size * math.log(max(ratio, 1.0))
         apart = [
             name
@@ -174,8 +177,8 @@ def _of_rivals(
             if not interval.contains(rival.values[name])
             and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
         ]
-        # Where the fit is perfect every rival is as perfect: two names for one
-        # function, which are no two answers.
+        # If the fit is perfect, every rival is perfect too: these are two parameter
+        # sets for the same function.
         if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
             yield rival_finding({name: rival.values[name] for name in apart})
             return
@@ -189,7 +192,7 @@ def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
 def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
     low, high = data.band
     G = fit.transfer_function
-    # A term that vanished has no corner; orders that nearly agree put it beyond any
+    # A vanished term has no corner frequency; nearly equal orders move it beyond any
     # number.
     terms = () if fit.at_bound else (G.numerator, G.denominator)
     logs = [corner for part in terms for corner in log_corners(part)]

@@ -62,7 +62,7 @@ class Covariance:
     ) -> Covariance:
         """From ∂(prediction)/∂(parameters), shape (p, n), and the residual (n,)."""
         inverse, singular = inverted(regressors @ regressors.T)
-        # n − p: the fit has taken p of the residual's degrees of freedom.
+        # n − p: the fit uses p of the residual's degrees of freedom.
         variance = cost / max(residual.size - len(regressors), 1)
         white, lag, effective = variance * inverse, 1, float(len(regressors))
         wide = white
@@ -91,7 +91,7 @@ class Covariance:
     @cached_property
     def errors(self) -> dict[str, float]:
         """Standard errors, with the colour accounted for."""
-        # Rounding may leave a variance just below zero.
+        # Rounding may leave a variance slightly below zero.
         white = np.maximum(np.diag(self.white), 0.0)
         rows = zip(self.inflation.items(), white.tolist(), strict=True)
         return {name: math.sqrt(ratio * own) for (name, ratio), own in rows}
@@ -133,8 +133,9 @@ def _sandwich(
     """
     coefficients, power, freedom = noise_behind(regressors, residual)
     meat = coloured_covariance(regressors, coefficients, power)
-    # Misfit that depends on the motion is no independent noise, nor is one that is
-    # stronger at some lines than at others; there the products of both tell more.
+    # A misfit that depends on the motion is not independent noise, nor is noise that is
+    # stronger at some lines than at others; there the products of both give more
+    # information.
     lags = 0 if are_lines else correlated_lags(residual)
     products = long_run_covariance(regressors * residual, lags)
     wider = np.sqrt(

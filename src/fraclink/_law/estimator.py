@@ -73,7 +73,8 @@ MODEL = ("a1", "a2", "a3", "b0", "b1", "b2", "c1", "c2", "c3", "rest", "mass")
 
 # The following values were determined on the twin of the geared rig, 8 to 80 g
 # (benchmarks/bench_estimator.py).
-# relative to the lightest payload of the design, and to the largest of the law
+
+# Relative to the lightest payload of the design, and to the largest of the law.
 LIGHTEST, HEAVIEST = (0.25, 1.15)
 # phase of the lightest payload's vibration per sample [rad]: 12 samples per vibration
 TURN = 0.5
@@ -329,7 +330,7 @@ def payload_estimator(
     masses = np.geomspace(
         LIGHTEST * payloads[0] + own, HEAVIEST * largest + own, MODELS
     )
-    # The material damps: D(s) = 1 + (μ/ω₀²) s^α is the same whatever the payload is.
+    # The material damps: D(s) = 1 + (μ/ω₀²) s^α is the same for every payload.
     links = [
         replace(
             link,

@@ -271,8 +271,7 @@ class Law(Saved):
         """
         c = self.coefficients
         # Taken from the block instead of `correction`: in single precision these are
-        # the numbers on the board.
-        # the block's lists are padded with zeros
+        # the numbers on the board. The block's lists are padded with zeros.
         n, m = (
             len(self.correction.poles),
             len(self.correction.pair_poles),

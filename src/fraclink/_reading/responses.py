@@ -189,9 +189,8 @@ def _unit(name: str, role: str, in_file: str) -> str:
     # "fkHz" is f in kHz and not "fk" in Hz.
     called = "|".join(sorted(_ROLES.get(role, ()), key=len, reverse=True))
     parted = re.sub(rf"^((?i:{called}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
-    # The file's own statement goes before the name's: a TDMS property is set by the
-    # program, a name by a person. "kHz", "millis" and "ms_since_start" state a unit,
-    # too.
+    # A unit in the file takes precedence over one in the name: a program sets a TDMS
+    # property, a person a name. "kHz", "millis" and "ms_since_start" state a unit too.
     units = [stated_unit(text, known) for text in (f"[{in_file}]", parted)]
     units += [unit_of_name(f"[{text}]", known) for text in (name, *words)]
     if role == "frequency" and {*words, name.strip()} & set(_OMEGA):

@@ -261,7 +261,7 @@ def actions_of(
             last = at + max(1, round(event.duration / period))
             inputs[at:last, TIP_FORCE] += event.force
         elif isinstance(event, SensorFault):
-            # One period at least: a fault that was asked for must happen.
+            # At least one period: a requested fault must occur.
             _inject(event, inputs[at : max(at + 1, round(event.until / period))])
         else:
             actions.setdefault(at, []).append(event.act)

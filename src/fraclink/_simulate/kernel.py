@@ -88,10 +88,10 @@ NUMBERS = (
     "gauge_offset",  # [N·m]
     "noise",  # [N·m]
     "delay_samples",  # [periods]
-    "amplitude",  # of the reference [rad]
+    "amplitude",  # amplitude of the reference [rad]
     "gauge_delay",  # [periods]
     "gauge_gain",  # [1]
-    "payload_given",  # that the law is given [kg], 0: none
+    "payload_given",  # payload given to the law [kg], 0: none
 )
 
 
@@ -225,12 +225,12 @@ def delay_line(delay: float) -> tuple[int, Real]:
     ((2, array([1., 0., 0., 0.])), 3)
     """
     whole = round(delay)
-    # A millionth of a step is the rounding of a delay in seconds over a period:
-    # interpolated, it would take four entries for one.
+    # A millionth of a step is the rounding of a delay in seconds over a period;
+    # interpolating it would take four entries instead of one.
     if abs(delay - whole) < 1e-6:
         return whole, np.array([1.0, 0.0, 0.0, 0.0])
-    # In the middle of its four points the cubic errs least; a delay below one step has
-    # no younger entry, and is read off one side.
+    # The error of the cubic is smallest in the middle of its four points; for a delay
+    # below one step there is no newer entry, and they lie on one side.
     youngest = max(math.floor(delay) - 1, 0)
     at, nodes = delay - youngest, range(4)
     lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
@@ -284,7 +284,7 @@ class ArmState:
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
-        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
+        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck; first tick
         self.fresh, self.estimate = law_state, np.zeros(0, dtype=np.uint8)
         self.restart()
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])

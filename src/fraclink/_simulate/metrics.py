@@ -285,8 +285,8 @@ def _band(reference: Real) -> Real:
 def _settling(distance: Real, band: Real, period: float) -> Real:
     outside = distance > band[:, None]
     length = distance.shape[1]
-    # From the end: the band may be left and entered any number of times.
-    # index of the last sample outside the band, if there is one
+    # Index of the last sample outside the band, if there is one: the band may be left
+    # and entered any number of times.
     last = length - 1 - np.argmax(outside[:, ::-1], axis=1)
     time = np.where(outside.any(axis=1), (last + 1.0) * period, 0.0)
     return np.asarray(np.where(outside[:, -1], np.inf, time))

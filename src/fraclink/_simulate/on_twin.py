@@ -104,7 +104,7 @@ def on_twin(
 
     def period(first: int, last: int) -> Real:
         if estimator is None:
-            # Between two actions the payload is constant, and True follows the arm.
+            # Between two actions the payload is constant; True follows the arm.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part, seen = state.estimating(law, inputs[first:last], estimator, first)
         estimates.extend(seen)
@@ -149,7 +149,7 @@ def acted(
             act(arm)
         records.append(run(first, last))
         payloads.append(np.full(len(records[-1]), arm.twin.beam.payload))
-        # The arm has left every bound: what would follow is no physics.
+        # The arm has exceeded all bounds; a continuation would be meaningless.
         if len(records[-1]) < last - first:
             break
     return np.vstack(records), np.concatenate(payloads)

@@ -100,7 +100,7 @@ def tune_link(
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
         model = fit.model
-        # A fit that fails a gate needs twice the motion at least.
+        # A fit that fails a gate needs at least twice the motion.
         short, reach = max(shortfall(fit), 1.0 if fit.passed else 2.0), size * reach
         rounds.append(
             (reach, record.duration, fit.standard_errors.get("order", math.nan))

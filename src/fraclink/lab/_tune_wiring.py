@@ -348,8 +348,7 @@ def _scales(
     motor = stated.motor.gain
     encoder = gain / motor
     # The stiffness is torque over angle, so a wrong encoder scale divides it; the
-    # product depends on the gauge only.
-    # ratio of the gauge's scale to the true one
+    # product is the ratio of the gauge's scale to the true one.
     bend = stiffness / stated.link.stiffness * encoder
     said = (
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",

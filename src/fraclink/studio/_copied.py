@@ -137,8 +137,8 @@ class _Log:
         given = f", {structure!r}" if structure else ""
         given += "" if heldout is None else f", heldout={heldout:g}"
         known = self.session.study.experiment
-        # A deflection is a ratio of angles, in which c cancels: it must be stated.
-        # such a log does not determine the stiffness
+        # A deflection is a ratio of angles, in which the stiffness cancels: it must be
+        # stated.
         if known is not None and known.output_kind == "deflection":
             given += ", stiffness=rig.link.stiffness"
         return self.lines("log = {read}", f"fit = fl.identify(log{given})")

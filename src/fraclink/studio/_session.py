@@ -162,8 +162,7 @@ class Session:
         made = moved(made)
         with self.lock:
             # By identity: an equal log that was read again is another one, whose
-            # findings may differ.
-            # another log may have been read meanwhile
+            # findings may differ. It may have been read meanwhile.
             inputs = (
                 "rig",
                 "experiment",
