@@ -1,9 +1,10 @@
-"""What people and programs read of a result, stated once by its class.
+"""The content of a result for people and programs, stated once by its class.
 
 A figure is a `Row`: its key for programs, its label and unit for people, and its value.
-Rows of several like things are a `Table`, and an `Overview` is all that a result says:
-the word of its verdict, a sentence, its figures, its findings. Command line, JSON,
-notebook, report and studio loop over them; `fraclink.view` formats and draws.
+Rows of several similar objects form a `Table`, and an `Overview` is the whole content
+of a result: the word of its verdict, a sentence, its figures, its findings. Command
+line, JSON, notebook, report and studio loop over them; `fraclink.view` formats and
+draws.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Findings(Listed[Finding]):
     """
 
     def overview(self) -> Overview:
-        """How many there are of each severity, and what they say."""
+        """The number of findings of each severity, and their messages."""
         found = [finding.severity for finding in self]
         # A warning is no failure, but a result with one is not yet shown to be right.
         state = "not shown" if "warning" in found else "passed"

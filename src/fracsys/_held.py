@@ -343,8 +343,8 @@ def _sampled(quotient: Quotient, times: Reals, start: float) -> tuple[Reals, flo
 
 
 def _direct(top: Sequence[Term], bottom: Sequence[Term]) -> float:
-    """What of N/D does not fall at high frequency, where its step response begins;
-    infinite for an improper one.
+    """The direct part of N/D, which does not fall at high frequency and is the initial
+    value of its step response; infinite for an improper quotient.
     """
     if not top or top[0].order < bottom[0].order:
         return 0.0

@@ -30,8 +30,8 @@ class SampledLoop:
     """A loop for the sweep along the axis, and what is known of it beforehand.
 
     `response`: L(j e^x), x = ln ω. `low`, `high`: ln of the frequencies [rad/s] that
-    can matter. `seeds`: ln ω where the response moves fast, near poles and zeros beside
-    the axis. `delayed`: whether there may be a delay, so that phase crossings are
+    can matter. `seeds`: ln ω where the response moves fast, near poles and zeros close
+    to the axis. `delayed`: whether there may be a delay, so that phase crossings are
     countless where |L| is small; up to `follow` (ln ω) the phase is followed however
     small |L| is. `ends`: L at ω → 0 and ω → ∞ if it has a known limit, else NaN.
     `system`: the transfer function that L is, `span` ln of its lowest and highest
@@ -223,8 +223,8 @@ def _faint(system: FractionalTransferFunction) -> float:
 
 
 def _limit(system: FractionalTransferFunction, end: int) -> complex:
-    """L at ω → 0 (end = −1) or ω → ∞ (end = 0): a ratio of coefficients, 0, or nan
-    where there is none.
+    """L at ω → 0 (end = −1) or ω → ∞ (end = 0): a ratio of coefficients, 0, or NaN if
+    there is none.
     """
     up, down = system.numerator[end], system.denominator[end]
     falls = up.order > down.order if end else up.order < down.order

@@ -311,7 +311,7 @@ def _brackets(
 
 
 def _near_touches(place: Index, y: Reals) -> list[int]:
-    """Indices of extremes nearer to zero than the steps beside them, with neighbours of
+    """Indices of extremes closer to zero than the steps to their neighbours, which have
     the same sign.
     """
     size, step = np.abs(y), np.abs(np.diff(y))

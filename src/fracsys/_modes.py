@@ -363,7 +363,7 @@ def _add_cluster(
     clearance: float,
     longest: float,
 ) -> None:
-    """Modes on a short real segment around a cluster that stand for all its residues
+    """Modes on a short real segment around a cluster that represent all its residues
     together.
 
     A double pole is (a + bt) e^(pt), a derivative with respect to p; on Chebyshev nodes

@@ -185,7 +185,7 @@ def _filtered(
 def _check(
     system: FractionalTransferFunction, band: tuple[float, float], period: float | None
 ) -> None:
-    """What involves several arguments, or the system's own structure."""
+    """Checks that involve several arguments, or the structure of the system."""
     checked_band(band, period)
     if any(t.delay for t in (*system.numerator, *system.denominator)):
         raise FieldError(

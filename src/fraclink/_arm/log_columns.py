@@ -258,8 +258,8 @@ _STATED = re.compile(
 
 @dataclass(frozen=True)
 class ColumnStatement:
-    """What a text such as ``motor_angle=-pot * 36.79 [deg]`` states about one column;
-    None where it does not.
+    """The statement of a text such as ``motor_angle=-pot * 36.79 [deg]`` about one
+    column; None for missing parts.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ class ColumnStatement:
 
     @staticmethod
     def of(text: str) -> ColumnStatement:
-        """Return what `text` states; FieldError where it has another form or names an
+        """Return the statement of `text`; FieldError if it has another form or names an
         unknown role.
         """
         match = _STATED.fullmatch(text.strip())

@@ -94,7 +94,7 @@ class Crossings:
 
 @dataclass(frozen=True)
 class Achieved:
-    """What a loop achieves, one value for each ω₀.
+    """The figures achieved by a loop, one value for each ω₀.
 
     Upper gain crossover [rad/s], phase margin [rad] (negative where the loop is
     unstable), sensitivity peak Ms = max 1/|1 + L| (infinite where it is unstable), and

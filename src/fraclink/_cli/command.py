@@ -1,14 +1,14 @@
 """One decorator for every command: it declares the options, checks, calls, shows, and
 returns the code.
 
-What stands beside a parameter's type says everything about its option, once:
+The annotation of a parameter contains everything about its option:
 
     def simulate(payload: Annotated[Payload, "Payload"], out: Annotated[Path, "File",
     Writes()]): ...
 
-A text is the help, a range is checked and added to the help, `Writes` keeps what is
-already there, and a `typer.Option` or `typer.Argument` stands where the name alone does
-not say how it is written. Keywords of a public function are declared there and nowhere
+A string is the help, a range is checked and added to the help, `Writes` protects
+existing files, and a `typer.Option` or `typer.Argument` is given if the name alone does
+not determine the spelling. Keywords of a public function are declared there and nowhere
 else: `Keywords` takes type, range, default and help of each from it.
 """
 

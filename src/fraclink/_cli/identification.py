@@ -390,7 +390,7 @@ def identify(
 
 
 def _kind(data: list[str], structure: str | None) -> str:
-    """What is fitted, a key of `_FITS`."""
+    """The kind of fit, a key of `_FITS`."""
     # Only the text of a transfer function contains a separate s; the names of the links
     # do not.
     kind = "transfer function" if re.search(r"\bs\b", structure or "") else structure

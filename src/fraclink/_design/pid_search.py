@@ -249,9 +249,7 @@ def _stable(loop: Complex, origin: Real) -> NDArray[np.bool_]:
 
 
 def _least_margin(loop: Complex) -> Real:
-    """Smallest |phase margin| over the gain crossings of each row, π where there is
-    none.
-    """
+    """Smallest |phase margin| over the gain crossings of each row, π if there is none."""
     level = np.log(np.abs(loop))
     # Linear interpolation between two points in ln ω: root finding for some thousand
     # candidates would take a hundred times as long.

@@ -1,5 +1,4 @@
-"""What a reader of a fit should know: findings W2xx and W3xx, and the gates that a model must
-pass to be used.
+"""Findings W2xx and W3xx about a fit, and the gates that a model must pass to be used.
 
 A gate is a finding of severity "error" with its threshold in the evidence. After a
 failed gate the model is kept with all its numbers, but no result based on it can pass.

@@ -253,7 +253,7 @@ class Search:
         return own if "delay" in self.fixed else (*own, 4)
 
     def _delays(self, row: Shape, *, may_lead: bool) -> tuple[float, float]:
-        """Range of the delay beside a row [s]; `may_lead` admits one below zero."""
+        """Range of the delay about a row [s]; `may_lead` allows negative values."""
         shortest, longest = (x * 2 * math.pi * math.exp(-row[1]) for x in _DELAY_LIMITS)
         span = self.window.samples * self.window.period
         return max(shortest, -0.9 * span) if may_lead else 0.0, min(

@@ -1,4 +1,4 @@
-"""How sure a structure's parameters are."""
+"""Uncertainty of the parameters of a structure."""
 
 from __future__ import annotations
 

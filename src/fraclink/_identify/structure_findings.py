@@ -1,4 +1,4 @@
-"""What a reader of a structure's fit should know: findings W35x, and the gates of it."""
+"""Findings W35x about a structure's fit, and its gates."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ _LABVIEW = ("LabVIEW Measurement", "***End_of_Header***")
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the rows of a text begin, and what stands above them.
+    """The beginning of the rows of a text, and the lines above them.
 
     Parameters
     ----------
@@ -155,9 +155,9 @@ def read_text_table(path: Path) -> LogTable:
 def _utf8(raw: bytes, path: Path) -> bytes:
     """The text as UTF-8 bytes with line feeds only, whatever program wrote it.
 
-    UTF-16 is recognised by its byte order mark. Where a byte above 127 is not UTF-8,
-    names are read as Windows-1252, the encoding of ° and µ in older programs; numbers
-    have no such byte.
+    UTF-16 is recognised by its byte order mark. If a byte above 127 is not UTF-8, names
+    are read as Windows-1252, the encoding of ° and µ in older programs; numbers have no
+    such byte.
     """
     wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")
     encoding = "utf-16" if wide else "utf-8-sig"

@@ -206,7 +206,8 @@ def _guarded(run: Run) -> bool:
 
 @dataclass(frozen=True)
 class ArmFigures:
-    """What one link of a set makes of a move: the worst of its payloads and seeds.
+    """The figures of a move for one link of a set: the worst over its payloads and
+    seeds.
 
     Parameters
     ----------

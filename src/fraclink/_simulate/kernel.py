@@ -393,9 +393,7 @@ def _discretised(twin: Twin, step: float) -> tuple[Plant, StepMatrices]:
 
 
 def _straight(plant: Plant, angle: float, size: int) -> Real:
-    """The absolute modal coordinates Γi θm of a straight link whose hub stands at
-    `angle`.
-    """
+    """The absolute modal coordinates Γi θm of a straight link with its hub at `angle`."""
     state = np.zeros(size)
     for i in range(plant.modes.count):
         state[plant.mode_slice(i).start] = plant.modes.participation[i] * angle

@@ -90,7 +90,7 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
 
 
 def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
-    """Return the kernel's row of a second mode, shape (1, 15); (0, 15) where there is
+    """Return the kernel's row of a second mode, shape (1, 15); (0, 15) if there is
     none.
 
     Its step response is Re(g₀ e^(pt)) with g₀ = gain (1 + jζ/√(1 − ζ²)): a state z' = p

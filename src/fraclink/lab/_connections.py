@@ -41,10 +41,10 @@ _PTY = "pty"  # a pseudo-terminal on which an arm is served
 
 
 class Command(NamedTuple):
-    """What the law gives in one period: motor_reference θm* [rad], voltage [V], the
+    """The output of the law in one period: motor_reference θm* [rad], voltage [V], the
     number of the period, and the law's mode, reason and flags (see law.h).
 
-    In modes 0 and 4 the drive must be off, and the motor reference means nothing: 0
+    In modes 0 and 4 the drive must be off, and the motor reference is meaningless: 0
     before the law has started, 4 for the safe stop, which is the last command of every
     run.
     """

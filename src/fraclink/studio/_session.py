@@ -206,7 +206,7 @@ class Session:
     # ---- what the page shows ------------------------------------------------------------------------------
 
     def overview(self) -> dict[str, Any]:
-        """Verdict, marks of the steps, tables and commands of the study as it stands."""
+        """Verdict, marks of the steps, tables and commands of the present study."""
         study, verdict = self.study, self.study.verdict
         made = study.design
         return {

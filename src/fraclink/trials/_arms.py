@@ -172,8 +172,8 @@ def _measured(
     for twice as long.
 
     In one of some thousand runs, noise excites a good arm such that its envelope rises
-    throughout the run; every few campaigns of a thousand runs would report an unstable
-    arm. The vibration of an unstable arm goes on growing.
+    throughout the run; one in a few campaigns of a thousand runs would report an
+    unstable arm. The vibration of an unstable arm goes on growing.
     """
     rows = _rows(campaign, block)
     metrics = measure_many(_judged(campaign, block, rows))

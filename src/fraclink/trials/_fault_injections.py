@@ -300,7 +300,7 @@ def wipe(trial: Trial, byte: int) -> None:
 
 
 def restart(trial: Trial, *, after: int = 0, missed: int = 0) -> None:
-    """Start the law anew; missed: periods for which the processor was away, while the
+    """Restart the law; missed: periods in which the processor did not run, while the
     arm goes on with its last voltage.
     """
     row = trial.row + after + missed

@@ -106,8 +106,8 @@ class MetricSummary:
 
 @dataclass(frozen=True)
 class Failure:
-    """How often the law fails: count, estimate, and the two-sided 95 % Clopper–Pearson
-    interval.
+    """The failure rate of the law: count, estimate, and the two-sided 95 %
+    Clopper–Pearson interval.
     """
 
     count: int
@@ -214,8 +214,8 @@ def summarise(folder: Path | str) -> Summary:
 
 
 def _given(campaign: Campaign) -> str:
-    """What the law was given of the payload of each arm; the bounds of the draw are
-    ratios to it.
+    """The payload given to the law for each arm; the bounds of the draw are ratios to
+    it.
     """
     if campaign.payloads is not None:
         return "the law was given the payload that it estimated of each arm"

@@ -68,7 +68,7 @@ class Figure:
     """Stacked panels with a common horizontal scale.
 
     name: unique on its page. description: text for readers who cannot see it. link:
-    figures of one link share their cursor. scale: the horizontal one; without it that
+    figures of one link share their cursor. scale: the horizontal one; by default that
     of everything drawn, from end to end, with a logarithmic axis where `log`. left:
     dots for the vertical scale's texts.
     """

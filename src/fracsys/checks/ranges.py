@@ -65,7 +65,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Rule:
-    """What an annotation admits.
+    """The values that an annotation accepts.
 
     Parameters
     ----------

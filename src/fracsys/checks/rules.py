@@ -55,9 +55,9 @@ class Parameter:
     Parameters
     ----------
     name, hint
-        its name, and its annotation with all that stands beside the type.
+        its name, and its annotation with its metadata.
     rule
-        what the annotation admits.
+        the values that the annotation accepts.
     default
         its default, or `REQUIRED`.
     way
@@ -120,7 +120,7 @@ def rule(annotation: Any) -> Rule:
 
 
 def _unaliased(annotation: Any) -> Any:
-    """What `annotation` stands for if it is a type alias, as NDArray is from numpy 2.5
+    """The meaning of `annotation` if it is a type alias, like NDArray from numpy 2.5
     on.
     """
     value = getattr(get_origin(annotation) or annotation, "__value__", None)
