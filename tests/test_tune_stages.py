@@ -71,10 +71,11 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     stiffened = 11.9 ** (2 - 1.92)  # at the vibration of 11.9 rad/s
     hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
     assert abs(link.fit.model.pole) == pytest.approx(11.9, rel=0.01)
-    # The doublets and the burst count, too, at which D is larger: 1.37 at 50 rad/s.
-    assert link.motor.fit.inertia == pytest.approx(hub / stiffened, rel=0.07)
+    # Between D at the vibration and at the doublets' and the burst's 50 rad/s.
+    found = link.motor.fit.inertia
+    assert found is not None and hub / 50 ** (2 - 1.92) < found < 1.03 * hub / stiffened
     ((reach, duration, error),) = link.rounds
-    assert (reach, error) == (0.12, link.fit.standard_errors["order"])
+    assert 0.02 < reach <= 0.12 and error == link.fit.standard_errors["order"]
     # Four seconds, and a rest on either side.
     assert duration == pytest.approx(4.5, abs=0.5)
     record = made.record
