@@ -36,6 +36,7 @@ from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session, bare
 from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
+from fraclink.view._figures import residual_density
 from fraclink.view._text import grid_of
 
 __all__ = ["LOG_VERBS", "fit_answer"]
@@ -367,8 +368,8 @@ def fit_answer(session: Session) -> Reply:
             "residual": thinned(np.asarray(fit.residual)),
         }
         curves |= _pictures(log, fit)
-        curves |= _spectrum(log.output, np.asarray(fit.residual), log.period)
-        head |= {"drawn": _DRAWN, "axes": _axes_of(curves, log.duration)}
+        head["drawn"] = [row for row in _DRAWN if row[4] in curves]
+        head |= {"axes": _axes_of(curves, log.duration)}
     return Reply(head, curves)
 
 
@@ -381,8 +382,9 @@ _DRAWN = (
     ("response", "log", "measured", "response_w", "response_log"),
     ("response", "model", "predicted", "response_w", "response_model"),
     ("coherence", "coherence", "heavy", "response_w", "coherence"),
-    ("spectrum", "log", "measured", "spectrum_hz", "spectrum_log"),
-    ("spectrum", "residual", "predicted", "spectrum_hz", "spectrum_rest"),
+    ("spectrum", "white, low", "reference", "spectrum_w", "white_low"),
+    ("spectrum", "white, high", "reference", "spectrum_w", "white_high"),
+    ("spectrum", "residual", "heavy", "spectrum_w", "spectrum_rest"),
 )
 
 
@@ -408,14 +410,14 @@ def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
         "rest": over_time,
         "response": [ends("response_w"), {"low": top - 70.0, "high": top}],
         "coherence": [ends("response_w"), {}],
-        "spectrum": [ends("spectrum_hz", 0.05), {}],
+        "spectrum": [ends("response_w"), {}],
         "valley": [ends("error_resonance"), ends("error_order")],
     }
 
 
 def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
-    """Responses of log and model with their coherence, and the error over order and
-    resonance.
+    """Responses of log and model with their coherence, the residual's spectrum against
+    white noise, and the error over order and resonance.
     """
     seen, around = welch_response(log, fit), error_map(log, fit)
     # 80 dB below the largest: a line without signal would extend the axis to −∞.
@@ -432,6 +434,19 @@ def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
         "error_order": around.order,
         "error_resonance": around.resonance,
         "error": around.ratio,
+    } | _whiteness(fit)
+
+
+def _whiteness(fit: Fit) -> dict[str, Real]:
+    """The residual's density over that of white noise [dB], and its 99 % band."""
+    density = residual_density(fit)
+    if density is None:
+        return {}
+    frequency, share, low, high = density
+    levels = {"spectrum_rest": share, "white_low": low, "white_high": high}
+    return {"spectrum_w": frequency} | {
+        name: 10.0 * np.log10(np.maximum(np.full(share.size, level), 1e-9))
+        for name, level in levels.items()
     }
 
 
@@ -446,33 +461,6 @@ def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
         "heldout_nmse": fit.heldout_nmse,
         "at": [abs(fit.model.pole), fit.model.order],
     }
-
-
-def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
-    """Amplitude spectra [dB of the output's largest] of the measured output and of the
-    residual.
-    """
-    window = np.hanning(output.size)
-    both = [
-        np.abs(np.fft.rfft((x - x.mean()) * window))[1:] for x in (output, residual)
-    ]
-    frequency = np.arange(1, both[0].size + 1) / (output.size * period)
-    # 160 peaks on a logarithmic axis: ten thousand lines, most of them in the last
-    # decade, would make a black band.
-    edges = np.geomspace(frequency[0], frequency[-1], 161)
-    place = np.clip(np.searchsorted(edges, frequency) - 1, 0, edges.size - 2)
-    most = max(float(both[0].max()), 1e-300)
-    found = {"spectrum_hz": np.sqrt(edges[1:] * edges[:-1])}
-    for name, values in zip(("spectrum_log", "spectrum_rest"), both, strict=True):
-        peaks = np.zeros(edges.size - 1)
-        np.maximum.at(peaks, place, values)
-        known = peaks > 0.0
-        level = 20 * np.log10(np.maximum(peaks / most, 1e-6))
-        # On the left an interval may contain no line: it is interpolated linearly.
-        found[name] = np.interp(
-            np.arange(level.size), np.flatnonzero(known), level[known]
-        )
-    return found
 
 
 LOG_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {

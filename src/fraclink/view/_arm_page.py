@@ -7,7 +7,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from fraclink._arm.loop import with_payload
 from fraclink._design import Design
 from fraclink._display import number
 from fraclink._files import write_text
@@ -131,13 +130,9 @@ def _too_fast(design: Design) -> FieldError:
 
 def _simulated(design: Design) -> list[str]:
     """Sentences on the effects that a run in the page includes."""
-    rig = design.rig
-    # A model without a payload has the nominal one, as in `simulate`, and the page must
-    # say the same.
-    model = with_payload(design.model, rig)
+    rig, model = design.rig, design.model
     link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
-    if model.payload is not None:
-        link += f" at {grams(model.payload)}"
+    link += f" at {grams(model.payload)}"
     link += f", stiffness {number(model.stiffness, 4)} N·m/rad"
     if model.second_mode is not None:
         link += f", and a second mode at {number(model.second_mode.frequency, 4)} rad/s in the gauge"
@@ -158,7 +153,7 @@ def _simulated(design: Design) -> list[str]:
 
 def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
     """Sentences on the effects added by the switch "twin", or why there is none."""
-    mass, model = assumed_mass(design), with_payload(design.model, design.rig)
+    mass, model = assumed_mass(design), design.model
     try:
         twin = Twin.from_rig(design.rig, model=model, link_mass=mass, modes=TWIN_MODES)
     except FieldError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,13 @@ from fraclink._identify import (
     StructureFit,
     Validation,
 )
+from fraclink._identify.welch import segments, welch_response
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
 from fraclink.view._scales import Scale, envelope
 
 __all__ = [
-    "Estimate",
     "fit_figure",
     "log_figure",
     "models_figure",
@@ -34,7 +33,6 @@ __all__ = [
 ]
 __all__ += [
     "residual_density",
-    "response_estimate",
     "structure_figure",
     "validation_figure",
 ]
@@ -257,106 +255,15 @@ def detail_figure(fit: Fit) -> Figure:
 
 # --- can the model be trusted -----------------------------------------------------------------------------
 
-# Segments of a log for Welch's average: they reduce the noise to a third, and lines
-# remain close enough.
-_PARTS = 8
-_LEAST = 64  # samples of a segment: fewer lines show no resonance
-# fraction of the largest line of the input's density, below which the ratio is noise
-_EXCITED = 1e-4
-_FEW = 4  # fewer lines make no curve
+_LEAST = 300  # samples: of fewer no segment's lines show a resonance
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Responses from motor angle to output at `frequency` [rad/s], of the log and of
-    its model.
-
-    error: relative to the response of the model, the bound that noise of the residual's
-    size meets with 95 %; explained: share of the output's power that the model
-    explains.
-    """
-
-    frequency: Real
-    measured: Complex
-    model: Complex
-    error: Real
-    explained: Real
-
-
-def _parts(samples: int) -> int:
-    """Length of a segment: a power of two that gives at least `_PARTS` half-overlapping
-    segments.
-    """
-    # n half-overlapping segments of length l cover (n + 1) l/2 samples. Rounded down to
-    # a power of two for the FFT, so there may be up to twice as many segments, but
-    # never fewer.
-    length = 2 * samples // (_PARTS + 1)
-    return 0 if length < _LEAST else 1 << (length.bit_length() - 1)
-
-
-def _spectra(length: int, *signals: Real) -> list[Complex]:
-    """Lines of the half-overlapping segments of signals with a Hann window, shape
-    (segments, lines).
-    """
-    # The periodic Hann window: half-overlapping windows add up to one, so that every
-    # sample has the same weight.
-    window = np.hanning(length + 1)[:-1]
-    starts = range(0, len(signals[0]) - length + 1, length // 2)
-    # Without the mean, which leaks into the lowest lines. Line 0 and that of the
-    # Nyquist frequency are left out: they are real and have other statistics.
-    lines = []
-    for signal in signals:
-        parts = np.stack([signal[k : k + length] for k in starts])
-        lines.append(
-            np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window)[:, 1:-1]
-        )
-    return lines
-
-
-def response_estimate(log: Experiment, fit: Fit) -> Estimate | None:
-    """Estimate the responses of log and model by Welch's method; None if the log is too
-    short.
-
-    Both use the same windows, which flatten a sharp resonance equally. Their difference
-    is that of the residual, S_ur/S_uu, whose noise is complex normal of variance
-    S_rr/(n S_uu): with 95 % it is below sqrt(−ln 0.05) of its root.
-    """
-    length = _parts(len(log.time))
-    if not length:
-        return None
-    u, y, rest = _spectra(length, log.motor_angle, log.output, fit.residual)
-    uu, yy, rr = (np.mean(np.abs(lines) ** 2, axis=0) for lines in (u, y, rest))
-    # Where the motor hardly moved, S_uy/S_uu is a ratio of noise to noise.
-    good = uu > _EXCITED * uu.max()
-    frequency = 2 * math.pi * np.arange(1, u.shape[1] + 1) / (length * log.period)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        measured = np.mean(np.conj(u) * y, axis=0) / uu
-        model = measured - np.mean(np.conj(u) * rest, axis=0) / uu
-        error = (
-            math.sqrt(-math.log(0.05))
-            * np.sqrt(rr / (_independent(u) * uu))
-            / np.abs(model)
-        )
-        # An error as large as the response leaves gain and phase undetermined, and
-        # arcsin below needs a smaller one.
-        good &= error < 1.0
-        explained = np.clip(1 - rr / yy, 0.0, 1.0)
-    if np.count_nonzero(good) < _FEW:
-        return None
-    return Estimate(
-        frequency[good], measured[good], model[good], error[good], explained[good]
-    )
-
-
-def _independent(lines: Complex) -> float:
-    """Equivalent number of independent segments for n half-overlapping ones with a Hann
-    window: about 95 % of n.
+def _independent(count: int) -> float:
+    """How many independent parts n half overlapped ones under a Hann window count for:
+    some 95 % of them.
     """
     # Welch (1967): var = (1 + 2 (1 − 1/n) ρ²)/n with ρ² = (1/6)², the squared
-    # correlation of half-overlapping Hann windows; segments farther apart share no
-    # sample. The bands must have the stated share: with 0.6 n, which is right for no
-    # window, 99.9 % of white noise lay within the band labelled 99 %.
-    count = float(lines.shape[0])
+    # correlation of half overlapped Hann windows; parts further apart share no sample.
     return count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
 
 
@@ -369,37 +276,49 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     short.
     """
     residual = np.asarray(fit.residual[: fit.fitted_samples])
-    length = _parts(residual.size)
-    if not length or not float(np.ptp(residual)) > 0.0:
+    if residual.size < _LEAST or not float(np.ptp(residual)) > 0.0:
         return None
-    (lines,) = _spectra(length, residual)
-    density = np.mean(np.abs(lines) ** 2, axis=0)
-    # Parseval: the mean of |FFT|² of windowed white noise is its variance times the
-    # energy of the window.
-    white = float(np.var(residual)) * float(np.sum(np.hanning(length + 1) ** 2))
-    freedom = 2 * _independent(lines)
-    frequency = 2 * math.pi * np.arange(1, lines.shape[1] + 1) / (length * fit.period)
-    # χ²_k/k is a gamma variable of shape k/2: this gives its quantiles without loading
-    # all of scipy.stats.
+    frequency, (lines,) = segments((residual,), fit.period)
+    # Parseval: the mean of |FFT|² of white noise under a window is its variance times
+    # the window's energy.
+    energy = float(np.sum(np.hanning(2 * lines.shape[1]) ** 2))
+    power = np.mean(np.abs(lines) ** 2, axis=0)
+    share = power / (float(np.var(residual)) * energy)
+    freedom = 2 * _independent(len(lines))
+    # χ²_k/k is a gamma variable of shape k/2: its quantiles without loading all of
+    # scipy.stats.
     low, high = (
         float(gammaincinv(0.5 * freedom, p) / (0.5 * freedom)) for p in (0.005, 0.995)
     )
-    return frequency, density / white, low, high
+    # Nyquist's line is real: its statistics are others.
+    return frequency[:-1], share[:-1], low, high
 
 
 def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     """Draw the responses of log and model with the noise's 95 % band; None for too
     short a log.
     """
-    estimate = response_estimate(log, fit)
-    if estimate is None:
+    if log.output.size < _LEAST:
         return None
-    # At 0.95 the lower edge lies 26 dB below the model; at 1 it would be −∞, off every
+    seen = welch_response(log, fit)
+    count = _independent(len(segments((log.output,), log.period)[1][0]))
+    # Of n parts noise alone has a coherence beyond this with 1 %: such lines say
+    # nothing of the link.
+    good = seen.coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
+    if np.count_nonzero(good) < 2:
+        return None
+    w, coherence = seen.frequency[good], seen.coherence[good]
+    measured, predicted = seen.measured[good], seen.predicted[good]
+    # The noise of an averaged response is complex normal, relative to it of variance
+    # (1/γ² − 1)/n: with 95 % it is below sqrt(−ln 0.05) of its root (Bendat and
+    # Piersol).
+    error = np.sqrt(-math.log(0.05) * (1.0 / coherence - 1.0) / count)
+    # At 0.95 the lower edge is 26 dB below the model: at 1 it would be −∞, off every
     # scale.
-    w, spread = estimate.frequency, np.minimum(estimate.error, 0.95)
-    gain, level = _decibel(estimate.measured), _decibel(estimate.model)
-    at, turn = _same_sheet(_turned(estimate.model), _turned(estimate.measured))
-    # A disk of relative radius e about the response subtends ± arcsin e as seen from 0.
+    spread = np.minimum(error, 0.95)
+    gain, level = _decibel(measured), _decibel(predicted)
+    at, turn = _same_sheet(_turned(predicted), _turned(measured))
+    # A disk of relative radius e about the response is seen from 0 under ± arcsin e.
     arc = np.degrees(np.arcsin(spread))
     halves = Scale(0.0, 105.0, ticks=((0.0, "0"), (50.0, "50"), (100.0, "100")))
     panels = (
@@ -419,8 +338,8 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
             scale=Scale.around(at, turn),
         ),
         Panel(
-            "share of the output that the model explains [%]",
-            [Curve(w, 100 * estimate.explained, 1)],
+            "coherence: share of the output that follows the motor [%]",
+            [Curve(w, 100 * coherence, 1)],
             60.0,
             halves,
         ),

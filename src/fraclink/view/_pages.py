@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from importlib.metadata import version
 from importlib.resources import files
 
-from fraclink import __version__
 from fraclink._display import marked
 from fraclink.errors import MissingExtraError
 from fraclink.view._text import grid_of, sentence
@@ -59,7 +59,9 @@ def rendered(template: str, **contents: object) -> str:
         "marked": marked,
         "grid": grid_of,
     }
-    return environment.get_template(template).render(version=__version__, **contents)
+    return environment.get_template(template).render(
+        version=version("fraclink"), **contents
+    )
 
 
 # --- colours, read from the one style sheet ---------------------------------------------------------------

@@ -127,8 +127,8 @@ export const app = {
   /** What the user did in this step, as the command line has it. */
   line() {
     const none = app.refused && STEPS.indexOf(app.step) >= STEPS.indexOf('design');
-    say('command', none ? '' : app.study.copies?.[app.step]?.command || '');
-    for (const kind of ['command', 'python']) $(`copy-${kind}`).disabled = none;
+    say('command', none ? '' : app.study.copies?.[app.step] || '');
+    $('copy-command').disabled = none;
   },
   /** A request that no design meets has no command: the last one that had is another. */
   refuse(is) { app.refused = is; app.line(); },
@@ -235,17 +235,15 @@ function listen() {
     sessionStorage.setItem('theme', root.dataset.theme = dark ? 'light' : 'dark');
   }};
   for (const step of STEPS) clicked[`go-${step}`] = () => app.show(step);
-  for (const kind of ['command', 'python']) {
-    clicked[`copy-${kind}`] = async () => {
-      const text = app.study.copies?.[app.step]?.[kind] || '';
-      try {
-        await navigator.clipboard.writeText(text);
-        app.toast('Copied');
-      } catch {
-        say('command', text); // no clipboard: there it can be selected
-      }
-    };
-  }
+  clicked['copy-command'] = async () => {
+    const text = app.study.copies?.[app.step] || '';
+    try {
+      await navigator.clipboard.writeText(text);
+      app.toast('Copied');
+    } catch {
+      say('command', text); // no clipboard: there it can be selected
+    }
+  };
   for (const id in clicked) on(id, 'click', clicked[id]);
   on(document, 'keydown', (event) => {
     const held = event.ctrlKey || event.metaKey, key = event.key.toLowerCase();
