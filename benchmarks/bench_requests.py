@@ -426,7 +426,7 @@ def nothing_asked(seed: int) -> tuple[str, float]:
         word = "refused" if x is None else "REFUSED, the model alone is served"
         return f"{word} ({error.explanation})", spent
     spent = time.process_time() - begin
-    return ("a law" if made.passed else f"FAILED ({made.verdict})"), spent
+    return ("a law" if made.passed else "FAILED although returned"), spent
 
 
 def main() -> None:
