@@ -175,7 +175,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     """The design of a request; InfeasibleError if there is none, with the nearest
     feasible request.
     """
-    made, solution = _best(request, goal, law, patient=True)
+    made, solution = _best(request, goal, law)
     if not made.missed and made.box is None:
         return made
     if not made.missed:
@@ -188,30 +188,26 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     raise InfeasibleError(condition, sentence, offer)
 
 
-def _best(
-    request: Request, goal: Goal, law: bool, *, patient: bool
-) -> tuple[Design, Solution]:
+def _best(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     """The design of a request and the solution of its search: with a gain-stabilised
     second mode, or else with a phase-stabilised one.
     """
     # `loud` needs a known second mode that the user does not bound
     known = request.model.second_mode is not None and "mode_gain" not in request.spec
     if known:
-        made, solution = _reserved(request, goal, law, patient=False)
+        made, solution = _reserved(request, goal, law)
         if not made.missed:
             return made, solution
         request = replace(request, loud=True)
-    return _reserved(request, goal, law, patient=patient)
+    return _reserved(request, goal, law)
 
 
-def _reserved(
-    request: Request, goal: Goal, law: bool, *, patient: bool
-) -> tuple[Design, Solution]:
+def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
     for asked in _asked(request, goal):
-        solution = solved(asked, patient=patient)
+        solution = solved(asked)
         made = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.slack == 0.0 else 0):
             made = made.with_law()
@@ -234,7 +230,7 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
         return [request]
     key = "phase_margin" if goal == "margin" else "gain_crossover"
     most = math.pi if goal == "margin" else request.highest
-    best = solved(request.aiming(key, most), patient=True)
+    best = solved(request.aiming(key, most))
     reached, least = most * math.exp(-best.rows.easing), request.arms.resonance
     if goal == "margin":
         reached, least = math.degrees(most * (1.0 - best.rows.easing)), 0.0
@@ -336,7 +332,7 @@ def _offer(
                 values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        trial, _ = _best(request.asking(**values), goal, law, patient=True)
+        trial, _ = _best(request.asking(**values), goal, law)
         if not trial.missed:
             return values
     return {}

@@ -193,21 +193,22 @@ class Search:
         """Return the end of a search from some starts (P, S), adding the worst links as
         they turn up.
         """
-        search = self
+        search, near, feasible = self, starts, False
         while True:
-            ends, rows = eased(search.rows, starts, *search.bounds)
-            if rows[0].slack > KEPT and starts.shape[1] == 1:
-                starts = np.column_stack([starts, search.starts])
-                ends, rows = eased(search.rows, starts, *search.bounds)
-            x = ends[:, 0]
-            if rows[0].slack <= KEPT:
+            ends, rows = eased(search.rows, near, *search.bounds)
+            if feasible and rows[0].slack > KEPT:
+                # the added links leave nothing feasible near the last end
+                near = np.column_stack([near, starts])
+                ends, rows = eased(search.rows, near, *search.bounds)
+            x, feasible = ends[:, 0], rows[0].slack <= KEPT
+            if feasible:
                 # the noise has several minima: descend from the quietest end
                 x = search.quieter(ends[:, int(np.argmin(search.noise(ends)))])
             solution = Solution(search, x)
             wider = solution.wider()
             if wider is None:
                 return solution
-            search, starts = wider, x[:, None]
+            search, near = wider, x[:, None]
 
     def quieter(self, x: Real) -> Real:
         """Return parameters with less noise that meet every row, by descents within the
@@ -344,19 +345,13 @@ class Solution:
         return search.over_links(self.x[:, None])
 
 
-def solved(request: Request, *, patient: bool) -> Solution:
-    """Return the best controller of a request, or the one nearest to it.
-
-    Every n without a notch, then with one; if none of these meets every row and
-    `patient` is set, the same from other starts. A request with an unreachable aim
-    starts from all of them.
+def solved(request: Request) -> Solution:
+    """Return the best controller of a request, or the one nearest to it: with every n
+    without a notch, and if none of these keeps every row, with one.
     """
-    searches = [
-        Search(request, request.first_links, order, notch)
-        for notch, order in product(request.notches, request.filter_orders)
-    ]
     found: list[Solution] = []
-    for search in searches:
+    for notch, order in product(request.notches, request.filter_orders):
+        search = Search(request, request.first_links, order, notch)
         found.append(search.over_links(search.starts))
         if found[-1].slack == 0.0:
             break
