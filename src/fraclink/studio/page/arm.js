@@ -1,5 +1,5 @@
 // @ts-check
-// The arm of the shared page, with another law at every drag.
+// The arm of the shared page, given a new law at every drag.
 import {startArm} from './arm_box.js';
 import {$, on, put, say} from './dom.js';
 
@@ -7,13 +7,13 @@ export class Arm {
   constructor(app) {
     this.app = app;
     this.key = '';
-    this.moving = null; // the doors of the running arm
+    this.moving = null; // the interface of the running arm
     this.moved = () => {};
     this.held = null;
     this.hands();
   }
 
-  /** What an exact design brings: a new arm, or a new law for this one. */
+  /** The answer of an exact design: it holds a new arm, or a new law for this one. */
   take(answer) {
     if (answer.arm_key === undefined) return;
     if (answer.arm) {
@@ -41,7 +41,7 @@ export class Arm {
     this.moved();
   }
 
-  /** In the design it is small and beside the loop, in the move it has the page. */
+  /** Small and beside the loop in the design step; in the move step it fills the page. */
   move(step) {
     $('no-arm').hidden = Boolean(this.box);
     if (!this.box) return;
@@ -51,7 +51,7 @@ export class Arm {
     if (whole || step === 'design') this.moving.lay();
   }
 
-  /** A run that Python makes: a hand at the tip, a payload lost on the way, a fault's case. */
+  /** A run computed by Python: the tip held by hand, a payload lost during the move, or a case of the fault campaign. */
   async play(verb, given) {
     const answer = await this.app.need(verb, given);
     if (!answer || !this.moving) return;
@@ -72,7 +72,7 @@ export class Arm {
     const now = this.moving.now();
     this.play('play', {...now, throw: {time: now.at, payload: now.lightest}});
   }
-  /** The mouse at the payload: a click loses it in mid-move, a longer press holds the tip until it is let go of. */
+  /** The pointer on the payload: a click drops the payload during the move; a longer press holds the tip until release. */
   hands() {
     on('hold', 'click', () => this.hold(!this.held));
     on('lose', 'click', () => this.lose());

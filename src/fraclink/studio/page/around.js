@@ -1,5 +1,5 @@
 // @ts-check
-// Around the loop: the map of what can be asked for, states laid over one another.
+// Around the loop: the map of feasible requests, and states compared with one another.
 import {Plot, digits, el, ends, limited, line, plain} from './plot.js';
 import {$, make, button, emptied, on, put, table} from './dom.js';
 
@@ -25,9 +25,9 @@ export class Around {
     this.map.cells(x, y, noise, [0, 1, 2, 3].map((k) => levels[Math.floor((k * levels.length) / 4)]), (v, n) => (v < 0 ? 'none' : plain(v, n)));
   }
 
-  // ---- states beside one another ----
+  // ---- states side by side ----
   words(state) { return `${plain(state.gain_crossover, 3)} rad/s, ${plain(state.phase_margin_deg, 3)}°`; }
-  /** The promise is kept, not its answer: a state is asked for once, however often the strip is drawn meanwhile. */
+  /** The promise is stored instead of its answer, so that a state is requested only once, however often the strip is drawn in the meantime. */
   look(state) {
     const key = JSON.stringify(state);
     if (!this.pictures.has(key)) this.pictures.set(key, this.app.ask('look', {state}));

@@ -1,5 +1,5 @@
 // @ts-check
-// Step 4: the loop, its handles, and what they ask for.
+// Step 4: the loop, its handles, and the requests they send.
 import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
 import {Around} from './around.js';
 import {$, make, button, emptied, on, table, findings, say} from './dom.js';
@@ -8,7 +8,7 @@ const grams = (kg) => 1e3 * kg;
 const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
 const KINDS = ['light', 'nominal', 'heavy'];
 
-/** A circle of the plane about a centre left of 0, as phases and decibels. */
+/** A circle in the complex plane about a centre on the negative real axis, as phases and decibels. */
 const disk = (centre, r) => {
   const points = ring(centre, r), phases = points.map(([x, y]) => (Math.atan2(y, x) * 180) / Math.PI);
   return [phases.map((p) => (p > 0 ? p - 360 : p)), points.map((p) => 20 * Math.log10(Math.hypot(...p)))];
@@ -46,7 +46,7 @@ export class Design {
     const asked = this.last?.asked || {};
     return key === 'payloads' ? (this.app.axes.rated || [0.02, 0, 0.04])[i === '1' ? 2 : 0] : asked[key] ?? null;
   }
-  /** Without a gesture around it: from a field, from a key. */
+  /** Set a value that is no part of a gesture: from a field or a key. */
   put(name, value) {
     this.app.begin();
     this.set(name, value);
@@ -59,7 +59,7 @@ export class Design {
     else {
       const both = [this.get('payloads.0'), this.get('payloads.1')];
       both[Number(i)] = value ?? both[Number(i)];
-      // an end that is pushed past the other takes it along
+      // an end that is moved past the other takes the other along
       if (both[0] > both[1]) both[1 - Number(i)] = both[Number(i)];
       this.app.state = {...this.app.state, payloads: both};
     }
@@ -105,13 +105,13 @@ export class Design {
     }
   }
   payload(i) { return grams(this.get(`payloads.${i}`)); }
-  /** The present design on the map: two lines, each a slider. */
+  /** The current design on the map: two lines, each a slider. */
   cross(map) {
     const {crossover, margin} = this.sliders;
     map.handle({...crossover, id: 'h-map-crossover', drag: 'x', line: true, at: () => [crossover.get(), map.y.low]}, this.app.hand);
     map.handle({...margin, id: 'h-map-margin', drag: 'y', shape: 'square', line: true, at: () => [map.x.low, margin.get()]}, this.app.hand);
   }
-  /** What the request itself forbids: below 0 dB left of the crossover, 0 dB nearer to −180° than the margin, the disk of Ms. */
+  /** Regions the request itself excludes: gains below 0 dB left of the crossover, 0 dB closer to −180° than the margin, the disk of Ms. */
   forbidden() {
     const {gain, phase, nichols} = this, w = this.get('gain_crossover'), m = this.get('phase_margin_deg'), up = this.last?.controller?.upper, ms = this.app.state.max_sensitivity;
     if (!w || !m) return;
@@ -122,7 +122,7 @@ export class Design {
   }
   place() { this.forbidden(); for (const plot of [...this.four, this.around.map]) plot.place(); }
 
-  /** Circles of constant |T| about −180° and the disk about −1 that Ms = 2 is. */
+  /** Circles of constant |T| around −180°, and the critical point. */
   contours() {
     for (const peak of [1.2, 1.5, 3]) {
       const left = disk(-peak * peak / (peak * peak - 1), peak / (peak * peak - 1)).map((list) => [...list.slice(60), ...list.slice(0, 61)]);
@@ -139,7 +139,7 @@ export class Design {
     this.margin.axes(ends(axes.payloads.map(grams)));
   }
 
-  /** The curves of where a drag began, thin behind those of now. */
+  /** The curves at the beginning of a drag, thin and behind the current ones. */
   ghost(on) {
     if (!on) { for (const plot of this.four) plot.remove('ghost'); return; }
     const c = this.last?.curves, {frequencies: w, payloads} = this.app.axes;
@@ -188,7 +188,7 @@ export class Design {
     $('requirements').classList.add('preview');
   }
 
-  /** What is a preview is grey and has its ≈; the exact answer replaces it. */
+  /** A preview is grey and marked with ≈ until the exact answer replaces it. */
   facts(answer, preview) {
     const place = emptied('controller'), sign = preview ? '≈ ' : '';
     place.classList.toggle('preview', preview);
@@ -213,7 +213,7 @@ export class Design {
       table($('moves-table'), found.moves.header, found.moves.lines, 'Moves of the model with the exact law');
     }
   }
-  /** Another state that Python looked for. */
+  /** A feasible state near the requested one, found by Python. */
   async offer() {
     const found = await this.app.need('nearest', {state: this.app.state});
     if (!found) return;
@@ -248,7 +248,7 @@ export class Design {
     row('remaining phase margin', 0, sum, 'rest');
   }
 
-  /** The law in the page moves three payloads, 1 ms each: not more often than anybody sees. */
+  /** Simulate the moves of three payloads in the page, 1 ms each; no more often than can be seen. */
   moves() {
     if (this.moving) return;
     this.moving = setTimeout(() => { this.moving = 0; this.drawMoves(); }, 60);

@@ -1,10 +1,10 @@
 // @ts-check
-// Elements: found, made, heard.
+// Elements of the page: find, create and listen to them.
 
 export const $ = (id) => /** @type {any} */ (document.getElementById(id));
-/** What an element has to say of itself, by the names of its attributes. */
+/** Set attributes of an element by their names. */
 export const put = (node, given) => { for (const key in given) node.setAttribute(key, given[key]); return node; };
-/** An element with text; what comes from a file never becomes markup. */
+/** Create an element with text; text from a file is never parsed as markup. */
 export const make = (name, kind = '', text = '', parent = null) => {
   const made = document.createElement(name);
   if (kind) made.className = kind;
@@ -12,15 +12,15 @@ export const make = (name, kind = '', text = '', parent = null) => {
   if (parent) parent.append(made);
   return made;
 };
-/** Put a text into the element of that id. */
+/** Set the text of the element with that id. */
 export const say = (id, text) => { $(id).textContent = text; };
-/** Listen to an element, or to the one of that id. */
+/** Listen to an element, or to the one with that id. */
 export const on = (node, types, heard) => {
   const found = typeof node === 'string' ? $(node) : node;
   for (const type of types.split(' ')) found.addEventListener(type, heard);
   return found;
 };
-/** Take everything out of an element, or of the one of that id. */
+/** Remove all children of an element, or of the one with that id. */
 export const emptied = (node) => {
   const found = typeof node === 'string' ? $(node) : node;
   found.replaceChildren();
@@ -32,25 +32,25 @@ export const button = (text, kind, parent, click, label = '') => {
   if (label) put(made, {'aria-label': label});
   return on(made, 'click', click);
 };
-/** A choice of names, into a select that is there. */
+/** Fill an existing select with names. */
 export const choices = (select, names, chosen) => {
   for (const name of new Set([chosen, ...names])) if (name !== undefined) make('option', '', name || '–', select).value = name;
   select.value = chosen;
   return select;
 };
-/** Whatever is dropped there. */
+/** Accept whatever is dropped on the element. */
 export const takes = (node, drop) => {
   on(node, 'dragenter dragover', (event) => { event.preventDefault(); node.classList.add('over'); });
   on(node, 'dragleave drop', () => node.classList.remove('over'));
   on(node, 'drop', (event) => { event.preventDefault(); drop(event.dataTransfer); });
 };
-/** A list of texts. */
+/** Fill a list with texts. */
 export const items = (node, texts) => { const place = emptied(node); for (const text of texts) make('li', '', text, place); };
-/** A table of Python's cells. */
+/** Fill a table with cells from Python. */
 export function table(place, header, rows, caption = '') {
   emptied(place);
   if (!rows || !rows.length) return;
-  // wider than a narrow window: it scrolls in itself, by keys, too
+  // a table wider than the window scrolls within itself, also by the keyboard
   put(place, {'tabindex': '0', 'role': 'region', 'aria-label': caption || header.join(', ')});
   const made = make('table', '', '', place);
   if (caption) make('caption', '', caption, made);

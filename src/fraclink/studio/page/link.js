@@ -1,5 +1,5 @@
 // @ts-check
-// The socket: requests by number, drags by newest, and a new try where it breaks.
+// The socket: requests by number, only the newest drag, and reconnection after a break.
 
 export class Link {
   /** @param {(answer: any) => void} heard @param {(state: 'open' | 'lost' | 'refused') => void} changed */
@@ -8,13 +8,13 @@ export class Link {
     this.changed = changed;
     this.seq = 0;
     this.waiting = new Map();
-    this.next = null; // the newest drag, behind the one under way
+    this.next = null; // the newest drag, waiting for the one in progress
     this.dragging = false;
     this.tries = 0;
     this.busy = 0;
     this.token = location.hash.slice(1) || sessionStorage.getItem('studio') || '';
     sessionStorage.setItem('studio', this.token);
-    // Out of the address bar: it would be in a screenshot, and in the history.
+    // Removed from the address bar, where it would end up in screenshots and the history.
     history.replaceState(null, '', location.pathname);
     this.open();
   }
@@ -48,7 +48,7 @@ export class Link {
     if (done && head.verb !== 'progress') { this.waiting.delete(head.seq); this.sign(); done(head); } else this.heard(head);
   }
 
-  /** @returns {Promise<any>} the answer; a refusal is one, too */
+  /** @returns {Promise<any>} the answer, which may be a refusal */
   ask(verb, given = {}) {
     if (this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ok: false, lost: true, error: 'the studio is not there'});
     const seq = ++this.seq;
@@ -56,14 +56,14 @@ export class Link {
     return new Promise((done) => { this.waiting.set(seq, done); this.sign(); });
   }
 
-  /** A wait that a person notices has a sign: the bar under the header. */
+  /** The bar under the header shows a wait that is long enough to be noticed. */
   sign() {
     const root = document.documentElement;
     if (!this.waiting.size) { clearTimeout(this.busy); this.busy = 0; delete root.dataset.busy; }
     else this.busy ||= setTimeout(() => { root.dataset.busy = 'true'; }, 200);
   }
 
-  /** One request under way, the newest waits, those between are forgotten. */
+  /** One request is in progress, the newest waits, and those in between are dropped. */
   async drag(given, shown) {
     this.next = [given, shown];
     if (this.dragging) return;

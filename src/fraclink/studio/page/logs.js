@@ -7,14 +7,14 @@ import {upload} from './link.js';
 const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'coherence', 'valley'];
 const peak = (ys) => ys.reduce((a, v) => Math.max(a, Math.abs(v)), 1e-9);
 const evenly = (ys, duration) => Array.from(ys, (_, i) => (duration * i) / (ys.length - 1));
-const TURN = 14, BEND = 7, LENGTH = 320; // of the drawn arm: at most so many degrees, and pixels
+const TURN = 14, BEND = 7, LENGTH = 320; // of the drawn arm: largest angles in degrees, and its length in pixels
 
 export class Logs {
   constructor(app) {
     Object.assign(this, {app, known: null, roles: {}, log: null, keep: null, heldout: 0.4, duration: 10});
-    this.chosen = false; // else the fits take what the command line takes
+    this.chosen = false; // if false, the fits use the defaults of the command line
     takes($('drop'), (data) => this.sent(data.files[0]));
-    on(window, 'dragover drop', (event) => event.preventDefault()); // a file beside the field must not replace the page
+    on(window, 'dragover drop', (event) => event.preventDefault()); // a file dropped outside the field must not replace the page
     on('pick', 'click', () => $('file').click());
     on('file', 'change', () => this.sent($('file').files[0]));
     on('rig', 'change', () => this.rig($('rig').value));
@@ -33,7 +33,7 @@ export class Logs {
     this.replaying();
   }
 
-  // ---- a stretch of the log ----
+  // ---- a section of the log ----
   cutting() {
     this.cut = [0, 10];
     const hand = {change: () => this.brush()};
@@ -73,7 +73,7 @@ export class Logs {
     on('replay-at', 'input', () => { this.play(false); this.pose((Number($('replay-at').value) / 1e3) * this.log.duration); });
   }
   play(on) { this.playing = on; say('replay', on ? 'Stop' : 'Move the arm by the log'); }
-  /** The arm at a time of the log: hub by the motor's angle, tip behind it by the bend. */
+  /** The arm at a time of the log: the hub at the motor's angle, the tip behind it by the deflection. */
   pose(t) {
     const {motor, output, duration, turn, bend, unit} = this.log, i = Math.round((t / duration) * (motor.length - 1));
     const at = (angle, r) => `${(104 + r * Math.cos((angle * Math.PI) / 180)).toFixed(1)} ${(120 - r * Math.sin((angle * Math.PI) / 180)).toFixed(1)}`;
@@ -146,7 +146,7 @@ export class Logs {
   /** The arm with a place for each channel. */
   slots() { for (const box of document.querySelectorAll('[data-role]')) this.slot(/** @type {HTMLElement} */ (box)); }
   slot(old) {
-    // a fresh copy: one that is shown again would hear a drop twice
+    // A new copy: an element that is shown again would receive a drop twice.
     const {role} = old.dataset, set = this.roles[role], box = old.cloneNode(true), words = box.firstElementChild.textContent;
     while (box.children.length > 2) box.lastElementChild.remove();
     old.replaceWith(box);

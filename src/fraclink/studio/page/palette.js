@@ -1,5 +1,5 @@
 // @ts-check
-// Everything that can be done, by its name: buttons and fields of all steps.
+// The command palette: the buttons and fields of all steps, by name.
 import {$, make, on, put} from './dom.js';
 
 export function palette(app) {

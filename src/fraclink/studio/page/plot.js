@@ -1,5 +1,5 @@
 // @ts-check
-// Plots in real pixels with fixed axes, curves from arrays, handles that are sliders for everybody, and tables.
+// Plots in screen pixels with fixed axes, curves from arrays, handles that are accessible sliders, and tables.
 import {button, emptied, make, on, put, table} from './dom.js';
 
 /** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
@@ -22,14 +22,14 @@ export const plain = (v, places = 4) => {
   const text = Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-4) ? v.toExponential(places - 1) : String(Number(v.toPrecision(places)));
   return text.replace('-', '−');
 };
-/** First and last of a list, as the ends of an axis. */
+/** The first and last value of a list, as the ends of an axis. */
 export const ends = (list) => ({low: list[0], high: list[list.length - 1]});
-/** One line of a list of values, from left to right in a box of that size. */
+/** The path of a list of values, from left to right over that width. */
 export const line = (ys, width, y) => Array.from(ys, (v, i) => `${i ? 'L' : 'M'}${tenth((width * i) / Math.max(1, ys.length - 1))} ${tenth(y(v))}`).join('');
 
-/** Rows as one curve with gaps between them. */
+/** Rows joined to one curve with gaps between them. */
 export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
-/** A circle about a place of the real axis. */
+/** A circle about a point of the real axis. */
 export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre + r * Math.cos((Math.PI * k) / 60), r * Math.sin((Math.PI * k) / 60)]);
 
 const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
@@ -45,17 +45,17 @@ const decades = (low, high) => {
   }
   return found;
 };
-/** An axis as the page's text has it: name; low, high and "log"; ticks; unit behind a number. @returns {Axis} */
+/** An axis from its text in the page: name; low, high and "log"; ticks; unit after a number. @returns {Axis} */
 const axisOf = (text) => {
   const [name, range, ticks, unit = ''] = text.split('; '), [low, high, log] = range.split(' ');
   return {name, low: Number(low), high: Number(high), log: Boolean(log), ticks: ticks ? ticks.split(' ').map(Number) : null, unit};
 };
-/** About `count` places of a list, spread over it. */
+/** At most `count` indices, spread evenly over a list. */
 const spread = (length, count) => Array.from({length: Math.min(length, count)}, (_, k) => Math.round((k * (length - 1)) / Math.max(1, Math.min(length, count) - 1)));
-/** What a gesture calls. @typedef {{begin?: () => void, change?: (at?: number) => void, end?: () => void, cancel?: () => void}} Hand */
+/** The functions a gesture calls. @typedef {{begin?: () => void, change?: (at?: number) => void, end?: () => void, cancel?: () => void}} Hand */
 const STILL = {begin() {}, change() {}, end() {}, cancel() { this.change(); }};
 const ROWS = 14; // of a table of numbers
-const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are drawn beside what is told
+const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are left out of the readings and tables
 
 let clips = 0;
 /** @type {Plot[]} */ const plots = [];
@@ -99,14 +99,14 @@ export class Plot {
   X(v) { return LEFT + (this.W - LEFT - RIGHT) * this.part(this.x, v); }
   Y(v) { return TOP + (this.height - TOP - FOOT) * (1 - this.part(this.y, v)); }
 
-  /** The function from a value to its place, without what is the same for all of them. */
+  /** The function from a value to its position; whatever is the same for all values is computed once. */
   scale({low, high, log}, from, to) {
     if (log) { const k = (to - from) / Math.log(high / low); return (v) => from + k * Math.log(v / low); }
     const k = (to - from) / (high - low);
     return (v) => from + k * (v - low);
   }
 
-  /** Other ends of the axes: only where another log or model was opened, never while a hand drags. */
+  /** Set new ends of the axes: only after another log or model is opened, never during a drag. */
   axes(x, y) {
     Object.assign(this.x, x);
     Object.assign(this.y, y);
@@ -147,7 +147,7 @@ export class Plot {
     this.place();
   }
 
-  /** A curve with a name; drawn again only when its numbers change. */
+  /** A named curve; redrawn only if its numbers change. */
   curve(name, kind, xs, ys, label = '') {
     let c = this.curves.get(name);
     if (!c) {
@@ -163,7 +163,7 @@ export class Plot {
       const parts = [], most = this.W - RIGHT - 30, foot = this.height - FOOT, X = this.scale(this.x, LEFT, this.W - RIGHT), Y = this.scale(this.y, foot, TOP);
       let pen = 'M', tagged = null;
       for (let i = 0; i < xs.length; i++) {
-        // tenths of a pixel by whole numbers: toFixed took half of the time of a drag
+        // rounded to tenths of a pixel: toFixed took half of the time of a drag
         const x = Math.round(10 * X(xs[i])) / 10, y = Math.round(10 * limited(Y(ys[i]), -3e3, 3e3)) / 10;
         if (!(x === x && y === y)) { pen = 'M'; continue; }
         parts.push(pen, x, ' ', y);
@@ -185,7 +185,7 @@ export class Plot {
     c.draw = () => { const now = d(); if (now !== c.now) c.path.setAttribute('d', c.now = now); };
     c.draw();
   }
-  /** A rectangle between values of the axes; null is all of that axis. */
+  /** A rectangle between values of the axes; null stands for the whole axis. */
   box(name, kind, x, y) {
     this.mark(name, kind, () => {
       const [left, right] = (x || [this.x.low, this.x.high]).map((v) => tenth(this.X(v))), [foot, top] = (y || [this.y.low, this.y.high]).map((v) => tenth(this.Y(v)));
@@ -252,7 +252,7 @@ export class Plot {
     return entry;
   }
 
-  /** A grid of values in four strengths: from edges[k] to edges[k + 1], the last without an end. */
+  /** A grid of values in four shades: from edges[k] to edges[k + 1], the last without an upper end. */
   cells(xs, ys, values, edges, said = plain) {
     this.grid = {xs, ys, values, said};
     for (const [k, from] of edges.entries()) {
@@ -262,7 +262,7 @@ export class Plot {
       });
     }
   }
-  /** The background taken by a pointer: from where, to where. */
+  /** Drag a range on the background: calls `move` with its start and its end. */
   painted(given, move, ready = () => true) {
     const hand = {...STILL, ...given};
     let from = null;
@@ -278,7 +278,7 @@ export class Plot {
     on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
     on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
   }
-  /** One hair through every plot over the same axis, and what its curves are there. */
+  /** Draw a hairline in every plot with the same axis, with the values of its curves there. */
   point(v) { for (const plot of plots) if (plot.x.name === this.x.name && plot.W) plot.read(v); }
   read(v) {
     const place = emptied(this.reader), told = v === v && this.told();
@@ -290,7 +290,7 @@ export class Plot {
     });
   }
   told() { return [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys}]) => ({name: this.names[key] || key, xs, ys})); }
-  /** Where a pointer is, as numbers of the axes. */
+  /** The position of a pointer in units of the axes. */
   spot(event) {
     const box = this.svg.getBoundingClientRect();
     const x = (event.clientX - box.left - LEFT) / (this.W - LEFT - RIGHT), y = (event.clientY - box.top - TOP) / (this.height - TOP - FOOT);
@@ -314,7 +314,7 @@ export class Plot {
     }
   }
 
-  /** What the curves show: a sentence for those who cannot see them, and tables for those who want the numbers. */
+  /** Describe the curves: a sentence for users who cannot see them, and tables of the numbers. */
   tell() {
     const told = this.told(), {x, y, grid} = this;
     const at = (list, unit) => plain(list, 3) + unit, least = (ys, pick) => at(ys.reduce((a, v) => pick(a, v)), y.unit);

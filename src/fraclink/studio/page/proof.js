@@ -1,5 +1,5 @@
 // @ts-check
-// Steps 6 and 7: what was proved and tried, and the files that leave the house.
+// Steps 6 and 7: the certificate, the trials, and the exported files.
 import {Plot, ends, joined, plain, ring} from './plot.js';
 import {$, make, button, emptied, items, on, table, say} from './dom.js';
 import {download} from './link.js';
@@ -38,13 +38,13 @@ export class Proof {
     this.result(answer);
     if (verb === 'arms') this.open();
   }
-  /** What the study as it stands has to show. */
+  /** Show the results of the study so far. */
   async open() {
     this.draw();
     const answer = await this.app.ask('proof');
     if (answer.ok) this.result(answer);
   }
-  /** What the board needs for this law, and how it is switched on. */
+  /** Show what the board needs for this law, and how to switch it on. */
   async board() {
     const {board, power_on} = await this.app.need('board', {precision: precision()});
     table($('board-facts'), ['of the law', 'built for this design alone', 'with room for every design'], board, 'What the board needs');
@@ -72,7 +72,7 @@ export class Proof {
     if (answer.fault) this.cell(answer);
   }
   matrix() { this.cells = {}; emptied('matrix'); }
-  /** One row a fault, one column for each severity and payload; a cell is as good as its worst run. */
+  /** One row per fault, one column per severity and payload; a cell shows its worst run. */
   cell({fault, severity, payload, phase, passed}) {
     const id = `${fault}|${severity}|${payload}`;
     let square = this.cells[id];

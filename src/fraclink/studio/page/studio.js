@@ -1,5 +1,5 @@
 // @ts-check
-// The page: steps, state and its history, verdict, what is kept. It shows what Python answers and decides nothing.
+// The page: steps, the state and its history, verdicts, kept states. It shows Python's answers and decides nothing itself.
 import {Link} from './link.js';
 import {Arm} from './arm.js';
 import {Design} from './design.js';
@@ -11,7 +11,7 @@ import {$, emptied, make, on, say} from './dom.js';
 const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
-  /** what is asked for, under the names of the command line */
+  /** the request, with the option names of the command line */
   state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
   link: /** @type {Link} */ (/** @type {any} */ (null)),
 
@@ -28,7 +28,7 @@ export const app = {
     const state = {...app.state};
     app.link.drag({state, fan: $('fan').checked}, (answer) => {
       app.shown(answer);
-      // under load the last preview may come behind the exact answer of its state, and knows less
+      // under load the last preview may arrive after the exact answer to the same state, and must not replace it
       if (app.exactly === JSON.stringify(state)) app.told();
       requestAnimationFrame(() => {
         performance.measure('drag', {start: at, end: performance.now()});
@@ -49,7 +49,7 @@ export const app = {
     app.began = null;
     app.change();
   },
-  /** A state that a hand let go of: into the history, and exactly. */
+  /** After the end of a gesture: add the state to the history and request the exact answer. */
   settle() {
     app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
     app.kept = new Set([...app.kept].filter((k) => k <= app.at));
@@ -70,7 +70,7 @@ export const app = {
     app.outdated(false);
     app.say(answer.spoken);
   },
-  /** Whether what is drawn is of another link or rig than the study's. */
+  /** Mark the plots as belonging to another link or rig than the study. */
   outdated(is) {
     for (const id of ['step-design', 'step-move', 'step-proof']) {
       $(id).classList.toggle('outdated', is);
@@ -94,7 +94,7 @@ export const app = {
     app.change();
     app.exact();
   },
-  /** A history of this state alone. */
+  /** Start a history with this state alone. */
   begun() { app.states = [structuredClone(app.state)]; app.at = 0; app.buttons(); },
   buttons() {
     design.around.strip();
@@ -102,7 +102,7 @@ export const app = {
     $('redo').disabled = app.at >= app.states.length - 1;
   },
 
-  // ---- what Python says of the study ----
+  // ---- what Python reports about the study ----
   took(answer) {
     if (app.study.of !== undefined && app.study.of !== answer.of) app.outdated(true);
     Object.assign(app.study, answer);
@@ -124,16 +124,16 @@ export const app = {
     proof.took(answer);
     design.took(answer);
   },
-  /** What the user did in this step, as the command line has it. */
+  /** The command line for what the user did in this step. */
   line() {
     const none = app.refused && STEPS.indexOf(app.step) >= STEPS.indexOf('design');
     say('command', none ? '' : app.study.copies?.[app.step] || '');
     $('copy-command').disabled = none;
   },
-  /** A request that no design meets has no command: the last one that had is another. */
+  /** A request that no design meets has no command; the last command belongs to another request. */
   refuse(is) { app.refused = is; app.line(); },
   ask: (verb, given) => app.link.ask(verb, given),
-  /** An answer, and what it says of the study; or nothing: then a refusal is said, in its place or to all. */
+  /** Return the answer and apply what it reports about the study. After a refusal, show the error at `place`, or in a toast, and return false. */
   async need(verb, given, place = '') {
     const answer = await app.ask(verb, given);
     if (answer.ok) {
@@ -170,10 +170,10 @@ export const app = {
     if (step === 'board') proof.board();
     if (step === 'design' && app.axes.frequencies && app.study.design === null) { app.change(); app.exact(); }
   },
-  /** After a log, a rig or a fit: other axes, another start. */
+  /** After a new log, rig or fit: new axes and a new initial state. */
   async renew(answer) {
     app.axes = axesOf(answer);
-    design.around.pictures.clear(); // of the model before
+    design.around.pictures.clear(); // of the previous model
     if (answer.state) app.state = answer.state;
     design.axes(app.axes);
     if (answer.frequencies) { app.change(); await app.exact(); }
@@ -207,7 +207,7 @@ export const proof = new Proof(app, arm);
 async function hello() {
   const answer = await app.ask('hello', {arm: arm.key});
   if (!answer.ok) return;
-  design.around.pictures.clear(); // those under way when the studio was lost
+  design.around.pictures.clear(); // those requested when the connection was lost
   const first = !app.states.length && app.at < 0;
   if (first || !('box' in app.state)) {
     app.states = answer.states;

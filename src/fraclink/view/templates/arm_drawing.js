@@ -1,4 +1,4 @@
-// --- drawing: the arm from above, and curves over time, in real pixels at every width ----------------------
+// --- drawing: the arm from above and curves over time, in screen pixels at any width -----------------------
 
 const $ = (id) => document.getElementById(id);
 const el = (name, attributes = {}, parent = null, text = '') => {
@@ -25,11 +25,11 @@ const nice = (value) => {
 const arm = {svg: $('arm'), pair: []};
 const laws = () => [...(alone.shown ? [alone] : []), {tip, motor, mode}];
 
-// A drive that is off lets the arm swing anywhere: then the whole circle is drawn.
+// With the drive off the arm can swing anywhere, so the whole circle is drawn.
 const wild = () => laws().some((law) => law.tip.some((angle) => Math.abs(angle - amplitude() / 2) > 1.45));
 const fits = () => arm.pair.length === laws().length && wild() === arm.round;
 
-// Two arms beside one another; where there is no room, about one hub.
+// Two arms side by side, or about one hub if there is no room.
 function layArm() {
   const W = Math.max(280, arm.svg.clientWidth), narrow = W < 560;
   const middle = amplitude() / 2, reach = Math.min(Math.abs(middle) + 0.5, 1.45);
@@ -45,7 +45,7 @@ function layArm() {
   drawPayload();
 }
 
-// One arm about its hub; `floor`: whether it has a protractor of its own.
+// One arm about its hub; `floor`: whether it has its own protractor.
 function layOne(law, place, cx, cy, floor) {
   const rival = law === alone, g = el('g', {class: rival ? 'alone' : 'ours', transform: `translate(${cx} ${cy})`}, arm.svg), one = {law, g, rival};
   if (floor) drawFloor(g);
@@ -64,7 +64,7 @@ function layOne(law, place, cx, cy, floor) {
   one.load = rival ? el('g', {}, g) : arm.load ||= el('g', {id: 'load', role: 'button', tabindex: 0});
   g.append(one.load);
   if (!rival) arm.flying = el('circle', {class: 'load flying', r: 0}, g);
-  // below its own hub, or on its side of a common one
+  // below its own hub, or to one side of a common hub
   const own = cx !== arm.W / 2, y = own ? arm.H - 20 : cy - 10;
   const who = own ? {x: cx, 'text-anchor': 'middle'} : place ? {x: arm.W - 4, 'text-anchor': 'end'} : {x: 4};
   el('text', {class: `who ${rival ? 'alone' : 'ours'}`, y, ...who}, arm.svg, rival ? 'Motor PID alone' : 'fraclink');
@@ -72,7 +72,7 @@ function layOne(law, place, cx, cy, floor) {
   return one;
 }
 
-// In a word, what became of the moves there and back.
+// The outcome of the moves there and back, in a word.
 function fate(law) {
   const o = outcome(law), rests = Math.max(o.settles, o.returns);
   return o.worst > 2 ? DATA.modes[o.worst] : !state.move ? '' : Number.isNaN(rests) ? `swings on for ${fixed(DATA.half, 1)} s` : `at rest in ${rests.toFixed(2)} s`;
@@ -84,7 +84,7 @@ const spot = (angle, radius) => {
 };
 const payloadRadius = () => (arm.W < 560 ? 5 : 7) + 2.1 * Math.cbrt(1e3 * DATA.payloads[state.payload]);
 
-// A protractor of the tip's angle, and where the move starts and ends.
+// A protractor for the angle of the tip, with the start and end of the move.
 function drawFloor(hub) {
   const g = el('g', {class: 'floor'}, hub), R = arm.L + (arm.W < 560 ? 16 : 22);
   const seen = arm.round ? 3.1 : Math.min(Math.PI / 2, Math.abs(arm.middle) + 0.5);
@@ -103,7 +103,7 @@ function drawFloor(hub) {
   }
 }
 
-// How long 0.1 m is, and what is not to scale.
+// The length of 0.1 m, and a note on what is not to scale.
 function drawScale() {
   const g = el('g', {class: 'floor'}, arm.svg);
   const unit = [0.02, 0.05, 0.1, 0.2, 0.5, 1].find((m) => (m / DATA.length) * arm.L > 30) || 2;
@@ -137,8 +137,8 @@ function drawPayload() {
 }
 const gramsOf = (index) => `${Number((1e3 * DATA.payloads[index]).toPrecision(4))} g`;
 
-// The link's centre line. Clamped at the hub and loaded at its tip it bends as 3x²/2 − x³/2; as x³ its bow is twice as
-// deep, and its direction at the hub and the place of its tip stay what they are.
+// The centre line of the link. Clamped at the hub and loaded at the tip, it bends as 3x²/2 − x³/2. Drawn as x³, its bow
+// is twice as deep, while its direction at the hub and the position of the tip are unchanged.
 const bent = (from, to, base, bend) => Array.from({length: 25}, (_, i) => {
   const x = from + ((to - from) * i) / 24;
   return spot(base + bend * x * x, arm.L * x);
@@ -191,7 +191,7 @@ const END = () => (plots.W < 560 ? 14 : 78); // room for the labels at the ends 
 const plots = {W: 0};
 const across = (k) => LEFT + ((plots.W - LEFT - END()) * k) / (N - 1);
 
-// A curve that leaves the plot ends at its edge.
+// A curve that leaves the plot is cut at the edge.
 function curve(values, y, low, high) {
   const step = Math.max(1, Math.floor(N / (1.5 * plots.W)));
   let d = '', pen = 'M', outside = 0;
@@ -205,7 +205,7 @@ function curve(values, y, low, high) {
   return d;
 }
 
-// One plot: axes, curves with their names at their ends, and the cursor. Ranges follow the settings, not the run.
+// One plot: axes, curves with their names at their ends, and the cursor. Its ranges follow the settings.
 function drawPlot(id, height, low, high, ticks, curves, places, withTime) {
   const svg = $(id), foot = withTime ? 22 : 6, top = 8;
   set(svg, {viewBox: `0 0 ${plots.W} ${height}`, height});

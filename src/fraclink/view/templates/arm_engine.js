@@ -1,11 +1,11 @@
-// --- the engine: law.c and its loop as WebAssembly, and everything that a run is made of ------------------
-// Numbers that take a library of mathematics come with the page, so that a run has the bits of fraclink.simulate.
+// --- the engine: law.c and its loop as WebAssembly, and all inputs and outputs of a run -------------------
+// Numbers that require a math library come with the page, so that a run is bitwise equal to one of fraclink.simulate.
 
 const DATA = JSON.parse(document.getElementById('arm-data').textContent);
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
-// DEFLATE (RFC 1951): packed, the engine takes two fifths of its room in the file. The browser's own way to unpack is
-// younger than WebAssembly, and answers later.
+// DEFLATE (RFC 1951): compressed, the engine takes two fifths of its size in the file. The decompression of
+// browsers is newer than WebAssembly, and asynchronous.
 function unpacked(data) {
   const out = [], order = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
   let at = 0, hold = 0, held = 0;
@@ -99,17 +99,17 @@ const view = {
 const [tip, motor, , torque, gauge, voltage] = view.signal;
 const [, mode, reason] = view.mark;
 const reference = view.path[0];
-// The same arm in the same run under the motor's own PID alone; not shown beside a run that Python made.
+// The same arm in the same run with only the motor's own PID; not shown next to a run from Python.
 const alone = {tip: new Float64Array(N), motor: new Float64Array(N), mode: new Uint32Array(N), shown: true};
 view.path[2].set(numbers.subarray(RIG, RIG + N));
 
-// A rig in the engine: three whole numbers, and its doubles from byte 16 on.
+// A rig in the engine: three integers, and its doubles from byte 16 on.
 function fill(place, values) {
   new Int32Array(ENGINE.memory.buffer, place, 3).set(values.subarray(0, 3));
   doubles(place + 16, values.length - 3).set(values.subarray(3));
 }
 
-// The twin: a hub with stiction, a link with mass in modes and Maxwell elements. Null where the rig makes none.
+// The twin: a hub with stiction, a link with distributed mass as modes, and Maxwell elements. Null if the rig has none.
 function twinOf(told) {
   if (!told) return null;
   const all = new Float64Array(bytesOf(told.numbers).buffer), {elements, modes} = told;
@@ -122,7 +122,7 @@ function twinOf(told) {
 }
 let TWIN = twinOf(DATA.twin);
 
-// The twin's matrices as `assemble` of the package makes them, in its order of operations and so with its bits.
+// The matrices of the twin, with the operations of `assemble` in the same order, so the results are bitwise equal.
 function assemble(index) {
   const {elements, modes, weights, rates} = TWIN, [inertia, ...rest] = TWIN.arms[index];
   const [step, length, spring, dashpot, friction] = TWIN.material;
@@ -179,7 +179,7 @@ function runTwin() {
   return ENGINE.run_twin(Number(state.single), size, N);
 }
 
-// Faults: what a button breaks from a period on. `rows` writes the engine's row, `python` says the same to fraclink.
+// Faults: what a button breaks from a certain period on. `rows` writes it for the engine, `python` for fraclink.
 const FAULTS = [
   {id: 'nan', name: 'Gauge reads NaN', part: 'gauge', row: (r) => { r[FAULT.bits] |= BIT.gaugeReplaced; r[FAULT.gaugeValue] = NaN; },
     python: (a, b) => [`fl.extend.SensorFault(${a}, ${b}, "gauge value", float("nan"))`]},
@@ -212,7 +212,7 @@ const state = {
 };
 const amplitude = () => (state.move * Math.PI) / 180;
 
-// smooth_step there and back: the operations of Path.derivative in their order, and so its bits.
+// smooth_step there and back, with the operations of Path.derivative in the same order: bitwise equal results.
 function follow() {
   const [end, back, rest, cube, fourth, fifth] = moves.subarray(MOVE * state.time, MOVE * (state.time + 1));
   const a = amplitude();
@@ -233,7 +233,7 @@ function follow() {
 }
 
 function breakSensors(always = false) {
-  // the latest wins where two write one number, as in fraclink
+  // if two faults set the same number, the later one applies, as in fraclink
   const broken = FAULTS.filter((fault) => fault.id in state.faults).sort((a, b) => state.faults[a.id] - state.faults[b.id]);
   if (!broken.length && !always) return 0;
   view.faults.fill(0);
@@ -311,7 +311,7 @@ function inPython() {
   ].join('\n');
 }
 
-// What the run came to. The page judges this move only; what is promised stands in its own text.
+// The results of the run. The page judges this move only; the guarantees are stated in its own text.
 function outcome({tip, mode}) {
   const a = amplitude(), half = Math.floor(N / 2), band = 0.02 * (Math.abs(a) || 1); // without a move: of 1 rad
   let changed = -1, settled = 0, back = half, peak = 0, away = 0;

@@ -3,7 +3,7 @@
 const still = matchMedia('(prefers-reduced-motion: reduce)');
 const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, flight: null, seen: true};
 
-// id: [what the slider's number is, how it reads]
+// id: [value of the slider, its text]
 const SLIDERS = {
   payload: [0, DATA.payloads.length - 1, 1, (i) => gramsOf(i)],
   move: [-120, 120, 1, (v) => `${fixed(v, 0)}°`],
@@ -68,7 +68,7 @@ function say() {
   $('speed-of-run').textContent = `${fixed(TS * DATA.periods, 1)} s of motion took ${milliseconds.toFixed(2)} ms to compute.`;
 }
 
-// The run before this one, as a ghost beside it: what stood when the settings began to change.
+// The previous run, drawn as a ghost next to this one: the run before the settings began to change.
 const past = {tip: null, motor: null, fresh: null};
 function pass() {
   if (past.fresh) [past.tip, past.motor] = past.fresh;
@@ -88,7 +88,7 @@ function renew({layout = false} = {}) {
     drawPlots();
     showSettings();
     draw();
-    // the live region would speak at every pixel of a drag
+    // the live region would be read out at every pixel of a drag
     clearTimeout(speaking);
     speaking = setTimeout(() => { say(); remember(); past.fresh = [tip.slice(), motor.slice()]; }, 150);
   });
@@ -127,7 +127,7 @@ function frame(now) {
   requestAnimationFrame(frame);
 }
 
-// The payload leaves along its velocity, and fades.
+// A lost payload moves on along its velocity and fades.
 function fly(now) {
   const {from, speed, begin, r} = clock.flight, t = (now - begin) / 1e3;
   if (t > 0.9) { clock.flight = null; arm.flying.setAttribute('r', 0); return; }
@@ -156,7 +156,7 @@ function play(on) {
   $('play').setAttribute('aria-label', on ? 'Pause the arm' : 'Play: move the arm');
 }
 
-// The settings in the page's address: a run can be passed on as a link.
+// The settings in the address of the page, so that a run can be shared as a link.
 const KEPT = ['payload', 'move', 'time', 'noise', 'offset', 'delay', 'told', 'single', 'twin', 'late'];
 function remember() {
   const parts = KEPT.map((key) => `${key}=${Number(state[key])}`);

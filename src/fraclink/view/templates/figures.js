@@ -1,5 +1,5 @@
-// What a pointer shows in the figures of a page: values on a cursor that linked figures share, a window to
-// zoom into, and buttons that copy commands. A page is complete without it.
+// Pointer interaction in the figures of a page: values at a cursor that linked figures share, zooming into a
+// window, and buttons that copy commands. A page is complete without this script.
 (() => {
 'use strict';
 const ns = 'http://www.w3.org/2000/svg';
@@ -21,7 +21,7 @@ const text = (v) => {
   const a = Math.abs(v);
   return (a >= 1e5 || a < 1e-4 ? v.toExponential(2) : String(+v.toPrecision(4))).replace('-', '−');
 };
-// The steps of a path written as "Mx yl dx dy dx dy ...", several of them where it has gaps.
+// The steps of a path written as "Mx yl dx dy dx dy ...", which has several parts if there are gaps.
 const points = (d) => {
   const runs = [];
   for (const part of d.split('M').slice(1)) {
@@ -86,7 +86,7 @@ const point = (figure, event) => {
   tip.style.left = Math.min(event.clientX + 14, innerWidth - tip.offsetWidth - 6) + 'px';
   tip.style.top = Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 6) + 'px';
 };
-// Places are shares of the width: what is at the window's left edge goes to 0 %, at its right one to 100 %.
+// Positions are fractions of the width: the left edge of the window goes to 0 %, its right edge to 100 %.
 const zoom = (figure, low, high) => {
   figure.low = low; figure.high = high;
   for (const b of figure.boxes) b.box.setAttribute('viewBox', `${low * WIDE} 0 ${(high - low) * WIDE} ${DEEP}`);
