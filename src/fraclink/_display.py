@@ -217,10 +217,10 @@ class Row:
             return self.infinite if value > 0 else f"−{self.infinite}"
         if self.error is not None and 0.0 < self.error < math.inf:
             text = uncertain(value / size, self.error / size)
-            known = unit and text != "undetermined"
+            numeric = unit and text != "undetermined"
             # A line may break before the sign, but not after it.
             return text.replace("± ", "±\N{NO-BREAK SPACE}") + (
-                f" {word}" if known else ""
+                f" {word}" if numeric else ""
             )
         if unit:
             return quantity(value, unit, self.digits)
@@ -411,10 +411,10 @@ _LONGEST = 110  # characters of a repr, so that a list of results stays readable
 
 def _repr(result: Any) -> str:
     """The class and the headline of a result."""
-    shown = result.overview()
-    said = ": ".join(filter(None, (marked(shown.state), shown.headline)))
-    said = said if len(said) <= _LONGEST else said[: _LONGEST - 1] + "…"
-    return f"{type(result).__name__}({said})"
+    overview = result.overview()
+    line = ": ".join(filter(None, (marked(overview.state), overview.headline)))
+    line = line if len(line) <= _LONGEST else line[: _LONGEST - 1] + "…"
+    return f"{type(result).__name__}({line})"
 
 
 def _str(result: Any) -> str:

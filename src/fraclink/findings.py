@@ -42,17 +42,17 @@ class Findings(Listed[Finding]):
 
     def overview(self) -> Overview:
         """The number of findings of each severity, and their messages."""
-        found = [finding.severity for finding in self]
+        severities = [finding.severity for finding in self]
         # A warning is no failure, but a result with one is not yet shown to be right.
-        state = "not shown" if "warning" in found else "passed"
+        state = "not shown" if "warning" in severities else "passed"
         counts = [
-            f"{found.count(word)} {word}{'s' if found.count(word) > 1 and word != 'info' else ''}"
+            f"{severities.count(word)} {word}{'s' if severities.count(word) > 1 and word != 'info' else ''}"
             for word in ("error", "warning", "info")
-            if word in found
+            if word in severities
         ]
         return Overview(
             ", ".join(counts) or "no findings",
-            "failed" if "error" in found else state,
+            "failed" if "error" in severities else state,
             findings=tuple(self),
         )
 

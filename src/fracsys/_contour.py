@@ -61,13 +61,13 @@ def step_error(quotient: Quotient, times: Reals, values: Reals) -> float:
     of one. Their poles are shifted by their own uncertainty. The error changes slowly
     with time, so a selection of the times is enough.
     """
-    chosen = np.argsort(times)
+    sample = np.argsort(times)
     even = np.linspace(0, len(times) - 1, min(len(times), 15)).astype(int)
     early = np.geomspace(1, len(times), min(len(times), 10)).astype(int) - 1
-    chosen = chosen[np.union1d(even, early)]
-    moved = quotient.misplaced
-    others = [step_values(moved, times[chosen], more=more) for more in _MORE]
-    return 2.0 * float(np.abs(np.array(others) - values[chosen]).max())
+    sample = sample[np.union1d(even, early)]
+    variant = quotient.misplaced
+    others = [step_values(variant, times[sample], more=more) for more in _MORE]
+    return 2.0 * float(np.abs(np.array(others) - values[sample]).max())
 
 
 def _needed(quotient: Quotient, times: Reals) -> NDArray[np.intp]:
@@ -244,8 +244,8 @@ def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction
             allowed="a highest power without delay",
             remedy="add roll-off: a strictly proper loop has no jumps",
         )
-    kept = tuple(term for term in G.denominator if term.delay == 0.0)
-    return FractionalTransferFunction(G.numerator, kept)
+    denominator = tuple(term for term in G.denominator if term.delay == 0.0)
+    return FractionalTransferFunction(G.numerator, denominator)
 
 
 def feedthrough(G: FractionalTransferFunction) -> FractionalTransferFunction:

@@ -118,13 +118,13 @@ def fit_discrete(
         math.tan(min(0.5 * band[1] * period, 1.55)),
     )
     best = _grown(target, plane, order, highest, pairs)
-    made = DiscreteRational.from_fractions(
+    approximation = DiscreteRational.from_fractions(
         best, period=period, zeros_at_one=zeros_at_one, band=band
     )
     w = _grid(band, 400)
-    ratio = np.log((offset + made(w)) / (offset + response(w)))
+    ratio = np.log((offset + approximation(w)) / (offset + response(w)))
     return replace(
-        made,
+        approximation,
         error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
         error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
     )
@@ -154,8 +154,10 @@ def _grown(
     # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
     # change ranks.
     likely = sorted(range(len(grown)), key=lambda k: score(grown[k][0], target))[:2]
-    made = [finished[k] if k in finished else finish(grown[k], target) for k in likely]
-    return min(made, key=lambda fit: score(fit, target))
+    candidates = [
+        finished[k] if k in finished else finish(grown[k], target) for k in likely
+    ]
+    return min(candidates, key=lambda fit: score(fit, target))
 
 
 def _grid(band: tuple[float, float], count: int) -> Reals:
@@ -192,13 +194,13 @@ def _target(
     w = np.minimum(
         w, nyquist * (1 - 1e-6)
     )  # tan(ωT/2) is infinite at the Nyquist frequency
-    wanted = np.asarray(response(w), dtype=complex)
+    goal = np.asarray(response(w), dtype=complex)
     within = np.arange(w.size) < inside.size
     # Inside the band the error is relative to the whole controller, which `offset` may
     # dominate. Above it only the size of the fitted part is guarded, and the offset
     # would mask it.
-    base = np.where(within, offset + wanted, np.abs(wanted))
-    if not np.all(np.isfinite(wanted)) or not np.all(base):
+    base = np.where(within, offset + goal, np.abs(goal))
+    if not np.all(np.isfinite(goal)) or not np.all(base):
         raise FieldError(
             "response",
             "0 or infinite",
@@ -211,7 +213,7 @@ def _target(
     return Target(
         np.tan(half),
         (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
-        wanted,
+        goal,
         np.asarray(emphasis / base, dtype=complex),
         # The error is in nepers and radians; 20/ln 10 dB and 180/π degrees per unit
         # turn it into multiples of the tolerance.

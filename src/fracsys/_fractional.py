@@ -332,10 +332,10 @@ class FractionalTransferFunction:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
-            told = f": {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
+            hint = f": {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
             kind = type(self).__name__
             raise AttributeError(
-                f"{kind!r} object has no attribute {name!r}{told}", name=name, obj=self
+                f"{kind!r} object has no attribute {name!r}{hint}", name=name, obj=self
             )
 
     def __bool__(self) -> bool:

@@ -39,9 +39,9 @@ def from_control(system: Any) -> FractionalTransferFunction:
         return FractionalTransferFunction((Term(system, 0.0),), (Term(1.0, 0.0),))
     # A result of `to_control` carries the exact system; its samples would only give an
     # approximation.
-    known = getattr(system, "fractional", None)
-    if isinstance(known, FractionalTransferFunction):
-        return known
+    fractional = getattr(system, "fractional", None)
+    if isinstance(fractional, FractionalTransferFunction):
+        return fractional
     if not (hasattr(system, "num") or hasattr(system, "A")):
         raise FieldError(
             "system",

@@ -115,13 +115,13 @@ class HeldQuotient:
         a larger error than requested, the tolerance is reduced to half of the
         sufficient one.
         """
-        asked = tolerance
+        target = tolerance
         for _ in range(_CORRECTIONS):
-            parts = self.expansion(period, span, asked)
+            parts = self.expansion(period, span, target)
             error, peak, _ = self.error(parts, period, span)
-            if error <= tolerance * peak or asked <= _FINEST:
+            if error <= tolerance * peak or target <= _FINEST:
                 break
-            asked = max(0.5 * asked * tolerance * peak / error, _FINEST)
+            target = max(0.5 * target * tolerance * peak / error, _FINEST)
         return self._recursion(parts, period, hold, span, tolerance, delay)
 
     def _recursion(
@@ -217,19 +217,19 @@ class HeldQuotient:
         output, count = np.zeros(len(u)), len(u) - lag
         if count <= 0:
             return Part(output, 0.0, 0, "contour")
-        quotient, start, held = self.whole, self.direct, u[:count]
+        quotient, start, forcing = self.whole, self.direct, u[:count]
         # the first-order hold of u is the integral of its held slopes
         if hold == "first":
             slopes = np.diff(u, append=u[-1])[:count] / period
-            quotient, start, held = quotient.integrated(), 0.0, slopes
+            quotient, start, forcing = quotient.integrated(), 0.0, slopes
         times = np.arange(count, dtype=np.float64) * period + ahead
         values, error = _sampled(quotient, times, start)
-        output[lag:] = convolve(np.diff(values, prepend=0.0), held)
+        output[lag:] = convolve(np.diff(values, prepend=0.0), forcing)
         # The error common to neighbouring lags counts once, with the largest input. The
         # independent part counts with the root of the sum of squares of the input's
         # changes, at four standard deviations.
-        changes = float(np.linalg.norm(np.diff(held, prepend=0.0)))
-        error *= 2.0 * largest(held) + 4.0 * changes
+        changes = float(np.linalg.norm(np.diff(forcing, prepend=0.0)))
+        error *= 2.0 * largest(forcing) + 4.0 * changes
         return Part(output, error + _ROUNDING * largest(output), 0, "contour")
 
     def at(self, times: Reals) -> Part:

@@ -168,7 +168,7 @@ def _fractional_loop(
         # A limit below every corner leaves a factor e of the low asymptote; an empty
         # range would have no margins.
         low = min(low, high - 1.0)
-    bottom, known = _near_axis(system.denominator)
+    bottom, certain = _near_axis(system.denominator)
     top, _ = _near_axis(system.numerator)
     # `bottom` holds the upper one of each pair; a real zero is its own conjugate.
     right = [z for z in bottom if z.imag < 0.5 * math.pi - _ON_AXIS]
@@ -184,7 +184,7 @@ def _fractional_loop(
         system=system,
         span=span,
         unstable_poles=sum(1 if z.imag == 0 else 2 for z in right)
-        if known and within
+        if certain and within
         else None,
     )
 

@@ -105,12 +105,12 @@ class Margins:
         lines.append(
             f"nearest to −1   {self.modulus_frequency:12.6g} rad/s  distance     {self.modulus_margin:9.4g}"
         )
-        known = {
+        verdicts = {
             True: "stable",
             False: "not stable",
             None: "not decided: give unstable_poles",
         }
-        return "\n".join([*lines, f"closed loop     {known[self.stable]}"])
+        return "\n".join([*lines, f"closed loop     {verdicts[self.stable]}"])
 
     @property
     def critical(self) -> GainCrossing | None:
@@ -202,26 +202,30 @@ def margins(
     >>> print(f"{m.gain_crossover:.6f} rad/s, {m.phase_margin:.6f} rad, {m.gain_margin:.6f}, {m.stable}")
     1.143203 rad/s, 0.199404 rad, 1.500000, True
     """
-    known = as_loop(loop, limit)
+    sampled = as_loop(loop, limit)
     if unstable_poles is None:
-        unstable_poles = known.unstable_poles
+        unstable_poles = sampled.unstable_poles
     # Poles and zeros on the axis give infinities here, which are not errors.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        x, values, quiet = sweep(known)
-        gain, phase = crossings(known, x, values, quiet)
-        modulus, at = modulus_margin(known, x, values)
+        x, values, quiet = sweep(sampled)
+        gain, phase = crossings(sampled, x, values, quiet)
+        modulus, at = modulus_margin(sampled, x, values)
         stable = None
         if modulus < ON_AXIS:
             stable = False
         # The swept part of the curve cannot show an encirclement beyond the limit; the
         # verdict comes from the whole loop.
-        elif limit is not None and known.system is not None:
-            stable = _beyond_limit(known.system)
+        elif limit is not None and sampled.system is not None:
+            stable = _beyond_limit(sampled.system)
         elif unstable_poles is not None:
-            left = unstable_closed_loop_poles(
-                known, x, values, open_loop=unstable_poles, ends_real=limit is not None
+            unstable = unstable_closed_loop_poles(
+                sampled,
+                x,
+                values,
+                open_loop=unstable_poles,
+                ends_real=limit is not None,
             )
-            stable = None if left is None else left == 0
+            stable = None if unstable is None else unstable == 0
     return Margins(gain, phase, modulus, at, stable)
 
 
@@ -295,7 +299,7 @@ def _brackets(
     gap = np.diff(place)
     whole = (gap == 1) | ((gap == 2) & usable[np.minimum(place[:-1] + 1, len(x) - 1)])
     change = np.flatnonzero(((here[1:] > 0) != (here[:-1] > 0)) & whole)
-    found = [(float(x[place[i]]), float(x[place[i + 1]])) for i in change]
+    brackets = [(float(x[place[i]]), float(x[place[i + 1]])) for i in change]
     # The extreme value itself decides: two crossings 1e-5 apart can lie between two
     # points of any grid.
     slope = gain_slope if level is gain_level else phase_slope
@@ -306,8 +310,8 @@ def _brackets(
     for (a, b), (at, _) in zip(near, zeros_of(loop, slope, near), strict=True):
         beside, here = level(loop, np.array([a, at]))
         if beside * here < 0:
-            found += [(a, at), (at, b)]
-    return sorted(found)
+            brackets += [(a, at), (at, b)]
+    return sorted(brackets)
 
 
 def _near_touches(place: Index, y: Reals) -> list[int]:

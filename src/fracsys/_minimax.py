@@ -236,22 +236,27 @@ def grow(
     most = highest if pairs is None else pairs
     empty = np.zeros(0)
     nothing = PartialFractions(0.0, empty, empty, empty, empty, empty.astype(complex))
-    kept = [[best_residues(nothing, target)]]
-    yield kept[0]
+    best = [[best_residues(nothing, target)]]
+    yield best[0]
     for order in range(1, highest + 1):
-        starts = [_with_real(c, x) for c in kept[order - 1] for x in spots]
-        for c in kept[order - 2][:2] if order > 1 else ():
+        starts = [_with_real(c, x) for c in best[order - 1] for x in spots]
+        for c in best[order - 2][:2] if order > 1 else ():
             starts += [_with_pair(c, x) for x in spots[3:]] + [
                 _with_known(c, q) for q in resonances
             ]
         spread = log_spaced_start(*band, order % 2, order // 2)
-        chosen = [*_promising(starts, target, most), relocate(spread, target, 12)[-1]]
+        candidates = [
+            *_promising(starts, target, most),
+            relocate(spread, target, 12)[-1],
+        ]
         # The 8-norm ranks the candidates almost as their largest errors do. With least
         # squares alone, two of six controllers need one more pole, and a third misses
         # its tolerance.
-        found = [improve(c, target, (2, 8)) for c in chosen if len(c.pair_logs) <= most]
-        kept.append(_distinct(found, target))
-        yield kept[order]
+        fits = [
+            improve(c, target, (2, 8)) for c in candidates if len(c.pair_logs) <= most
+        ]
+        best.append(_distinct(fits, target))
+        yield best[order]
 
 
 def finish(candidates: list[PartialFractions], target: Target) -> PartialFractions:
@@ -304,21 +309,21 @@ def _with_known(c: PartialFractions, q: complex) -> PartialFractions:
 def _promising(
     starts: list[PartialFractions], target: Target, pairs: int
 ) -> list[PartialFractions]:
-    fitted = [best_residues(c, target) for c in starts if len(c.pair_logs) <= pairs]
-    return sorted(fitted, key=lambda c: float(np.sum(c.error(target) ** 2)))[:_TRIED]
+    fits = [best_residues(c, target) for c in starts if len(c.pair_logs) <= pairs]
+    return sorted(fits, key=lambda c: float(np.sum(c.error(target) ** 2)))[:_TRIED]
 
 
 def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFractions]:
     ranked = sorted(((_cost(c, target), i) for i, c in enumerate(found)))
-    kept: list[tuple[float, PartialFractions]] = []
+    distinct: list[tuple[float, PartialFractions]] = []
     for cost, i in ranked:
         # Starts that ended in the same minimum agree to 1e-4 in cost; keeping both
         # would waste one of three places.
-        if all(abs(cost - other) > 1e-3 * cost for other, _ in kept):
-            kept.append((cost, found[i]))
-        if len(kept) == _KEPT:
+        if all(abs(cost - other) > 1e-3 * cost for other, _ in distinct):
+            distinct.append((cost, found[i]))
+        if len(distinct) == _KEPT:
             break
-    return [c for _, c in kept]
+    return [c for _, c in distinct]
 
 
 # --- Starting poles by pole relocation (vector fitting), reflected into the stable half plane ---------
@@ -341,11 +346,11 @@ def relocate(
     visited, here = [], start
     for _ in range(rounds):
         basis = here.columns(target.x)
-        left = np.concatenate(
+        columns = np.concatenate(
             [target.factor[:, None] * basis, -target.wanted[:, None] * basis[:, 1:]],
             axis=1,
         )
-        rows = target.rows(left)
+        rows = target.rows(columns)
         size = np.linalg.norm(rows, axis=0) + 1e-300
         # Columns are scaled to equal length: poles three decades apart give columns of
         # very different size, and the cut-off at 1e-13 is meant for dependent columns,

@@ -83,8 +83,8 @@ def mittag_leffler(
     >>> print(f"{mittag_leffler(-4.0, 0.5):.12f}, {mittag_leffler(2j, 1.5, beta=2.0):.9f}")
     0.136999457625, 0.836490341+0.574280690j
     """
-    given = _numbers(z)
-    flat = given.astype(np.complex128).ravel()
+    points = _numbers(z)
+    flat = points.astype(np.complex128).ravel()
     # E(0) = 1/Γ(β); 1/Γ is 0 at the poles of Γ, without a special case.
     value = np.full(flat.shape, complex(rgamma(beta)))
     far = np.flatnonzero(np.abs(flat) > _TINY)
@@ -92,21 +92,21 @@ def mittag_leffler(
         for start in range(0, len(far), _CHUNK):
             part = far[start : start + _CHUNK]
             value[part] = _values(flat[part], alpha, beta)
-    shaped = value.reshape(given.shape)
+    shaped = value.reshape(points.shape)
     result = (
         shaped
-        if given.dtype.kind == "c"
+        if points.dtype.kind == "c"
         else np.where(np.isnan(shaped.real), np.inf, shaped.real)
     )
-    return result if given.ndim else result[()]
+    return result if points.ndim else result[()]
 
 
 def _numbers(z: ArrayLike) -> NDArray[Any]:
     try:
-        given = np.asarray(z)
+        numbers = np.asarray(z)
     except ValueError:  # rows of several lengths
-        given = np.array(None)
-    if given.dtype.kind not in "biufc" or not np.all(np.isfinite(given)):
+        numbers = np.array(None)
+    if numbers.dtype.kind not in "biufc" or not np.all(np.isfinite(numbers)):
         raise FieldError(
             "z",
             value_text(z),
@@ -114,7 +114,7 @@ def _numbers(z: ArrayLike) -> NDArray[Any]:
             allowed="finite real or complex numbers",
             remedy="give one number, or an array without NaN",
         )
-    return given
+    return numbers
 
 
 def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
@@ -144,8 +144,8 @@ def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
         total[at] = (weights / _denominator(log_s, z[at, None], alpha)).sum(axis=1)
     kernel = 1.0 / (1.0 - np.exp(-2j * math.pi * (places / step - offset)))
     residues = np.exp(np.exp(logs) + (1.0 - beta) * logs) / alpha
-    seen = places.imag < inside  # False where there is no pole (nan)
-    return np.asarray(total + np.where(seen, kernel * residues, 0.0).sum(axis=0))
+    enclosed = places.imag < inside  # False where there is no pole (nan)
+    return np.asarray(total + np.where(enclosed, kernel * residues, 0.0).sum(axis=0))
 
 
 def _denominator(log_s: Complexes, z: Complexes, alpha: float) -> Complexes:
@@ -217,11 +217,11 @@ def _rule(beta: float) -> tuple[float, int, float]:
     e^(μ(1 − u²)), times |s|^(−β) for negative β.
     """
     power = max(2.0 * beta - 1.0, 0.0)
-    between, wanted = (
+    between, decay = (
         max(60.0, 2.0 * power),
         _BETWEEN - (beta - 1.0) * math.log(_VERTEX),
     )
-    while power and between - power * (1.0 + math.log(between / power)) < wanted:
+    while power and between - power * (1.0 + math.log(between / power)) < decay:
         between += 4.0
     reach = 4.0
     while (

@@ -73,14 +73,14 @@ class DiscreteModes:
         """
         start = np.zeros(self.count) if initial is None else initial
         values = np.ascontiguousarray(u, np.float64)
-        seen = max(len(values) - self.lag, 0)
-        held = (
-            np.concatenate((np.zeros(len(values) - seen), values[:seen]))
+        count = max(len(values) - self.lag, 0)
+        inputs = (
+            np.concatenate((np.zeros(len(values) - count), values[:count]))
             if self.lag
             else values
         )
         output: Reals = _kernels.modes_response(
-            held,
+            inputs,
             self.direct,
             self.first,
             self.log_decays,
@@ -275,17 +275,17 @@ class _Modes:
             np.concatenate(self.complex, axis=1),
         )
         with np.errstate(over="ignore", under="ignore"):
-            seen = np.abs(weights) * np.exp(np.minimum(-rates * shortest, 700.0))
+            size = np.abs(weights) * np.exp(np.minimum(-rates * shortest, 700.0))
             seen_pair = np.abs(shares) * np.exp(
                 np.minimum(poles.real * shortest, 700.0)
             )
         limit = (
-            1e-3 * tolerance * max(seen.max(initial=0.0), seen_pair.max(initial=0.0))
+            1e-3 * tolerance * max(size.max(initial=0.0), seen_pair.max(initial=0.0))
         )
         # The increments of a slow mode are small although the mode matters in the end;
         # only fast modes may be dropped.
         keep = np.flatnonzero(
-            ((seen > limit) | (rates * shortest < 1.0)) & (weights != 0.0)
+            ((size > limit) | (rates * shortest < 1.0)) & (weights != 0.0)
         )
         keep = keep[np.argsort(rates[keep])]
         keep_pair = ((seen_pair > limit) | (np.abs(poles) * shortest < 1.0)) & (

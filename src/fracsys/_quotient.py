@@ -283,8 +283,8 @@ def without_integrator(
     gain = top[-1].coefficient / bottom[-1].coefficient
     # The lowest term cancels exactly by construction; with rounding a pole at 0 would
     # remain.
-    taken = [Term(-gain * t.coefficient, t.order - 1.0) for t in bottom[:-1]]
-    return gain, tuple(collect([*top[:-1], *taken]))
+    remainder = [Term(-gain * t.coefficient, t.order - 1.0) for t in bottom[:-1]]
+    return gain, tuple(collect([*top[:-1], *remainder]))
 
 
 def singular_order(top: Sequence[Term], bottom: Sequence[Term]) -> float:

@@ -139,9 +139,9 @@ def approximate(
     if method == "minimax":  # beyond 12 poles the fit is limited by rounding
         Between(1, 12).check("order", order)
     if method != "minimax":
-        zeros, found, gain = _filtered(system, band, order, period)
+        zeros, pole_values, gain = _filtered(system, band, order, period)
     elif period is None:
-        zeros, found, gain = _continuous(system, band, order)
+        zeros, pole_values, gain = _continuous(system, band, order)
     else:
         fit = fit_discrete(
             lambda w: system(1j * w), period=period, band=band, order=order
@@ -150,17 +150,17 @@ def approximate(
         parts = np.concatenate([fit.gains, half, half.conj()])
         # The fit writes pairs as ½(c/(z − q) + c̄/(z − q̄)); as plain fractions each
         # has half the residue.
-        found = fit.poles
-        zeros, gain = zeros_of_fractions(found, parts, fit.feedthrough)
-    made = RationalApproximation(zeros, found, gain, period, band, method)
+        pole_values = fit.poles
+        zeros, gain = zeros_of_fractions(pole_values, parts, fit.feedthrough)
+    result = RationalApproximation(zeros, pole_values, gain, period, band, method)
     # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant
     # points that at the lower end.
     w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
     # One logarithm gives both errors: the real part in nepers, the imaginary part in
     # radians without phase wrap.
-    ratio = np.log(made.frequency_response(w) / system(1j * w))
+    ratio = np.log(result.frequency_response(w) / system(1j * w))
     return replace(
-        made,
+        result,
         error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
         error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
     )
@@ -178,8 +178,8 @@ def _filtered(
     )
     if period is None:
         return filtered
-    zeros, found, gain = bilinear_zpk(*filtered, fs=1.0 / period)
-    return zeros, found, float(gain)
+    zeros, pole_values, gain = bilinear_zpk(*filtered, fs=1.0 / period)
+    return zeros, pole_values, float(gain)
 
 
 def _check(
@@ -216,10 +216,10 @@ def _check(
 def _continuous(
     system: FractionalTransferFunction, band: tuple[float, float], order: int
 ) -> tuple[Complexes, Complexes, float]:
-    known = poles(system)
+    exact = poles(system)
     # The fit places its poles in the open left half plane only. For an unstable system
     # it would silently return the stable function that is closest on the axis.
-    if np.any(known.real >= 0):
+    if np.any(exact.real >= 0):
         raise FieldError(
             "system",
             repr(system),
@@ -230,8 +230,8 @@ def _continuous(
     # Few enough for Newton steps of microseconds, and more than ten per pole at the
     # highest order.
     w = np.geomspace(*band, 160)
-    near = known[
-        (np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)
+    near = exact[
+        (np.abs(exact) > band[0]) & (np.abs(exact) < band[1]) & (exact.imag > 0)
     ]
     for p in near:  # a resonance needs points of its own
         # ±4 in sinh are 27 half widths; farther out the even points resolve the skirt
@@ -239,7 +239,7 @@ def _continuous(
         width = max(abs(p.real) / abs(p), 1e-6)
         w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
     w = np.unique(w[(w >= band[0]) & (w <= band[1])])
-    wanted = system(1j * w)
+    values = system(1j * w)
     # 0.1 dB weighs as much as 0.5°, as in the fit of a law; the absolute scale does not
     # matter here.
     nepers, radians = (
@@ -247,14 +247,16 @@ def _continuous(
         np.full(w.size, 180 / math.pi / 0.5),
     )
     target = Target(
-        w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians
+        w, np.ones(w.size, dtype=complex), values, 1 / values, nepers, radians
     )
     grown = list(grow(target, band, order, resonances=[-p for p in near]))
     fit = finish(grown[-1], target)
     sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
-    found = np.concatenate([-sigma, -q, -q.conj()])
+    pole_values = np.concatenate([-sigma, -q, -q.conj()])
     half = 0.5 * fit.pair_gains * q
     zeros, gain = zeros_of_fractions(
-        found, np.concatenate([fit.real_gains * sigma, half, half.conj()]), fit.direct
+        pole_values,
+        np.concatenate([fit.real_gains * sigma, half, half.conj()]),
+        fit.direct,
     )
-    return zeros, found, gain
+    return zeros, pole_values, gain

@@ -61,8 +61,8 @@ class TimeResponse:
 
     def __repr__(self) -> str:
         last = f" to {self.time[-1]:.6g} s" if len(self.time) else ""
-        told = f"{len(self.time)} samples{last}, {self.method}, error {self.error_estimate:.1g}"
-        return f"TimeResponse({told})"
+        summary = f"{len(self.time)} samples{last}, {self.method}, error {self.error_estimate:.1g}"
+        return f"TimeResponse({summary})"
 
 
 @checked
@@ -244,8 +244,8 @@ def discrete_modes(
             remedy="take the parts one by one, or use time_response",
         )
     delay, top = next(iter(groups.items()), (0.0, ()))
-    held = held_quotient(top, G.denominator)
-    if not held.has_modes:
+    quotient = held_quotient(top, G.denominator)
+    if not quotient.has_modes:
         order = singular_order(top, G.denominator)
         raise FieldError(
             "order",
@@ -254,7 +254,9 @@ def discrete_modes(
             allowed="singular powers s^-a with a < 0.94, and the integrator 1/s",
             remedy="use time_response",
         )
-    return held.modes(period, hold=hold, span=span, tolerance=tolerance, delay=delay)
+    return quotient.modes(
+        period, hold=hold, span=span, tolerance=tolerance, delay=delay
+    )
 
 
 def _instants(time: object, period: float | None) -> Reals:
@@ -304,8 +306,8 @@ def _fixed(
             # A sample on the jump itself counts as after it, even where k·period -
             # delay rounds below 0.
             late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
-            held = held_quotient(top, G.denominator)
-            parts.append(held.at(late) if degree else held.impulse(late))
+            quotient = held_quotient(top, G.denominator)
+            parts.append(quotient.at(late) if degree else quotient.impulse(late))
     except NotConvergedError:
         # The inversion needs a grid, not single times, and an impulse has no samples to
         # take differences of.

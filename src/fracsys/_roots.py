@@ -90,10 +90,10 @@ def log_zeros(
         (low, high), gap = terms.coefficients, terms.rates[1]
         return np.array(two_term_zeros(low / high, gap, angle), dtype=complex)
     height, count = _counted(terms, angle)
-    found = settle_clusters(terms, aberth(terms, height, count))
-    if not _complete(found, count):
-        found = _by_bisection(terms, height, count)
-    return _upper(terms, found, angle)
+    zeros = settle_clusters(terms, aberth(terms, height, count))
+    if not _complete(zeros, count):
+        zeros = _by_bisection(terms, height, count)
+    return _upper(terms, zeros, angle)
 
 
 def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
@@ -154,18 +154,18 @@ def _by_bisection(
     low, high = terms.bounds
     # The walls lie slightly beyond the bounds, so that no side runs along a line where
     # two terms are equal.
-    found = bisect(
+    zeros = bisect(
         terms, complex(low - 0.1, -height), complex(high + 0.1, height), count
     )
-    found = settle_clusters(terms, found)
-    if len(found) != count:
+    zeros = settle_clusters(terms, zeros)
+    if len(zeros) != count:
         raise NotConvergedError(
             "zeros found",
-            reached=len(found),
+            reached=len(zeros),
             wanted=count,
             remedy="report the coefficients and orders",
         )
-    return found
+    return zeros
 
 
 def _upper(
@@ -175,8 +175,8 @@ def _upper(
     # In a close group a zero is known to ε/|D'| only; without the tolerance one
     # slightly beyond the edge would be lost.
     values, moduli = terms.derivatives(z, 2)
-    known = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
-    reach = np.clip(known, _ON_EDGE, _BLURRED)
+    uncertainty = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
+    reach = np.clip(uncertainty, _ON_EDGE, _BLURRED)
     z.imag[np.abs(z.imag) < reach] = 0.0
     z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
     z = z[(z.imag >= 0) & (z.imag <= angle)]
@@ -350,7 +350,7 @@ def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Com
     """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms per zero) but
     certain.
     """
-    found: list[complex] = []
+    zeros: list[complex] = []
     boxes = [(low, high, count)]
     while boxes:
         a, b, n = boxes.pop()
@@ -360,7 +360,7 @@ def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Com
         # around a double zero, smaller boxes are lost in rounding: (1e-3)² · 1e-8 is
         # left of D
         if size < 1e-3:
-            found += [centre] * n
+            zeros += [centre] * n
             continue
         if n == 1:
             z = _newton(sum_, centre, 1)
@@ -369,10 +369,10 @@ def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Com
                 and a.imag < z.imag < b.imag
                 and _is_zero(sum_, z)
             ):
-                found.append(z)
+                zeros.append(z)
                 continue
         boxes += _halves(sum_, a, b, n)
-    return np.array(found, dtype=complex)
+    return np.array(zeros, dtype=complex)
 
 
 def _is_zero(sum_: ExponentialSum, z: complex) -> bool:

@@ -137,8 +137,8 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     # Only the upper half plane was searched: each pole off the real axis counts for
     # itself and its conjugate.
     winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
-    found = tuple(complex(p) for p in _both_halves(bad, 0))
-    verdict = _verdict(system, found, integrators, winding, delayed=False)
+    unstable = tuple(complex(p) for p in _both_halves(bad, 0))
+    verdict = _verdict(system, unstable, integrators, winding, delayed=False)
     # A cancelled pole is not part of the transfer function, but the state behind it
     # still grows; it is therefore reported.
     hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
@@ -284,18 +284,18 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes
             allowed="delays in the numerator only",
             remedy="use is_stable or margins",
         )
-    left, cancelled = _logs(system.denominator).tolist(), []
+    rest, cancelled = _logs(system.denominator).tolist(), []
     top = system.numerator
     # A common delay moves no zero; several delays give infinitely many zeros, none of
     # which cancels a pole exactly.
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
         for zero in _logs(top).tolist():
             # One at a time: a double pole with one zero on it leaves a simple pole.
-            near = [p for p in left if abs(p - zero) < _SAME][:1]
+            near = [p for p in rest if abs(p - zero) < _SAME][:1]
             if near:
-                left.remove(near[0])
+                rest.remove(near[0])
                 cancelled += near
-    return np.array(left, dtype=complex), np.array(cancelled, dtype=complex)
+    return np.array(rest, dtype=complex), np.array(cancelled, dtype=complex)
 
 
 def _logs(terms: Sequence[Term]) -> Complexes:
@@ -306,16 +306,16 @@ def _logs(terms: Sequence[Term]) -> Complexes:
 
 def _both_halves(z: Complexes, at_origin: int) -> Complexes:
     """s = e^z and its conjugates, exact on the axes."""
-    found: list[complex] = [0j] * at_origin
+    points: list[complex] = [0j] * at_origin
     for log in z:
         size, angle = math.exp(log.real), float(log.imag)
         # `log_zeros` puts zeros on the edges exactly there. e^z would leave an
         # imaginary part of 1e-16, and a real pole would count as a pair.
         if angle in (0.0, math.pi):
-            found.append(complex(math.copysign(size, math.cos(angle))))
+            points.append(complex(math.copysign(size, math.cos(angle))))
         elif abs(angle - 0.5 * math.pi) < _ON_AXIS:
-            found += [complex(0, size), complex(0, -size)]
+            points += [complex(0, size), complex(0, -size)]
         else:
             p = complex(np.exp(log))
-            found += [p, p.conjugate()]
-    return np.array(found, dtype=complex)
+            points += [p, p.conjugate()]
+    return np.array(points, dtype=complex)

@@ -111,15 +111,15 @@ def frequency_grid(
     >>> bool(np.min(np.diff(np.log(w))) < 1e-3 and w[0] < 1 and w[-1] > 100)
     True
     """
-    known = as_loop(loop, limit)
+    sampled = as_loop(loop, limit)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        if known.system is not None:
-            low, high = known.span[0] - _DECADES, known.span[1] + _DECADES
+        if sampled.system is not None:
+            low, high = sampled.span[0] - _DECADES, sampled.span[1] + _DECADES
             if limit is not None:
                 high = min(high, math.log(limit))
-            known = replace(known, low=min(low, high - _DECADES), high=high)
-        x, values, _ = sweep(known)
-        if known.system is None:
+            sampled = replace(sampled, low=min(low, high - _DECADES), high=high)
+        x, values, _ = sweep(sampled)
+        if sampled.system is None:
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)
     # The even points cover the range where the phase turns slowly, the others that
@@ -227,7 +227,7 @@ def bracketed_roots(
     at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
     # A bracket of four units in the last place cannot be narrowed any further.
     size = np.abs(a) + np.abs(b)
-    done, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
+    tolerance, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(_ROUNDS):
             x = b - at_b * (b - a) / (at_b - at_a)
@@ -236,10 +236,10 @@ def bracketed_roots(
             at_x = np.asarray(function(x))
             stays = (at_x > 0.0) == (at_b > 0.0)  # b moves on, a stays
             a, at_a = np.where(stays, a, b), np.where(stays, 0.5 * at_a, at_b)
-            moved = np.abs(x - b)
-            settled |= (moved <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
+            step = np.abs(x - b)
+            settled |= (step <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
             b, at_b = x, at_x
-            if np.all((moved <= done) | (at_x == 0.0) | settled):
+            if np.all((step <= tolerance) | (at_x == 0.0) | settled):
                 break
     return b
 

@@ -38,11 +38,11 @@ class Term:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        given = (self.coefficient, self.order, self.delay)
+        values = (self.coefficient, self.order, self.delay)
         # The algebra creates thousands of terms from floats; these take a single test.
         if (
-            all(type(value) is float for value in given)
-            and math.isfinite(sum(given))
+            all(type(value) is float for value in values)
+            and math.isfinite(sum(values))
             and self.delay >= 0.0
         ):
             return
@@ -359,9 +359,9 @@ def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
     """
     # 8 GiB where the system does not report its memory; any machine in use for numpy
     # has that much.
-    known = hasattr(os, "sysconf")
+    posix = hasattr(os, "sysconf")
     available = (
-        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
+        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if posix else 8 << 30
     )
     if not count * each < available:
         raise SizeError(

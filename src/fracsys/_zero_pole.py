@@ -79,15 +79,15 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
         s = s - step
         if np.all(np.abs(step) <= 1e-14 * np.abs(s)):
             break
-    left = float(np.max(np.abs(step) / np.maximum(np.abs(s), 1e-300), initial=0.0))
+    change = float(np.max(np.abs(step) / np.maximum(np.abs(s), 1e-300), initial=0.0))
     # Double zeros are known to 1e-8 only, and a double real zero may end on either side
     # of the axis.
     real = np.abs(s.imag) < 1e-6 * np.abs(s)
     upper = s[~real & (s.imag > 0)]
-    if left > 1e-6 or len(s) != np.count_nonzero(real) + 2 * len(upper):
+    if change > 1e-6 or len(s) != np.count_nonzero(real) + 2 * len(upper):
         raise NotConvergedError(
             "zeros of the approximation",
-            reached=left,
+            reached=change,
             wanted=1e-6,
             remedy="narrow the band or lower the order",
         )

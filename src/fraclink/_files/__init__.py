@@ -212,11 +212,11 @@ def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> 
     fraclink.errors.FileFormatError: file: ...
     """
     place = checked_path("path", path)
-    wanted = kind if isinstance(kind, tuple) else (kind,) if kind else ()
+    kinds = kind if isinstance(kind, tuple) else (kind,) if kind else ()
     if place.suffix == ".toml":
-        return getattr(_expected("rig", wanted, place), "load")(place)  # noqa: B009
+        return getattr(_expected("rig", kinds, place), "load")(place)  # noqa: B009
     data, arrays = _read(place)
-    cls = _expected(data.get("fraclink"), wanted, place)
+    cls = _expected(data.get("fraclink"), kinds, place)
     file_format = document_of(cls)
     if file_format.own:
         return getattr(cls, "load")(place)  # noqa: B009
@@ -314,14 +314,14 @@ def _check_digest(
 ) -> None:
     digests = {name: array_digest(values) for name, values in arrays.items()}
     unknown = sorted(set(data) - _ENVELOPE)
-    stated, expected = data.get("sha256"), _digest(data)
+    digest, expected = data.get("sha256"), _digest(data)
     field, problem = "", ""
     if unknown:  # the digest covers it, but no release writes it
         field, problem = unknown[0], "an unknown key"
     elif "content" not in data:
         field, problem = "content", "missing"
-    elif data.get("arrays", {}) != digests or stated != expected:
-        field = "arrays" if stated == expected else "sha256"
+    elif data.get("arrays", {}) != digests or digest != expected:
+        field = "arrays" if digest == expected else "sha256"
         problem = f"{place.name} was changed after it was written, and holds nothing that was computed any more"
     if field:
         remedy = "make the file again; to try another value, give it to the command or the function"

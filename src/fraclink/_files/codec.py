@@ -55,8 +55,8 @@ def _stored(kind: Any) -> dict[str, Parameter]:
     """
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     left_out = {each.name for each in fields if not each.metadata.get("stored", True)}
-    known = parameters(kind)
-    return {name: known[name] for name in known if name not in left_out}
+    by_name = parameters(kind)
+    return {name: by_name[name] for name in by_name if name not in left_out}
 
 
 class _Plain(Form):
@@ -187,17 +187,17 @@ class Reading(_Plain):
         if not isinstance(data, Mapping) or (rule.named and data.get("type") != name):
             raise _misfit(data, "not a table", rule)
         table = {k: v for k, v in data.items() if not (rule.named and k == "type")}
-        known, values, faults = self.keys(kind), {}, []
+        by_key, values, faults = self.keys(kind), {}, []
         # Unknown keys first: a misspelt key is also missing under its right name, and
         # the wrong spelling explains why.
-        for key in [*(key for key in table if key not in known), *known]:
+        for key in [*(key for key in table if key not in by_key), *by_key]:
             try:
-                if key not in known:
-                    raise _unknown(key, table[key], known)
+                if key not in by_key:
+                    raise _unknown(key, table[key], by_key)
                 if key in table:
-                    values[known[key].name] = self(known[key].rule, table[key])
-                elif known[key].default is REQUIRED:
-                    raise _missing(key, known[key].rule)
+                    values[by_key[key].name] = self(by_key[key].rule, table[key])
+                elif by_key[key].default is REQUIRED:
+                    raise _missing(key, by_key[key].rule)
             except Refused as refused:
                 refused.keys.append(key)
                 faults.append(refused)

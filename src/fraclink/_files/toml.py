@@ -81,9 +81,9 @@ def keys_of(kind: type) -> dict[str, Parameter]:
     # Only units of the table are written into keys: TOML would have to quote names with
     # dB or %. Fields that are not properties of an arm are marked ``metadata={"stated":
     # False}``.
-    known = parameters(kind)
+    fields = parameters(kind)
     return {
-        field.name + _SUFFIX.get(known[field.name].rule.unit, ""): known[field.name]
+        field.name + _SUFFIX.get(fields[field.name].rule.unit, ""): fields[field.name]
         for field in dataclasses.fields(kind)
         if field.metadata.get("stated", True)
     }

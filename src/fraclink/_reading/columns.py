@@ -31,8 +31,8 @@ def stated_by(name: str) -> tuple[str, str]:
     empty strings.
     """
     match = _NAME.fullmatch(name)
-    known = match is not None and match[2] in UNITS[QUANTITY_OF[match[1]]]
-    return (match[1], match[2]) if match and known else ("", "")
+    valid = match is not None and match[2] in UNITS[QUANTITY_OF[match[1]]]
+    return (match[1], match[2]) if match and valid else ("", "")
 
 
 def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
@@ -110,7 +110,7 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
     output = "torque" if "torque" in roles else "deflection"
     rows = [("time", clock or "?", _unit(table, "time", clock))]
     for role in ("motor_angle", output, "voltage"):
-        columns = [table.label(k) for k, known in enumerate(roles) if known == role]
+        columns = [table.label(k) for k, own in enumerate(roles) if own == role]
         column = next((each for each in columns if each != clock), "")
         if column or role != "voltage":
             rows.append((role, column or "?", _unit(table, role, column)))
@@ -118,10 +118,10 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
 
 
 def _unit(table: LogTable, role: str, column: str) -> str:
-    known = UNITS[QUANTITY_OF[role]]
+    units = UNITS[QUANTITY_OF[role]]
     if column not in table.names:  # the sum of two columns is in seconds
         return "s" if role == "time" and column else "?"
-    return table.unit(table.names.index(column), known) or "?"
+    return table.unit(table.names.index(column), units) or "?"
 
 
 # --- what a stated column must be -------------------------------------------------------
@@ -151,9 +151,9 @@ def check_signals(
         # An exactly constant column is rejected here, since no fit is possible; one
         # that moves by a billionth is left to `diagnose`.
         if np.ptp(values) == 0:
-            shown = f"{float(values[0]):.6g} in all {values.size} samples (standard deviation 0)"
+            text = f"{float(values[0]):.6g} in all {values.size} samples (standard deviation 0)"
             raise LogError(
-                role, shown, "constant", allowed="a signal that moves", remedy=remedy
+                role, text, "constant", allowed="a signal that moves", remedy=remedy
             )
 
 

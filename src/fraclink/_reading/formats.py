@@ -82,8 +82,8 @@ def sniffed_kind(path: Path) -> str:
     foreign = next((name for magic, name in _FOREIGN if head.startswith(magic)), "")
     promised = _PROMISED.get(path.suffix.lower(), (kind,))
     if foreign:
-        known = "text, MAT, HDF5, TDMS, NumPy, rosbag2, MCAP"
-        raise _other(path, f"{foreign} by its content", known, "export it as CSV")
+        formats = "text, MAT, HDF5, TDMS, NumPy, rosbag2, MCAP"
+        raise _other(path, f"{foreign} by its content", formats, "export it as CSV")
     if kind not in promised:
         remedy = "it is damaged, or its name has the wrong ending"
         if path.suffix.lower() == ".mat":

@@ -229,12 +229,12 @@ def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
     values.
     """
     roles = [role_of_name(name) for name in names]
-    known = {name.lower() for name in names}
+    lower = {name.lower() for name in names}
     for place, name in enumerate(names):
         plain = re.sub(r"[\[(].*", "", name.lower()).strip()
         first, _, last = plain.rpartition("_")
         ending = name.lower()[len(plain) :]
-        if last in _DESIRED and {first, first + ending} & known:
+        if last in _DESIRED and {first, first + ending} & lower:
             roles[place] = "a commanded value", last
     return roles
 

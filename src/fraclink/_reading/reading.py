@@ -149,12 +149,12 @@ def read_log(
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
     table = read_table(place)
     # The call takes precedence over the rig, and the rig over the names.
-    stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
-    if stated is None:
+    channels = columns or (rig.log if rig else None) or columns_of_names(table.names)
+    if channels is None:
         raise _unstated(table)
     # Units and signs are converted here; from now on all data are in SI, radians, and
     # positive where the motor accelerates.
-    data, findings = _channels(table, stated, interpolate)
+    data, findings = _channels(table, channels, interpolate)
     stamps = data.pop("time")
     recorded, whole_angle, first = stamps, data["motor_angle"], 0
     if keep is not None:
@@ -170,16 +170,16 @@ def read_log(
         # than the log.
         check_size(int(float(np.ptp(stamps)) / base.period))
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
-    output = data[stated.output_kind]
-    check_signals(data["motor_angle"], output, stated.output_kind)
-    known, payload_findings = stated_payload(table, payload)
+    output = data[channels.output_kind]
+    check_signals(data["motor_angle"], output, channels.output_kind)
+    mass, payload_findings = stated_payload(table, payload)
     earlier = whole_angle[uniform_before(recorded, first, base.period)]
     return Experiment(
         period=base.period,
         motor_angle=data["motor_angle"],
         output=output,
-        output_kind=stated.output_kind,
-        payload=known,
+        output_kind=channels.output_kind,
+        payload=mass,
         source=place.name,
         sha256=sha256_of(place) if place.is_file() else "",
         findings=(*findings, *base.findings, *payload_findings),
@@ -278,18 +278,18 @@ def _contradicted(
 ) -> list[Finding]:
     """The unit in the header of the log for a column, if it contradicts the stated one."""
     # Compared by value, not by spelling: Nm and N*m agree.
-    known = UNITS[QUANTITY_OF[role]]
-    own = table.unit(place, tuple(known)) or channel.unit
+    factors = UNITS[QUANTITY_OF[role]]
+    own = table.unit(place, tuple(factors)) or channel.unit
     # An explicit scale states the conversion, and names that do not match the columns
     # state nothing.
-    if known[own] == known[channel.unit] or channel.scale != 1 or table.hints:
+    if factors[own] == factors[channel.unit] or channel.scale != 1 or table.hints:
         return []
     return [
         Finding(
             "W220",
             "error",
             f"column {table.names[place]!r} is in {own} by the log's own header, in {channel.unit} by [log]",
-            {"header_unit": known[own], "stated_unit": known[channel.unit]},
+            {"header_unit": factors[own], "stated_unit": factors[channel.unit]},
             "correct the unit in [log] of the rig file, or the header",
         )
     ]

@@ -83,20 +83,20 @@ def read_frequency_response(
     array([1.+0.j , 0.-0.1j])
     """
     place = Path(path)
-    given = _columns_of(read_table(place), columns)
-    frequency = _in_si(given, "frequency")
+    roles = _columns_of(read_table(place), columns)
+    frequency = _in_si(roles, "frequency")
     # Real and imaginary part first, since they need no unit; a table with both forms
     # holds the same data twice.
-    if "real" in given and "imaginary" in given:
-        response = _in_si(given, "real") + 1j * _in_si(given, "imaginary")
-    elif "gain" in given and "phase" in given:
-        level = _in_si(given, "gain")
-        size = 10 ** (level / 20) if given["gain"][1] == "dB" else level
-        response = size * np.exp(1j * _in_si(given, "phase"))
+    if "real" in roles and "imaginary" in roles:
+        response = _in_si(roles, "real") + 1j * _in_si(roles, "imaginary")
+    elif "gain" in roles and "phase" in roles:
+        level = _in_si(roles, "gain")
+        size = 10 ** (level / 20) if roles["gain"][1] == "dB" else level
+        response = size * np.exp(1j * _in_si(roles, "phase"))
     else:
         columns = "columns such as gain_dB and phase_deg, or real and imag"
-        raise _absent(given, "gain and phase, or real and imag", columns)
-    coherence = _in_si(given, "coherence") if "coherence" in given else None
+        raise _absent(roles, "gain and phase, or real and imag", columns)
+    coherence = _in_si(roles, "coherence") if "coherence" in roles else None
     return FrequencyResponse(
         frequency,
         np.asarray(response, dtype=np.complex128),
@@ -116,23 +116,23 @@ def _in_si(given: Given, role: str) -> Reals:
             given, role, f"a column such as {role}_{next(iter(_UNITS[role]))}"
         )
     values, unit, name = given[role]
-    known = _UNITS[role]
-    if unit not in known:
+    factors = _UNITS[role]
+    if unit not in factors:
         raise LogError(
             f"column of {role}",
             name,
             f"in {unit}, a unit that is not converted" if unit else "without its unit",
-            allowed="no unit" if set(known) == {"1"} else " or ".join(known),
-            remedy=f'convert the column and state its unit, as in "{name} [{next(iter(known))}]"',
+            allowed="no unit" if set(factors) == {"1"} else " or ".join(factors),
+            remedy=f'convert the column and state its unit, as in "{name} [{next(iter(factors))}]"',
         )
-    return np.asarray(values * known[unit], dtype=np.float64)
+    return np.asarray(values * factors[unit], dtype=np.float64)
 
 
 def _absent(given: Given, wanted: str, allowed: str) -> LogError:
     names = ", ".join(f"{role}: {name}" for role, (_, _, name) in given.items())
     remedy = "rename a column in the table's header, or state columns"
-    shown, problem = names or "(none)", f"without {wanted}"
-    return LogError("columns", shown, problem, allowed=allowed, remedy=remedy)
+    listing, problem = names or "(none)", f"without {wanted}"
+    return LogError("columns", listing, problem, allowed=allowed, remedy=remedy)
 
 
 def _columns_of(
@@ -155,7 +155,7 @@ def _columns_of(
             columns = list(np.array(columns).T)  # transposed, without names
         names, units = list(stated), [""] * len(stated)
         roles = [_role(name) for name in names]
-    given: Given = {}
+    by_role: Given = {}
     if len(names) != len(columns) or not set(roles) <= {*_ROLES, ""}:
         shape = f"{len(columns)} columns, of {', '.join(_ROLES)}"
         raise LogError(
@@ -166,36 +166,36 @@ def _columns_of(
             remedy="name every column (or every row) in its order, or by its role",
         )
     for role, name, unit, values in zip(roles, names, units, columns, strict=True):
-        if role in given:
+        if role in by_role:
             what, remedy = f"column of {role}", "rename one, or state columns"
             raise LogError(
                 what, name, "given twice", allowed="one column", remedy=remedy
             )
         if role:
-            given[role] = values, _unit(name, role, unit), name
-    return given
+            by_role[role] = values, _unit(name, role, unit), name
+    return by_role
 
 
 def _role(name: str) -> str:
     """The role that the name of a column suggests, or ""."""
     words = {*words_of(name), *("ω" if "ω" in name else ())}
-    return next((role for role, known in _ROLES.items() if words & set(known)), "")
+    return next((role for role, names in _ROLES.items() if words & set(names)), "")
 
 
 def _unit(name: str, role: str, in_file: str) -> str:
     """The unit that the file or a name states, that of a name which needs none, or ""."""
-    known, words = _UNITS[role], words_of(name)
+    factors, words = _UNITS[role], words_of(name)
     # "freqHz" is split after the word of its role and not at the capital, so that
     # "fkHz" is f in kHz and not "fk" in Hz.
     called = "|".join(sorted(_ROLES.get(role, ()), key=len, reverse=True))
     parted = re.sub(rf"^((?i:{called}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
     # A unit in the file takes precedence over one in the name: a program sets a TDMS
     # property, a person a name. "kHz", "millis" and "ms_since_start" state a unit too.
-    units = [stated_unit(text, known) for text in (f"[{in_file}]", parted)]
-    units += [unit_of_name(f"[{text}]", known) for text in (name, *words)]
+    units = [stated_unit(text, factors) for text in (f"[{in_file}]", parted)]
+    units += [unit_of_name(f"[{text}]", factors) for text in (name, *words)]
     if role == "frequency" and {*words, name.strip()} & set(_OMEGA):
         units.append("rad/s")
-    return next(filter(None, units), "1" if "1" in known else "")
+    return next(filter(None, units), "1" if "1" in factors else "")
 
 
 # --- two channels of any file -------------------------------------------------------------------------------

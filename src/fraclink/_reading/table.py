@@ -149,7 +149,7 @@ class LogTable:
         `remedy` says where the name was stated and how to correct it.
         """
         numbers = {f"#{place + 1}": place for place in range(len(self.names))}
-        places = [place for place, known in enumerate(self.names) if known == name]
+        places = [place for place, own in enumerate(self.names) if own == name]
         if not places and name in numbers:
             return numbers[name]
         if len(places) == 1:

@@ -308,9 +308,9 @@ def _header(
         remarks.append(f"line {first_line - 1} is part of a row: left out")
         above = above[:-1]
     if len(above) > 1 and len(split(above[-2])) == width:
-        stated = _units(split(above[-1]), width)
-        units = dict(zip(split(above[-2]), stated, strict=False))
-        if stated:
+        labels = _units(split(above[-1]), width)
+        units = dict(zip(split(above[-2]), labels, strict=False))
+        if labels:
             remarks.append(f"line {first_line - 1} holds the units")
             above = above[:-1]
     names = split(
@@ -318,10 +318,10 @@ def _header(
     )
     if labview:
         remarks.append("a measurement file of LabVIEW")
-        stated = [
+        labels = [
             unit_of_name(f"x [{unit.strip()}]") for unit in fields["Y_Unit_Label"]
         ]
-        units = {"X_Value": "s", **dict(zip(names[1:], stated, strict=False))}
+        units = {"X_Value": "s", **dict(zip(names[1:], labels, strict=False))}
     elif len(above) > 1:
         remarks.append(f"{len(above) - 1} lines of title above the names")
     hints: tuple[str, ...] = ()
@@ -370,8 +370,8 @@ def _units(cells: Sequence[str], width: int) -> list[str]:
     units = [unit_of_name(f"x [{cell}]") for cell in inside]
     pairs = list(zip(cells, inside, units, strict=True))
     bracketed = all(not plain or cell[0] in "([" for cell, plain, _ in pairs)
-    known = all(unit or not plain for _, plain, unit in pairs)
-    return units if len(cells) == width and (bracketed or known) else []
+    valid = all(unit or not plain for _, plain, unit in pairs)
+    return units if len(cells) == width and (bracketed or valid) else []
 
 
 def _hints(names: tuple[str, ...], rows: list[list[str]]) -> tuple[str, ...]:

@@ -127,10 +127,10 @@ class ArmSet:
         steps = math.ceil(math.log(high / low) / PAYLOAD_STEP)
         # Geometric spacing, since ω₀ varies with the inverse square root of the
         # payload.
-        tried = np.geomspace(low, high, steps + 1).tolist() if steps else [low]
+        masses = np.geomspace(low, high, steps + 1).tolist() if steps else [low]
         model = with_payload(design.model, design.rig)
         links = links_over(model, design.rig, over)
-        return ArmSet(design.rig, design.law(), model, links, tuple(tried), told, on)
+        return ArmSet(design.rig, design.law(), model, links, tuple(masses), told, on)
 
     @property
     def vibration(self) -> float:

@@ -56,13 +56,13 @@ def estimated_over(
     `called` is False in periods that the control missed, which keep the previous
     values.
     """
-    after, found = estimator.run(
+    after, columns = estimator.run(
         state, motor_angle[called], torque[called], ticks=ticks[called]
     )
     # Number of the latest call at each period; before the first call the first one is
     # used.
     row = np.maximum(np.cumsum(called) - 1, 0)
-    return after, Estimates(*(column[row] for column in found))
+    return after, Estimates(*(column[row] for column in columns))
 
 
 def joined(parts: Sequence[Estimates]) -> Estimates:

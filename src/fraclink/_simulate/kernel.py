@@ -415,11 +415,11 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     # depends on the Γi of the payload.
     blocks[:, 0] -= old.modes.participation * state[0]
     blocks[:, 1] -= old.modes.participation * state[1]
-    moved = projection @ blocks
-    moved[:, 0] += new.modes.participation * state[0]
-    moved[:, 1] += new.modes.participation * state[1]
+    projected = projection @ blocks
+    projected[:, 0] += new.modes.participation * state[0]
+    projected[:, 1] += new.modes.participation * state[1]
     for i in range(new.modes.count):
-        result[new.mode_slice(i)] = moved[i]
+        result[new.mode_slice(i)] = projected[i]
     return result
 
 

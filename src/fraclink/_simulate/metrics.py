@@ -381,10 +381,10 @@ def _rate(deviation: Real, window: int) -> float:
     at = np.arange(count) - 0.5 * (count - 1)
     spread = float(at @ at)
     slope = float(at @ level) / spread
-    left = level - level.mean() - slope * at
+    residual = level - level.mean() - slope * at
     # Standard error of the slope of a straight line through `count` points, with count
     # − 2 degrees of freedom.
-    error = math.sqrt(float(left @ left) / ((count - 2) * spread))
+    error = math.sqrt(float(residual @ residual) / ((count - 2) * spread))
     return slope if abs(slope) > _straight(count) * error else 0.0
 
 

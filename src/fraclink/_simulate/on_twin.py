@@ -106,8 +106,8 @@ def on_twin(
         if estimator is None:
             # Between two actions the payload is constant; True follows the arm.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
-        part, seen = state.estimating(law, inputs[first:last], estimator, first)
-        estimates.extend(seen)
+        part, rows = state.estimating(law, inputs[first:last], estimator, first)
+        estimates.extend(rows)
         return part
 
     record, payloads = acted(state, count, actions, period)

@@ -200,19 +200,23 @@ def assemble(
     >>> bool(abs(tip / hub - exact) < 1e-6)  # the massless limit is equation (9)
     True
     """
-    kept = resolved(beam, modes, step)
+    basis = resolved(beam, modes, step)
     # no mode has a higher frequency, whatever the payload
     chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)
-    size = 2 + kept.count * (2 + chain.rates.size)
+    size = 2 + basis.count * (2 + chain.rates.size)
     a, b, y = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size))
     # The inertia of the arm that is not carried by the retained modes turns rigidly
     # with the hub; without it a heavy link would be too light by its higher modes.
-    inertia = hub_inertia + residual_inertia(beam, kept)
+    inertia = hub_inertia + residual_inertia(beam, basis)
     y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = y[TIP_VELOCITY, 1] = 1.0
 
     at = 2
-    for i in range(kept.count):
-        omega, load, tip = kept.frequencies[i], kept.participation[i], kept.tip[i]
+    for i in range(basis.count):
+        omega, load, tip = (
+            basis.frequencies[i],
+            basis.participation[i],
+            basis.tip[i],
+        )
         if i and isinstance(damping, KelvinVoigt) and damping.higher is not None:
             chain = replace(chain, dashpot=damping.higher)
         place, speed, force = _rows(size, at, omega, load, chain)
@@ -235,4 +239,4 @@ def assemble(
     b[1, 0] = 1.0 / inertia
     for array in (a, b, y):
         array.flags.writeable = False
-    return Plant(beam, kept, chain, a, b, y)
+    return Plant(beam, basis, chain, a, b, y)

@@ -136,13 +136,13 @@ class Programme:
                 answers.append(np.array(signals) / STEP)
         # A row may be violated by a ten-thousandth; for a guard that acts exactly at
         # the limit the margin is ten times as large.
-        kept, own = 1.0 - 10.0 * BROKEN, arms.law.limits
+        margin, own = 1.0 - 10.0 * BROKEN, arms.law.limits
         return Programme(
             np.stack(answers),
             knot,
             period,
-            kept * own.reference_step / period,
-            kept * own.acceleration_limit,
+            margin * own.reference_step / period,
+            margin * own.acceleration_limit,
         )
 
     @property
@@ -220,13 +220,16 @@ class Programme:
             np.eye(count) / (step * self.velocity),
             _differences(count) / (step**2 * self.acceleration),
         ]
-        wanted = target[first:last]
+        goal = target[first:last]
         rows, sides = [], []
         for tip, *signals in self.answers:
-            moved = self._moved(tip, count)[first:last]
-            distance = np.ones((len(moved), 1))
-            rows += [np.hstack([moved, -distance]), np.hstack([-moved, -distance])]
-            sides += [wanted, -wanted]
+            response = self._moved(tip, count)[first:last]
+            distance = np.ones((len(response), 1))
+            rows += [
+                np.hstack([response, -distance]),
+                np.hstack([-response, -distance]),
+            ]
+            sides += [goal, -goal]
             limited += [self._moved(signal, count)[:until] for signal in signals]
         every = np.pad(np.vstack(limited), ((0, 0), (0, 1)))
         rows += [every, -every]
@@ -257,15 +260,15 @@ def _least(
     is exact, and takes a third of the time of all rows at once.
     """
     scale = np.maximum(np.abs(sides), PART * np.max(np.abs(sides)))
-    chosen = np.zeros(len(rows), dtype=bool)
-    chosen[::FIRST] = True
+    active = np.zeros(len(rows), dtype=bool)
+    active[::FIRST] = True
     while True:
         # presolve removes nothing from a dense programme and takes longer than the
         # solution
         solution = linprog(
             cost,
-            rows[chosen],
-            sides[chosen],
+            rows[active],
+            sides[active],
             ends[None, :],
             [end],
             bounds,
@@ -275,7 +278,7 @@ def _least(
         if solution.x is None:
             return None
         broken = rows @ solution.x - sides > BROKEN * scale
-        if not np.any(broken & ~chosen):
+        if not np.any(broken & ~active):
             return np.asarray(solution.x)
         # including their neighbours, which are next if the peak moves sideways
-        chosen |= np.convolve(broken, np.ones(5), mode="same") > 0
+        active |= np.convolve(broken, np.ones(5), mode="same") > 0

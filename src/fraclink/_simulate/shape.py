@@ -240,9 +240,9 @@ def shape(
     limits, amplifier = arms.law.limits, arms.rig.motor.voltage_limit
     # The amplifier limits the voltage, whatever is allowed.
     most = amplifier if voltage is None else min(voltage, amplifier)
-    left = 1.0 - reserve
+    share = 1.0 - reserve
     if isinstance(move, Path):
-        search = _Search(arms, left, most, float(move.angle(move.duration)))
+        search = _Search(arms, share, most, float(move.angle(move.duration)))
         coefficients, programme = search.following(move)
         promised = _farthest(programme.tips(coefficients), move, programme.period)
     else:
@@ -255,7 +255,7 @@ def shape(
                 allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
                 remedy="derive the law's limits for it",
             )
-        search = _Search(arms, left, most, move)
+        search = _Search(arms, share, most, move)
         coefficients, programme = search.settling(settle)
         outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
         promised = programme.period * float(np.flatnonzero(outside)[-1] + 1)

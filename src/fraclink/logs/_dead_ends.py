@@ -26,10 +26,10 @@ _RINGS = ("torque", "deflection", "the tip", "an acceleration", "")
 def check_no_response(table: LogTable, source: str) -> None:
     """Raise LogError for a table of a frequency response, which has no time column."""
     words = [set(words_of(name)) for name in table.names]
-    shown = [each for each in words if each & _RESPONSE]
+    matches = [each for each in words if each & _RESPONSE]
     # Two columns of a response in addition to one of frequencies: "phase" alone may be
     # a channel of a log.
-    if len(shown) > 1 and any(x & _FREQUENCY for x in words if x not in shown):
+    if len(matches) > 1 and any(x & _FREQUENCY for x in words if x not in matches):
         command = f"fraclink identify {shlex.quote(source)} --structure"
         raise _without_model(
             table,
@@ -69,12 +69,12 @@ def dead_end(
         remedy = "run"
     elif missing == "output" and angle is not None and driven:
         scale = "" if time.scale == 1 else f" * {time.scale:g}"
-        stated = (
+        statements = (
             f"time={time.column}{scale} [{time.unit}]",
             f"motor_angle={matching.label(angle)} [{matching.unit(angle) or 'deg'}]",
             f"voltage={matching.label(driven[0])} [{matching.unit(driven[0]) or 'V'}]",
         )
-        columns = " ".join(f'--column "{text}"' for text in stated)
+        columns = " ".join(f'--column "{text}"' for text in statements)
         return _without_model(
             table,
             "of a motor without a signal of its link's flexion",

@@ -387,10 +387,10 @@ def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     # after a gap in the stamps are not a rest.
     angle = moving_angle(log)  # the end of a very long history
     still = float(np.ptp(angle[:lead])) <= 0.02 * float(np.ptp(angle))
-    known = still and angle.size - log.output.size >= lead
+    usable = still and angle.size - log.output.size >= lead
     yield Finding(
         "W231",
-        "info" if known else "warning",
+        "info" if usable else "warning",
         f"the log does not start at rest: {begins} in its first {lead * log.period:.3g} s",
         {
             "first_output": float(log.output[:lead].mean()),
@@ -399,7 +399,7 @@ def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
             "time_s": 0.0,
         },
         "identify starts from what the motor did before the cut; other fits assume rest at the cut"
-        if known
+        if usable
         else "start recording before the motion, or cut the log where the arm is at rest "
         "(keep=, --keep): models assume rest",
     )
@@ -456,14 +456,14 @@ def _stiction(log: Experiment) -> Iterator[Finding]:
     share, longest = float(stuck.sum() / driven.sum()), int(np.argmax(lengths))
     # Not the largest value: the voltage that breaks the motor loose belongs to the last
     # sample of a standstill.
-    held = float(np.quantile(size[stuck], 0.95))
+    level = float(np.quantile(size[stuck], 0.95))
     yield Finding(
         "W232",
         "warning" if share > 0.1 else "info",
-        f"the motor stands still in {100 * share:.3g} % of its driven time, up to about {held:.3g} V",
+        f"the motor stands still in {100 * share:.3g} % of its driven time, up to about {level:.3g} V",
         {
             "share": share,
-            "voltage": held,
+            "voltage": level,
             "longest_s": float(lengths[longest]) * log.period,
             "time_s": float(edges[2 * longest]) * log.period,
         },

@@ -111,8 +111,8 @@ def match(
     >>> result.columns.motor_angle.column, result.questions
     ('motor_angle_rad', ())
     """
-    stated = statements(column, period)
-    return match_table(read_table(Path(log)), stated, str(log), interpolate)
+    by_role = statements(column, period)
+    return match_table(read_table(Path(log)), by_role, str(log), interpolate)
 
 
 def match_table(
@@ -191,8 +191,8 @@ class _Matching:
 
     def unit(self, place: int) -> str:
         """The unit that the file or its name states for a column."""
-        known = {unit for units in UNITS.values() for unit in units}
-        return self.table.unit(place, known)
+        symbols = {unit for units in UNITS.values() for unit in units}
+        return self.table.unit(place, symbols)
 
     def add(self, name: str, unit: str) -> int:
         """Add a column computed from others, such as ``"theta - tip"``; return its
@@ -279,11 +279,11 @@ class _Matching:
         counter = step == 1.0 and not named
         # The unit in the name applies unless no arm is sampled that slowly: then
         # milliseconds were exported under a name for seconds.
-        known = own in UNITS["time"]
-        if statement.unit or own in fitting or (known and not fitting):
+        valid = own in UNITS["time"]
+        if statement.unit or own in fitting or (valid and not fitting):
             self.conclude("unit of time", own, "stated", f"{rate} {own}")
             return Channel(name, own, scale=scale)
-        if len(fitting) == 1 and not counter and not known:
+        if len(fitting) == 1 and not counter and not valid:
             why = f"{rate}: of s, ms, us and ns the one in which arms are sampled"
             self.conclude("unit of time", fitting[0], "likely", why)
             return Channel(name, fitting[0], scale=scale)
@@ -309,33 +309,33 @@ class _Matching:
         match; otherwise a question is added.
         """
         parts = {"motor_angle": "motor angle", "output": "output"}
-        stated = {r: k for r in parts if (k := self.place(r)) is not None}
-        free = self.free(time, next(iter(stated.values()), None))
+        own = {r: k for r in parts if (k := self.place(r)) is not None}
+        free = self.free(time, next(iter(own.values()), None))
         places: dict[str, int] = {}
-        asked: dict[str, list[int]] = {}
+        open_roles: dict[str, list[int]] = {}
         for role, part in parts.items():
-            left = {*free} - {*places.values(), *stated.values()}
-            ranks = {k: self.rank(role, k) for k in sorted(left)}
+            remainder = {*free} - {*places.values(), *own.values()}
+            ranks = {k: self.rank(role, k) for k in sorted(remainder)}
             best = min(ranks.values(), default=_UNLIKELY)
             group = [k for k, rank in ranks.items() if rank == best < _UNLIKELY]
-            if role in stated:
-                places[role] = stated[role]
-                self.conclude(part, self.label(stated[role]), "stated", "as stated")
+            if role in own:
+                places[role] = own[role]
+                self.conclude(part, self.label(own[role]), "stated", "as stated")
             elif best < _UNNAMED and len(group) == 1 and not self.is_absent(role):
                 places[role] = group[0]
-                name, shown = self.table.name(group[0]), self.label(group[0])
+                name, label = self.table.name(group[0]), self.label(group[0])
                 evidence = f"its name says {self.table.roles[group[0]][1]!r}"
-                evidence += f": {name}" if name != shown else ""
+                evidence += f": {name}" if name != label else ""
                 sure: Certainty = "stated" if stated_by(name)[0] else "likely"
-                self.conclude(part, shown, sure, evidence)
+                self.conclude(part, label, sure, evidence)
             else:
-                asked[role] = [] if self.is_absent(role) else group
-        if time is not None and not all(asked.values()):
-            missing = next(role for role, choices in asked.items() if not choices)
+                open_roles[role] = [] if self.is_absent(role) else group
+        if time is not None and not all(open_roles.values()):
+            missing = next(role for role, choices in open_roles.items() if not choices)
             angle = places.get("motor_angle")
             raise dead_end(self, time, angle, free, self.table.roles, missing)
         first = ""
-        for role, choices in asked.items():
+        for role, choices in open_roles.items():
             # A column suggested by one question must not be suggested by another.
             labels = sorted(map(self.label, choices), key=lambda name: name == first)
             first = next(iter(labels), "NAME")
@@ -439,18 +439,18 @@ class _Matching:
         its difference from θm is then a vibration, and a clearer one.
         """
         own, name = self.unit(output), self.label(output)
-        moved = self.cells(output) - self.cells(output)[0]
+        change = self.cells(output) - self.cells(output)[0]
         # Without a unit it is assumed to have that of the motor angle.
         size = UNITS["angle"].get(own or channel.unit, 0.0)
         if length := length_of_name(self.table.name(output)):
-            slope = float(moved @ turned) / (float(turned @ turned) or math.inf)
+            slope = float(change @ turned) / (float(turned @ turned) or math.inf)
             size = 1 / slope if slope else 0.0
-        stated = self.statement("output").column is not None
+        explicit = self.statement("output").column is not None
         # A difference of raw numbers would not be an angle.
-        if stated or channel.scale != 1 or channel.sign != 1 or not size:
+        if explicit or channel.scale != 1 or channel.sign != 1 or not size:
             return output
-        itself = _vibration(turned, moved, period)
-        rest = _vibration(turned, turned - size * moved, period)
+        itself = _vibration(turned, change, period)
+        rest = _vibration(turned, turned - size * change, period)
         clearer = share_of(rest) > max(share_of(itself), _SHOWN)
         if not (itself and rest and clearer and itself.gain < 0 < rest.gain):
             return output
@@ -549,8 +549,8 @@ class _Matching:
             frequency = mode.model.natural_frequency
             explained = f"explains {100 * share_of(mode):.3g} % of the output"
             self.conclude("vibration", f"{frequency:.3g} rad/s", "certain", explained)
-        if stated := self.statement("output").sign:
-            sign, sure, why = stated, "stated", "as stated"
+        if explicit := self.statement("output").sign:
+            sign, sure, why = explicit, "stated", "as stated"
         elif mode is None or mode.delay * mode.model.natural_frequency > late:
             sure = "assumed"
             why = "no vibration that tells" if mode is None else "it answers late"

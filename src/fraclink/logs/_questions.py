@@ -89,14 +89,14 @@ class Question:
             return replace(known, column=ABSENT)
         # "36.8 deg" as well as "deg" and "* 36.8 [deg]", the syntax of --column.
         factor, _, unit = text.removesuffix("]").replace("[", " ").rpartition(" ")
-        stated = f"x * {factor.strip('* ')} [{unit}]" if factor else f"x [{unit}]"
+        formula = f"x * {factor.strip('* ')} [{unit}]" if factor else f"x [{unit}]"
         if of_column:
-            stated, unit = text, unit if "[" in text else ""
+            formula, unit = text, unit if "[" in text else ""
         role = self.role
         if role == "output":
             kind = "torque" if unit in UNITS["torque"] else "deflection"
             role = known.role if not unit and known.role != "output" else kind
-        each = ColumnStatement.of(f"{role}={stated}")
+        each = ColumnStatement.of(f"{role}={formula}")
         units = [*UNITS[QUANTITY_OF[role]], *(["raw"] * (self.role == "output"))]
         own = unit_of_name(each.column or "")
         if of_column and self.role == "motor_angle" and each.unit is None:
@@ -126,11 +126,11 @@ def statements(
     texts = list(column)
     if period is not None:
         texts.append(f"time={ROW_NUMBER} * {period!r} [s]")
-    stated: dict[str, ColumnStatement] = {}
+    by_role: dict[str, ColumnStatement] = {}
     for text in texts:
         each = ColumnStatement.of(text)
         role = "output" if each.role in ("torque", "deflection") else each.role
-        if role in stated:
+        if role in by_role:
             raise FieldError(
                 "column" if role != "time" or period is None else "period",
                 text,
@@ -138,5 +138,5 @@ def statements(
                 allowed="one for each role",
                 remedy="state each column once; an output is a torque or a deflection",
             )
-        stated[role] = each
-    return stated
+        by_role[role] = each
+    return by_role

@@ -180,20 +180,20 @@ def start(
     ('rad', 'UD-FOM', True)
     """
     place = Path(log)
-    stated = statements(column, period)
-    decisions = len(stated) + (payload is not None)
+    by_role = statements(column, period)
+    decisions = len(by_role) + (payload is not None)
     table = read_table(place)
-    state = match_table(table, stated, str(log), interpolate)
+    state = match_table(table, by_role, str(log), interpolate)
     while state.questions:
         if ask is None:
             raise _open(table, state.questions)
         # One question at a time: an answer often settles others as well, since
         # everything is matched again.
         question = state.questions[0]
-        answer = question.statement(ask(question), stated.get(question.role))
-        stated[question.role] = answer
+        answer = question.statement(ask(question), by_role.get(question.role))
+        by_role[question.role] = answer
         decisions += 1
-        state = match_table(table, stated, str(log), interpolate)
+        state = match_table(table, by_role, str(log), interpolate)
     assert state.columns is not None  # without a question  # noqa: S101
     # The common reader is used: it receives the guesses as statements, and rejects or
     # converts them as always.
@@ -229,20 +229,20 @@ def _known(
     """Values that the rig file need not leave blank: c from a torque log, and the
     stated payload.
     """
-    known = {}
+    values = {}
     if log.output_kind == "torque":
         # Five digits: the rest is noise of the fit, and people read rig files.
-        known["link.stiffness"] = (
+        values["link.stiffness"] = (
             float(f"{fit.model.stiffness:.5g}"),
             "c, from this log",
         )
     if payload is not None:
-        known["payloads.low"] = (
+        values["payloads.low"] = (
             payload,
             "of this log; the lightest that a controller is to be for",
         )
-        known["payloads.high"] = (payload, "of this log; the heaviest")
-    return known
+        values["payloads.high"] = (payload, "of this log; the heaviest")
+    return values
 
 
 def _open(table: LogTable, questions: tuple[Question, ...]) -> LogError:
@@ -267,10 +267,10 @@ def _of_the_fit(
         source = "as stated" if payload is not None else "in the log's header"
         guesses.append(Guess("payload", f"{experiment.payload:g} kg", "stated", source))
     late, error = f"{1e3 * fit.delay:.3g} ms", fit.standard_errors.get("delay")
-    fitted = "fitted with the model" + (
+    reason = "fitted with the model" + (
         "" if error is None else f", ± {1e3 * error:.2g} ms"
     )
-    guesses.append(Guess("delay of the output", late, "certain", fitted))
+    guesses.append(Guess("delay of the output", late, "certain", reason))
     return tuple(guesses)
 
 

@@ -135,9 +135,9 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
         payload_given=own["payload_given"] * own["payload"],
         **{name: own[name] for name in as_drawn},
     )
-    chosen = (own["shape"] % len(campaign.references)).astype(np.int32)
+    references = (own["shape"] % len(campaign.references)).astype(np.int32)
     vibration = 2.0 * np.pi / (stiff ** (1.0 / order) * pole.imag)
-    return Block(arms, chosen, np.asarray(vibration))
+    return Block(arms, references, np.asarray(vibration))
 
 
 def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:

@@ -367,21 +367,21 @@ class Campaign:
         3
         """
         own = equip(law, rig, model) if law.motor_loop is None else law
-        chosen = draws_for(rig, model) if draws is None else draws
-        chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
+        ranges = draws_for(rig, model) if draws is None else draws
+        ranges = replace(ranges, payload_given=_always(1.0)) if told else ranges
         length = DURATION
         if reference is not None:
             # A given reference has its own size: with a drawn amplitude the moves would
             # not be the planned ones.
             length = max(DURATION, reference.duration + REST)
-            chosen = replace(chosen, amplitude=_always(1.0))
+            ranges = replace(ranges, amplitude=_always(1.0))
         if reference is not None and not isinstance(reference, Path | SampledReference):
             # for any other reference, the samples that can be stored in a file
             count = math.ceil(reference.duration / own.period) + 1
             rows = sampled(reference, own.period, count)
             reference = SampledReference(own.period, rows)
         return Campaign(
-            rig, model, own, chosen, runs, seed, length, reference, estimated
+            rig, model, own, ranges, runs, seed, length, reference, estimated
         )
 
 

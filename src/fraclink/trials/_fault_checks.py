@@ -163,17 +163,17 @@ def reacts(e: Evidence, mode: str, within: float, *reasons: str) -> Check:
     and it stays.
     """
     first = e.row + e.reacted - 1
-    wanted = MODES.index(mode)
+    target = MODES.index(mode)
     missed = ""
     if e.reacted < 0:
         missed = " (never)"
-    elif e.faulty.mode[first] != wanted:
+    elif e.faulty.mode[first] != target:
         missed = f" (went {MODES[e.faulty.mode[first]]})"
     elif REASONS[e.faulty.reason[first]] not in reasons:
         missed = f" (for {REASONS[e.faulty.reason[first]]})"
     # A higher mode may follow (degraded, then off). A law must not return on its own,
     # since a fault that pauses has not gone.
-    elif np.any(e.faulty.mode[first:] < wanted):
+    elif np.any(e.faulty.mode[first:] < target):
         missed = " (did not latch)"
     measured = np.inf if missed else e.reacted
     return Check.at_most(f"periods until {mode}{missed}", measured, within)
@@ -246,8 +246,8 @@ def limit_cycle(e: Evidence, limit: float) -> Check:
 def held(e: Evidence) -> Check:
     first = e.row + e.reacted - 1
     # Exactly equal: a held command is not recomputed.
-    moved = np.ptp(e.faulty.motor_reference[first:]) if e.reacted > 0 else np.inf
-    return Check.at_most("change of the held motor reference [rad]", moved, 0.0)
+    travel = np.ptp(e.faulty.motor_reference[first:]) if e.reacted > 0 else np.inf
+    return Check.at_most("change of the held motor reference [rad]", travel, 0.0)
 
 
 def settling(e: Evidence, ratio: float) -> Check:
@@ -488,14 +488,14 @@ def shared_checks(e: Evidence) -> tuple[Check, ...]:
     slack = 1e-6 if e.law.precision == "single" else 1e-12
     # Both the output of the law and the voltage request of the motor loop: either one
     # may hide a step that the other shows.
-    command, asked = signals.motor_reference, signals.extras["voltage_asked"]
-    infinite = np.count_nonzero(~np.isfinite([command, asked, signals.voltage]))
+    command, demand = signals.motor_reference, signals.extras["voltage_asked"]
+    infinite = np.count_nonzero(~np.isfinite([command, demand, signals.voltage]))
     step = np.abs(np.diff(command))
     # A restarted law does not know the last command before the restart: it begins at
     # the motor angle.
-    known = (signals.flags[1:] & FLAGS["started"]) == 0
+    counted = (signals.flags[1:] & FLAGS["started"]) == 0
     # A step from or to NaN has no size: it counts as infinite.
-    worst = float(step[known].max(initial=0.0)) if np.isfinite(step).all() else np.inf
+    worst = float(step[counted].max(initial=0.0)) if np.isfinite(step).all() else np.inf
     volts = np.inf if loop is None else loop.voltage_limit
     most = 1 + slack
     return (
@@ -505,7 +505,7 @@ def shared_checks(e: Evidence) -> tuple[Check, ...]:
             np.abs(command).max(),
             limits.motor_limit * most,
         ),
-        Check.at_most("G2: |voltage| [V]", np.abs(asked).max(), volts * most),
+        Check.at_most("G2: |voltage| [V]", np.abs(demand).max(), volts * most),
         Check.at_most(
             "G3: motor reference step [rad]", worst, limits.motor_step * most + slack
         ),

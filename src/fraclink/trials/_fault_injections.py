@@ -271,8 +271,8 @@ def flip(trial: Trial, bit_from_top: int, *, of: str = "a mode") -> None:
     place = int(trial.chance.integers(own)) if own else 16
     if of == "any":
         others = (len(trial.state) - 4 * WORDS) // width - MODES_HELD
-        chosen = int(trial.chance.integers(others + 1))
-        place = place if chosen == others else MODES_HELD + chosen
+        index = int(trial.chance.integers(others + 1))
+        place = place if index == others else MODES_HELD + index
     # Little-endian: the sign is the highest bit of the last byte.
     bit = 8 * width - 1 - bit_from_top
     byte = 4 * WORDS + width * place + bit // 8

@@ -129,8 +129,8 @@ def fault_named(number: str) -> Fault:
     'encoder stuck in a move'
     """
     # A number typed by hand may be in lower case.
-    known = {fault.number: fault for fault in CATALOGUE}
-    if number.upper() not in known:
+    catalogue = {fault.number: fault for fault in CATALOGUE}
+    if number.upper() not in catalogue:
         raise FieldError(
             "only",
             number,
@@ -138,7 +138,7 @@ def fault_named(number: str) -> Fault:
             allowed=f"{CATALOGUE[0].number} … {CATALOGUE[-1].number}",
             remedy="choose one of these",
         )
-    return known[number.upper()]
+    return catalogue[number.upper()]
 
 
 # ── the table of verdicts
@@ -434,12 +434,12 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
     key = (payload, case.seed, fault.duration, special, law.digest)
     # A dictionary of the caller instead of a module cache: a campaign of 8610 runs
     # keeps about 100 clean runs, and frees them at its end.
-    known = {} if clean is None else clean
-    if key not in known:
+    cache = {} if clean is None else clean
+    if key not in cache:
         whole = Case(fault.number, 1, payload, "whole", case.seed)
         healthy, _ = execute(fault.trial(bench, whole, law))
         _check_clean(healthy, payload)
-        known[key] = healthy
+        cache[key] = healthy
     best = None
     if fault.best:
         # The same fault with the same random numbers, with the action of a law that
@@ -455,7 +455,7 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
         trial.row,
         trial.marks,
         run,
-        known[key],
+        cache[key],
         memory,
         trial.detail,
         best,

@@ -247,16 +247,16 @@ def _tuned(
             remedy="no knob of the range stabilises the nominal arm",
         )
     good = np.append(peaks <= target, False)
-    chosen, said = int(np.argmin(peaks)), " (that Ms is out of reach: the least)"
+    index, remark = int(np.argmin(peaks)), " (that Ms is out of reach: the least)"
     if good.any():
         first = int(np.argmax(good))
-        chosen, said = first + int(np.argmin(good[first:])) - 1, ""
-    knob = float(values[chosen])
+        index, remark = first + int(np.argmin(good[first:])) - 1, ""
+    knob = float(values[index])
     return Rival(
         name,
         f"{rule}, for the Ms of fraclink's design at the nominal payload",
-        f"gain {knob:.4g}{said}",
-        float(peaks[chosen]),
+        f"gain {knob:.4g}{remark}",
+        float(peaks[index]),
         replace(open_law, correction=correction(knob)),
     )
 
@@ -313,7 +313,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     a[1] = [-(pole**2), -2.0 * pole, 0.0, 0.0]
     a[3] = [w**2, 0.0, -(w**2), -2.0 * ratio * w]
     b = np.array([[0.0], [pole**2], [0.0], [0.0]])
-    held, drive, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), period)
+    transition, drive, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), period)
     if delay > 1:
         # the controller has one pole at 0 per period of delay, and law.c only runs
         # simple poles
@@ -321,7 +321,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     # The delay is a queue of held inputs; the oldest one drives the arm.
     n = 4 + delay
     queue = np.zeros((n, n + 1))
-    queue[:4, :4], queue[:4, 4:5] = held, drive
+    queue[:4, :4], queue[:4, 4:5] = transition, drive
     queue[4:, 5:] = np.eye(delay)
     whole, enter = queue[:, :n], queue[:, n]
     row = np.zeros(n)
@@ -334,7 +334,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
 
     wide = np.eye(n + 1)
     wide[:n, :n] = whole
-    seen = np.append(row, 1.0)
+    output = np.append(row, 1.0)
     # 1e-12 keeps the Riccati equation well posed for states that the input does not
     # reach within one step.
     process = np.zeros((n + 1, n + 1))
@@ -342,11 +342,13 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     # slower than any move: with a faster offset state the filter would take the
     # deflection of a move for an offset
     process[n, n] = 3e-3**2 * period / 10.0
-    spread = solve_discrete_are(wide.T, seen[:, None], process, np.array([[noise**2]]))
-    kalman = spread @ seen / (noise**2 + seen @ spread @ seen)
+    spread = solve_discrete_are(
+        wide.T, output[:, None], process, np.array([[noise**2]])
+    )
+    kalman = spread @ output / (noise**2 + output @ spread @ output)
 
     # y = tip estimate = −e. Predictor form, so that no products of direct terms arise.
-    correct = np.eye(n + 1) - np.outer(kalman, seen)
+    correct = np.eye(n + 1) - np.outer(kalman, output)
     state = wide @ correct
     state[:n] -= np.outer(enter, gain) @ correct[:n]
     feed = wide @ kalman

@@ -134,8 +134,8 @@ def _claim(campaign: Campaign, place: Path) -> None:
     one.
     """
     if is_campaign(place):
-        known = load_campaign(place)
-        if known.fingerprint != campaign.fingerprint:
+        owner = load_campaign(place)
+        if owner.fingerprint != campaign.fingerprint:
             raise FieldError(
                 "out",
                 str(place),
@@ -145,7 +145,7 @@ def _claim(campaign: Campaign, place: Path) -> None:
             )
         # A shorter request for the same campaign is done already if the longer one is;
         # the file keeps the longer one.
-        if known.runs >= campaign.runs:
+        if owner.runs >= campaign.runs:
             return
     try:
         save(campaign, place / FILE, force=True)
@@ -286,8 +286,8 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     place = part_path(folder, part)
     # An interrupted write leaves a temporary file; its part is missing and is computed
     # here again.
-    for left in folder.glob(f".{place.name}.*.tmp"):
-        left.unlink(missing_ok=True)
+    for stray in folder.glob(f".{place.name}.*.tmp"):
+        stray.unlink(missing_ok=True)
     columns = {
         name: np.asarray(values, dtype=np.float64)
         for name, values in simulate_part(campaign, part).items()
@@ -301,11 +301,15 @@ def read_part(campaign: Campaign, folder: Path, part: int) -> Mapping[str, Real]
     edited or of another campaign.
     """
     try:
-        found = load(part_path(folder, part), CampaignPart)
+        content = load(part_path(folder, part), CampaignPart)
     except FileFormatError:
         return None
     # The last part of a shorter campaign has fewer runs under the same number and
     # fingerprint: it is computed again.
-    own = (found.fingerprint, found.number, len(found.columns["run"]))
-    wanted = (campaign.fingerprint, part, campaign.part_runs(part))
-    return found.columns if own == wanted else None
+    own = (
+        content.fingerprint,
+        content.number,
+        len(content.columns["run"]),
+    )
+    expected = (campaign.fingerprint, part, campaign.part_runs(part))
+    return content.columns if own == expected else None

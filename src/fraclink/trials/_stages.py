@@ -170,8 +170,8 @@ def identified(
     assert study.rig is not None and study.experiment is not None  # noqa: S101
     rig, log = study.rig, study.experiment
     # A deflection log does not determine the stiffness; a torque log does.
-    known = rig.link.stiffness if log.output_kind == "deflection" else None
-    comparison = compare_structures(log, stiffness=known, heldout=heldout)
+    stiffness = rig.link.stiffness if log.output_kind == "deflection" else None
+    comparison = compare_structures(log, stiffness=stiffness, heldout=heldout)
     fit = comparison.fits[structure or comparison.preferred]
     contradictions = doubts_of(rig, fit.model)
     findings = tuple(dict.fromkeys((*study.findings, *contradictions)))

@@ -48,12 +48,12 @@ class Refusal:
     @classmethod
     def of(cls, wanted: Mapping[str, Any], nearest: Mapping[str, float]) -> Refusal:
         """The requested values of the quantities in the nearest request."""
-        asked = {
+        requested = {
             name: float(wanted[name])
             for name in nearest
             if isinstance(wanted.get(name), int | float)
         }
-        return cls(dict(nearest) | asked, dict(nearest))
+        return cls(dict(nearest) | requested, dict(nearest))
 
 
 @displayed
@@ -109,11 +109,11 @@ class Study:
             ("the model", finding)
             for finding in (self.fit.findings if self.fit else ())
         ]
-        said = {finding for _, finding in wrong}
+        reported = {finding for _, finding in wrong}
         wrong += [
             ("the design", f)
             for f in (self.design.findings if self.design else ())
-            if f not in said
+            if f not in reported
         ]
         # Errors only: a warning calls for a look, an error means that the numbers do
         # not describe the arm.
@@ -161,8 +161,8 @@ class Study:
         if self.design is not None:
             c = self.design.controller
             late = f", δ = {quantity(c.filter_time, 'ms', 3)}" if c.filter_time else ""
-            said = f"k_d = {number(c.derivative_gain)}, β = {number(c.derivative_order)}{late}"
-            rows.append(Row("", "Controller", said))
+            controller = f"k_d = {number(c.derivative_gain)}, β = {number(c.derivative_order)}{late}"
+            rows.append(Row("", "Controller", controller))
         if self.certificate is not None:
             modulus = self.certificate.statement.modulus
             angle = 2.0 * math.asin(min(1.0, 0.5 * modulus))
@@ -201,7 +201,7 @@ class Study:
         tables = [table for part in parts for table in part.tables]
         if self.runs:
             tables.append(Table.of("", (run.rows for run in self.runs)))
-        said = (note for part in parts for note in part.notes)
+        notes = (note for part in parts for note in part.notes)
         return Overview(
             self.sentence,
             verdict.state,
@@ -211,7 +211,7 @@ class Study:
                 for table in (*verdict.overview().tables, *tables)
             ),
             (*self.findings, *(self.design.findings if self.design else ())),
-            (*verdict.remarks, *said),
+            (*verdict.remarks, *notes),
         )
 
     @property
@@ -302,8 +302,8 @@ def save_study(study: Study, folder: Path | str) -> None:
     for name, fit in study.fits.items():
         # The fit that the design used is model.json, so that commands that take a model
         # need no structure name.
-        chosen = study.fit is not None and fit.structure == study.fit.structure
-        parts["model.json" if chosen else f"model-{name}.json"] = fit
+        selected = study.fit is not None and fit.structure == study.fit.structure
+        parts["model.json" if selected else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
     parts |= {f"twin-{1e3 * move.payload:.6g}g.npz": move for move in study.twins}
     for name, part in parts.items():
@@ -379,7 +379,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     if certificate is not None and not certificate.passed:
         missing["certificate"], certificate = certificate.verdict, None
     # model.json has the shortest name: the fit that the design used.
-    chosen = min(by_kind.get("fit", []), key=lambda path: len(path.name), default=None)
+    file = min(by_kind.get("fit", []), key=lambda path: len(path.name), default=None)
     comparison = about.comparison
     if comparison is not None:
         # A comparison of only some structures would prefer one that was never compared
@@ -392,7 +392,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         rig=first("rig", Rig.load) or (design.rig if design else None),
         experiment=first("log", lambda path: load(path, Experiment)),
         comparison=comparison,
-        fit=None if chosen is None else Fit.load(chosen),
+        fit=None if file is None else Fit.load(file),
         design=design,
         law=first("law", Law.load),
         missing=missing,

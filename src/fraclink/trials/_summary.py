@@ -201,11 +201,11 @@ def summarise(folder: Path | str) -> Summary:
     columns = columns_of(campaign, folder)
     run, passed = columns["run"], columns["passed"]
     failed = run[passed == 0.0]
-    drawn = {name: _ranks(columns[name]) for name in PARAMETERS}
+    ranks = {name: _ranks(columns[name]) for name in PARAMETERS}
     return Summary(
         failure=_failure(len(failed), len(run)),
         trips=_trips(columns["mode"], columns["reason"]),
-        metrics=tuple(_metric(name, columns[name], run, drawn) for name in METRICS),
+        metrics=tuple(_metric(name, columns[name], run, ranks) for name in METRICS),
         # A hundred are enough to replay, and the page still loads if everything fails.
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
@@ -219,10 +219,10 @@ def _given(campaign: Campaign) -> str:
     """
     if campaign.payloads is not None:
         return "the law was given the payload that it estimated of each arm"
-    drawn = campaign.draws.payload_given
-    shares = dict.fromkeys(f"{100.0 * ratio:.4g}" for ratio in (drawn.low, drawn.high))
-    given = f"the law was given {' to '.join(shares)} % of the payload of each arm"
-    return given if drawn.high else ""
+    draw = campaign.draws.payload_given
+    shares = dict.fromkeys(f"{100.0 * ratio:.4g}" for ratio in (draw.low, draw.high))
+    sentence = f"the law was given {' to '.join(shares)} % of the payload of each arm"
+    return sentence if draw.high else ""
 
 
 def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
@@ -234,8 +234,8 @@ def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
     # a million possible names.
     names = {path.stem.removeprefix("part-") for path in place.glob(PARTS)}
     numbers = sorted({int(name) for name in names if name.isdecimal()})
-    read = (read_part(campaign, place, n) for n in numbers if n < campaign.parts)
-    parts = [part for part in read if part is not None]
+    contents = (read_part(campaign, place, n) for n in numbers if n < campaign.parts)
+    parts = [part for part in contents if part is not None]
     if not parts:
         raise FieldError(
             "parts",

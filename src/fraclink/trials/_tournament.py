@@ -45,8 +45,8 @@ class Figure:
     def row(self, key: str, value: float) -> Row:
         """A value of the figure."""
         # Values below a thousandth of the floor are rounding.
-        told = value if abs(value) > 1e-3 * self.floor else 0.0
-        return Row(key, self.words, told, self.unit, digits=3, infinite="never")
+        size = value if abs(value) > 1e-3 * self.floor else 0.0
+        return Row(key, self.words, size, self.unit, digits=3, infinite="never")
 
 
 # For every figure smaller is better.

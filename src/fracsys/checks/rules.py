@@ -273,8 +273,8 @@ def choice(choices: tuple[Any, ...]) -> Rule:
             # True == 1 in Python, but a bool must not match a number.
             if word == plain and (type(plain) is type(word) or isinstance(plain, str)):
                 return word
-        known, remedy = isinstance(plain, kinds), "choose one of these"
-        raise Refused(value, "unknown", expected, remedy, is_type=not known)
+        typed, remedy = isinstance(plain, kinds), "choose one of these"
+        raise Refused(value, "unknown", expected, remedy, is_type=not typed)
 
     return Rule(expected, convert)
 
