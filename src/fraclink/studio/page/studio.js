@@ -241,7 +241,7 @@ function listen() {
       await navigator.clipboard.writeText(text);
       app.toast('Copied');
     } catch {
-      say('command', text); // no clipboard: there it can be selected
+      say('command', text); // without a clipboard the text can be selected there
     }
   };
   for (const id in clicked) on(id, 'click', clicked[id]);
