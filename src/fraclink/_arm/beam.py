@@ -368,9 +368,9 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     >>> round(model_at(model, heavy, 0.12).natural_frequency, 3)
     6.139
     """
-    moved = model.at_payload(payload)
+    variant = model.at_payload(payload)
     if rig.link.mass <= 0.0 or model.payload is None:
-        return moved
+        return variant
     here, there = (
         modal_shares(Beam.from_rig(rig, payload=mass))[0]
         for mass in (model.payload, payload)
@@ -380,7 +380,7 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     if mode is not None:
         mode = replace(mode, frequency=mode.frequency * float(second))
     frequency = model.natural_frequency * float(first)
-    return replace(moved, natural_frequency=frequency, second_mode=mode)
+    return replace(variant, natural_frequency=frequency, second_mode=mode)
 
 
 def assumed_ratio(model: LinkModel) -> float | None:
@@ -432,7 +432,7 @@ def unmodelled_modes(
     )
 
     def torque(s: Complex) -> Complex:
-        squared, found = s**2, np.zeros(np.shape(s), dtype=np.complex128)
+        squared, total = s**2, np.zeros(np.shape(s), dtype=np.complex128)
         law = (
             material_law(model, s, 1.0, None) if ratio is None else None
         )  # the same for every mode
@@ -440,7 +440,7 @@ def unmodelled_modes(
             map(float, frequencies), sizes / model.stiffness, strict=True
         ):
             stiff = material_law(model, s, frequency, ratio) if law is None else law
-            found += share * squared / (squared + frequency**2 * stiff)
-        return found
+            total += share * squared / (squared + frequency**2 * stiff)
+        return total
 
     return torque

@@ -40,8 +40,8 @@ def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
     if rig.gauge.delay_in_loop:
         return model
     # The interval of a delay outside the loop would tighten the design for nothing.
-    kept = tuple(row for row in model.intervals if row[0] != "gauge_delay")
-    return replace(model, gauge_delay=0.0, intervals=kept)
+    intervals = tuple(row for row in model.intervals if row[0] != "gauge_delay")
+    return replace(model, gauge_delay=0.0, intervals=intervals)
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class ParameterBox:
         """Return the smallest box that holds this one and other models, each at the
         payload of `model`.
         """
-        found = self
+        box = self
         for other in others:
             if other.second_mode is not None and model.second_mode is None:
                 raise FieldError(
@@ -196,22 +196,23 @@ class ParameterBox:
                 )
             # ω₀ depends on the payload of its log: two logs can only be compared at the
             # same payload.
-            found = found.hull(
+            box = box.hull(
                 ParameterBox.at(
                     with_payload(other, rig).at_payload(_payload(model, rig))
                 )
             )
-        return found
+        return box
 
     def hull(self, other: ParameterBox) -> ParameterBox:
         """Return the smallest box that holds both; a second mode that one does not show
         may have no gain.
         """
-        known = [
+        frequencies = [
             box.mode_frequency for box in (self, other) if box.mode_gain[1] > 0.0
         ] or [(0.0, 0.0)]
         first, second = (
-            replace(box, mode_frequency=known[k]) for box, k in ((self, 0), (other, -1))
+            replace(box, mode_frequency=frequencies[k])
+            for box, k in ((self, 0), (other, -1))
         )
         pairs = zip(_pairs(first), _pairs(second), strict=True)
         return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
@@ -238,7 +239,7 @@ def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
         "motor_ratio",
     )
     ends = [dict.fromkeys(getattr(box, name)) for name in names]
-    found = []
+    arms = []
     for order, damping, gain, late, mode, ratio in product(*ends):
         second = model.second_mode
         if second is not None:
@@ -252,8 +253,8 @@ def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
             second_mode=second,
             intervals=(),
         )
-        found.append(Arm(link, ratio))
-    return tuple(found)
+        arms.append(Arm(link, ratio))
+    return tuple(arms)
 
 
 def _pairs(box: ParameterBox) -> tuple[Interval, ...]:
@@ -261,13 +262,13 @@ def _pairs(box: ParameterBox) -> tuple[Interval, ...]:
 
 
 def _payload(model: LinkModel, rig: Rig) -> float:
-    known = with_payload(model, rig).payload
-    assert known is not None  # with_payload gave it one  # noqa: S101
-    return known
+    payload = with_payload(model, rig).payload
+    assert payload is not None  # with_payload gave it one  # noqa: S101
+    return payload
 
 
 def _around(model: LinkModel, rig: Rig) -> ParameterBox:
-    stated, mode = rig.tolerances, model.second_mode
+    tolerances, mode = rig.tolerances, model.second_mode
 
     def share(name: str, value: float, part: float) -> Interval:
         return _hull((value * (1 - part), value * (1 + part)), model.interval(name))
@@ -275,28 +276,28 @@ def _around(model: LinkModel, rig: Rig) -> ParameterBox:
     # The wider of two uncertainties at each end: an interval is what one log leaves
     # open, a tolerance what a laboratory does not measure at all.
     order = _hull(
-        (model.order - stated.order, model.order + stated.order),
+        (model.order - tolerances.order, model.order + tolerances.order),
         model.interval("order"),
     )
     # An undamped link of order two never comes to rest: the interval ends half way to
     # it.
     highest = 2.0 if model.damping else 0.5 * (model.order + 2.0)
-    gain = share("gauge_gain", model.gauge_gain, stated.gauge_gain)
+    gain = share("gauge_gain", model.gauge_gain, tolerances.gauge_gain)
     # A torque log determines the product of gauge gain and stiffness, so the
     # uncertainty of c is also one of the gauge.
     stiffness = model.interval("stiffness") or (model.stiffness, model.stiffness)
     gain = _hull(gain, tuple(model.gauge_gain * c / model.stiffness for c in stiffness))  # type: ignore[arg-type]
     return ParameterBox(
         natural_frequency=share(
-            "natural_frequency", model.natural_frequency, stated.natural_frequency
+            "natural_frequency", model.natural_frequency, tolerances.natural_frequency
         ),
         order=(max(order[0], 0.5 * (model.order + 1.0)), min(order[1], highest)),
         damping=share("damping", model.damping, _DAMPING)
         if model.damping
         else (0.0, 0.0),
         gauge_gain=gain,
-        gauge_delay=_gauge_delay(model, stated.gauge_delay),
-        motor_ratio=(1.0 - stated.motor_pole, 1.0 + stated.motor_pole),
+        gauge_delay=_gauge_delay(model, tolerances.gauge_delay),
+        motor_ratio=(1.0 - tolerances.motor_pole, 1.0 + tolerances.motor_pole),
         mode_frequency=(0.0, 0.0)
         if mode is None
         else share("mode_frequency", mode.frequency, _MODE_FREQUENCY),

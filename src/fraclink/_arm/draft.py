@@ -117,7 +117,7 @@ def draft_text(
     known
         numbers that are no blanks, such as "link.stiffness", with a comment on each.
     """
-    stated = {"motor.viscous_friction": _NO_FRICTION} | dict(known or {})
+    values = {"motor.viscous_friction": _NO_FRICTION} | dict(known or {})
     lines = [
         "# Written by `fraclink start`. It is enough to read and fit logs; `design` needs the blanks, too.",
         f"name = {toml_value(name)}",
@@ -131,8 +131,8 @@ def draft_text(
     for part, kind in _PARTS.items():
         lines += ["", f"[{part}]  # blank: needed by `design`"]
         for key, row in keys_of(kind).items():
-            if f"{part}.{row.name}" in stated:
-                value, why = stated[f"{part}.{row.name}"]
+            if f"{part}.{row.name}" in values:
+                value, why = values[f"{part}.{row.name}"]
                 lines.append(f"{key} = {toml_value(value)}  # {why}")
             elif row.name in _ASKED[part]:
                 lines.append(
@@ -190,14 +190,14 @@ def doubts_of(
     >>> [finding.code for finding in doubts_of(rig, LinkModel(0.0272, 10.0, order=1.92, payload=0.030))]
     ['W106']
     """
-    given = (*payloads, *(() if model.payload is None else (model.payload,)))
-    doubts = filter(None, map(rig.payloads.doubt, dict.fromkeys(given)))
+    masses = (*payloads, *(() if model.payload is None else (model.payload,)))
+    doubts = filter(None, map(rig.payloads.doubt, dict.fromkeys(masses)))
     return (*doubts, *_of_stiffness(rig, model), *_of_frequency(rig, model))
 
 
 def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
-    stated, found = rig.link.stiffness, model.stiffness
-    ratio = max(found / stated, stated / found)
+    expected, stiffness = rig.link.stiffness, model.stiffness
+    ratio = max(stiffness / expected, expected / stiffness)
     if ratio <= _STIFFNESS_MOST:
         return
     # A wrong unit may add to an ordinary error: it is named within 60 % of its factor;
@@ -209,8 +209,8 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     yield Finding(
         "W106",
         "error",
-        f"the model's stiffness is {found:.4g} N·m/rad, the rig's {stated:.4g} N·m/rad{hint}",
-        {"model": found, "rig": stated, "ratio": ratio, "most": _STIFFNESS_MOST},
+        f"the model's stiffness is {stiffness:.4g} N·m/rad, the rig's {expected:.4g} N·m/rad{hint}",
+        {"model": stiffness, "rig": expected, "ratio": ratio, "most": _STIFFNESS_MOST},
         "check the units in [log] of the rig file, and that model and rig are of one arm",
     )
 
@@ -222,20 +222,20 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     expected = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
     # Eq. (5) gives ω₀ in s^(−λ/2), while a vibration has |p| in rad/s: either may be
     # meant.
-    found = (model.natural_frequency, abs(model.pole))
+    frequencies = (model.natural_frequency, abs(model.pole))
     ratios = [
         max(value / expected, expected / value) if value > 0 else math.inf
-        for value in found
+        for value in frequencies
     ]
     if min(ratios) <= _FREQUENCY_MOST:
         return
     yield Finding(
         "W106",
         "error",
-        f"the model vibrates at {found[1]:.4g} rad/s with {model.payload:.4g} kg, where the rig's stiffness "
+        f"the model vibrates at {frequencies[1]:.4g} rad/s with {model.payload:.4g} kg, where the rig's stiffness "
         f"and length give {expected:.4g} rad/s",
         {
-            "model": found[1],
+            "model": frequencies[1],
             "rig": expected,
             "ratio": min(ratios),
             "most": _FREQUENCY_MOST,

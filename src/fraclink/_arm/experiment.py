@@ -138,12 +138,12 @@ class Experiment:
         """
         # A single string can only be the unit of the output: the other signals are in
         # SI or are stated by name.
-        stated: Mapping[str, str] = (
+        symbols: Mapping[str, str] = (
             {output_kind: units} if isinstance(units, str) else units
         )
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}
-        channels = {role: Channel(role, stated.get(role, SI[role])) for role in arrays}
+        channels = {role: Channel(role, symbols.get(role, SI[role])) for role in arrays}
         columns = LogColumns(**channels)
         return cls.from_frame(arrays, columns, payload=payload, source=source)
 
@@ -260,7 +260,7 @@ class Experiment:
     def overview(self) -> Overview:
         """What is known about the log."""
         kind = {"torque": "base torque [N·m]", "deflection": "deflection angle [rad]"}
-        shown = ("title", "simulated", "source", "damping")
+        keys = ("title", "simulated", "source", "damping")
         rows = (
             Row("samples", "samples", self.output.size),
             Row("duration", "duration", self.duration, "s"),
@@ -272,7 +272,7 @@ class Experiment:
             *(
                 Row(f"notes.{key}", key, text)
                 for key, text in self.notes
-                if key in shown
+                if key in keys
             ),
         )
         return Overview(source_name(self.source), rows=rows, findings=self.findings)

@@ -241,14 +241,14 @@ def _unit_gains(
     grid = np.concatenate([grid, link.about_mode(97)])
     grid = np.unique(grid)
     level = np.log(link.parts(grid, natural_frequency)[1])
-    found = []
+    crossings = []
     for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
         # One secant step in ln ω: the crossing only decides on which branch of the
         # phase a point lies.
         share = level[i] / (level[i] - level[i + 1])
         place = float(grid[i] * (grid[i + 1] / grid[i]) ** share)
         angle = float(link.parts(np.asarray(place), natural_frequency)[2])
-        found.append(
+        crossings.append(
             (place, math.floor(angle / (2.0 * math.pi)), bool(level[i + 1] > 0.0))
         )
-    return tuple(found)
+    return tuple(crossings)

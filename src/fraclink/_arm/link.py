@@ -449,7 +449,7 @@ class LinkModel:
         if humps.size == 0:
             return None
         best = int(humps[np.argmax(values[humps])])
-        found = minimize_scalar(
+        maximum = minimize_scalar(
             # 1e-9, the square root of the precision: near a maximum the function is
             # flat to 1e-18
             lambda x: -float(level(x)),
@@ -457,7 +457,7 @@ class LinkModel:
             method="bounded",
             options={"xatol": 1e-9},
         )
-        return math.exp(float(found.x))
+        return math.exp(float(maximum.x))
 
     @checked
     def at_payload(self, payload: Mass) -> LinkModel:
@@ -470,8 +470,8 @@ class LinkModel:
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0
         """
-        known = self._known_payload()
-        scale = math.sqrt(known / payload)
+        own = self._known_payload()
+        scale = math.sqrt(own / payload)
         intervals = tuple(
             (name, low * scale, high * scale)
             if name == _FREQUENCY

@@ -164,14 +164,14 @@ class LogColumns:
                 remedy="state exactly one of log.torque and log.deflection",
             )
         for role, channel in self.channels().items():
-            known = UNITS[QUANTITY_OF[role]]
-            if channel.unit not in known:
+            factors = UNITS[QUANTITY_OF[role]]
+            if channel.unit not in factors:
                 raise FieldError(
                     f"log.{role}.unit",
                     channel.unit,
                     f"not a unit of {role}",
-                    allowed=", ".join(known),
-                    remedy=_way_to(role, channel, known),
+                    allowed=", ".join(factors),
+                    remedy=_way_to(role, channel, factors),
                 )
 
     def channels(self) -> dict[str, Channel]:
@@ -371,10 +371,10 @@ def drive_columns(texts: Iterable[str]) -> LogColumns:
     >>> drive_columns(["time=t [s]", "motor_angle=enc [deg]", "voltage=u [V]"]).output.column
     'enc'
     """
-    stated = list(texts)
-    roles = {ColumnStatement.of(text).role: text for text in stated}
+    statements = list(texts)
+    roles = {ColumnStatement.of(text).role: text for text in statements}
     if "motor_angle" in roles and not roles.keys() & {"torque", "deflection"}:
         # The readers require one output: an angle in the motor's unit can take its
         # place, a torque could not.
-        stated.append("deflection=" + roles["motor_angle"].partition("=")[2])
-    return parse_columns(stated)
+        statements.append("deflection=" + roles["motor_angle"].partition("=")[2])
+    return parse_columns(statements)

@@ -65,8 +65,8 @@ def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
     nominal, own = rig.payloads.nominal, rig.natural_frequency(rig.payloads.nominal)
     # The interval of the replaced ω₀ is dropped: a box would extend from there to the
     # rig's ω₀.
-    kept = tuple(row for row in model.intervals if row[0] != "natural_frequency")
-    return replace(model, natural_frequency=own, payload=nominal, intervals=kept)
+    intervals = tuple(row for row in model.intervals if row[0] != "natural_frequency")
+    return replace(model, natural_frequency=own, payload=nominal, intervals=intervals)
 
 
 @dataclass(frozen=True)
@@ -315,7 +315,7 @@ class Loop(GaugedLink):
         frequency where |L| can reach one.
         """
         mode = self.peak(w0)
-        found = [mode[:1], self.about_mode(65)]
+        points = [mode[:1], self.about_mode(65)]
         if self.gauge_delay:
             low, high = (
                 0.25 * float(mode.min()),
@@ -331,8 +331,8 @@ class Loop(GaugedLink):
                 most
             ) > 0.0
             top = float(scan[loud][-1]) if loud.any() else 4.0 * float(mode.max())
-            found.append(self.turns(low, max(top, 1.01 * low), 6.0))
-        return np.concatenate(found)
+            points.append(self.turns(low, max(top, 1.01 * low), 6.0))
+        return np.concatenate(points)
 
     def _top(self, w0: Real) -> Real:
         """Peak of |Ĉ G|, where the denominator of (49) vanishes: a quadratic in ω^λ.
@@ -373,12 +373,12 @@ class Loop(GaugedLink):
         unwrapped phase passes -π (mod 2π), the curve passes left of -1.
         """
         w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
-        found = self.crossings(w0)
+        crossings = self.crossings(w0)
         crossover, margin = np.zeros(w0.size), np.full(w0.size, math.pi)
-        first = ~self._at_mode(found, w0)
-        np.maximum.at(crossover, found.row[first], found.frequency[first])
-        np.minimum.at(margin, found.row, np.abs(found.phase_margin))
-        return crossover, np.where(_turns(found, w0.size) == 0.0, margin, -margin)
+        first = ~self._at_mode(crossings, w0)
+        np.maximum.at(crossover, crossings.row[first], crossings.frequency[first])
+        np.minimum.at(margin, crossings.row, np.abs(crossings.phase_margin))
+        return crossover, np.where(_turns(crossings, w0.size) == 0.0, margin, -margin)
 
     def _at_mode(self, found: Crossings, w0: Real) -> NDArray[np.bool_]:
         """Flags of the crossings that belong to the resonance of the second mode."""
@@ -467,14 +467,14 @@ class Loop(GaugedLink):
         It is the RMS of the motor reference over that of white gauge noise, both as
         angles: the gauge's torque noise divided by the stiffness.
         """
-        found = []
+        gains = []
         for value in np.atleast_1d(np.asarray(natural_frequency, dtype=float)):
             w, weights = noise_points(self, float(value), period)
             outer = np.exp(self.outer_log(w).real)
-            found.append(
+            gains.append(
                 np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights))
             )
-        return np.asarray(found, dtype=float)
+        return np.asarray(gains, dtype=float)
 
     def achieved(self, natural_frequency: ArrayLike, period: float) -> Achieved:
         """Return what the loop achieves at each ω₀; noise is white up to π/`period`."""

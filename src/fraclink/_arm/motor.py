@@ -238,8 +238,8 @@ def closed_poles(
     Computed as eigenvalues: for a short period four poles coincide near 1, which
     polynomial roots do not resolve.
     """
-    found = np.linalg.eigvals(_closed_matrix(motor, pid, delay_samples))
-    return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
+    poles = np.linalg.eigvals(_closed_matrix(motor, pid, delay_samples))
+    return np.asarray(poles[np.argsort(-np.abs(poles))], dtype=np.complex128)
 
 
 def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) -> Real:

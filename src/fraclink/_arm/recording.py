@@ -124,16 +124,20 @@ class Recording:
                 allowed=">= 50 samples that move",
                 remedy="record from before the link is let go",
             )
-        held = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
+        rested = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
         # The mean of the last fifth averages over the periods of a vibration that is
         # still decaying; a single sample does not.
         rest = float(values[-(values.size // 5) :].mean())
         # The speed is zero at the widest swing, as at release. Only the first half is
         # searched, so that noise at the end is not taken for a swing.
-        begin = 0 if held else int(np.argmax(np.abs(values[: values.size // 2] - rest)))
-        start = float(values[:lead].mean()) if held else float(values[begin])
-        moved = start - values[begin:]
-        return cls(period, np.ones(moved.size), moved, source=source, sha256=sha256)
+        begin = (
+            0 if rested else int(np.argmax(np.abs(values[: values.size // 2] - rest)))
+        )
+        start = float(values[:lead].mean()) if rested else float(values[begin])
+        deflection = start - values[begin:]
+        return cls(
+            period, np.ones(deflection.size), deflection, source=source, sha256=sha256
+        )
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -275,8 +279,8 @@ class FrequencyResponse:
         >>> FrequencyResponse([1.0, 2.0, 3.0], [1, 2j, 3]).between(1.5, 3.0).frequency.tolist()
         [2.0, 3.0]
         """
-        kept = (self.frequency >= low) & (self.frequency <= high)
-        if not kept.any():
+        inside = (self.frequency >= low) & (self.frequency <= high)
+        if not inside.any():
             low_end, high_end = self.band
             raise FieldError(
                 "band",
@@ -290,7 +294,7 @@ class FrequencyResponse:
             for name in ("frequency", "response", "magnitude", "coherence")
         }
         cut = {
-            name: None if column is None else column[kept]
+            name: None if column is None else column[inside]
             for name, column in columns.items()
         }
         return FrequencyResponse(**cut, source=self.source, sha256=self.sha256)  # type: ignore[arg-type]

@@ -254,9 +254,9 @@ class SampledReference(Reference):
         # jump of the acceleration must not be mixed
         nearest = np.rint(place)
         place = np.where(np.abs(place - nearest) < _SAME_ROW, nearest, place)
-        found = np.interp(place, np.arange(last + 1), self.values[order])
+        value = np.interp(place, np.arange(last + 1), self.values[order])
         return np.asarray(
-            found if order == 0 else np.where((place < 0) | (place > last), 0.0, found)
+            value if order == 0 else np.where((place < 0) | (place > last), 0.0, value)
         )
 
     def through(self) -> Path:

@@ -220,24 +220,26 @@ class Rig:
         link, model = self.link, self.model
         # Each contradiction is reported with both values, since only a person can tell
         # which is wrong.
-        found = [self._stiffness_finding()]
+        findings = [self._stiffness_finding()]
         if model is not None:
-            stated = ("model.stiffness", model.stiffness)
-            found.append(
-                _contradiction("W101", *stated, "link.stiffness", link.stiffness)
+            stiffness = ("model.stiffness", model.stiffness)
+            findings.append(
+                _contradiction("W101", *stiffness, "link.stiffness", link.stiffness)
             )
         if model is not None and model.payload is not None:
             lumped = (
                 f"eq. (5) at {model.payload:g} kg",
                 self.natural_frequency(model.payload),
             )
-            found.append(
+            findings.append(
                 _contradiction(
                     "W101", "model.natural_frequency", model.natural_frequency, *lumped
                 )
             )
         return tuple(
-            finding for finding in (*found, self._mass_finding()) if finding is not None
+            finding
+            for finding in (*findings, self._mass_finding())
+            if finding is not None
         )
 
     def overview(self) -> Overview:
@@ -287,14 +289,14 @@ class Rig:
         return Overview(self.name, rows=rows, findings=self.warnings)
 
     def _stiffness_finding(self) -> Finding | None:
-        stated, computed = self.link.stiffness, self.link.beam_stiffness
-        if abs(stated - computed) <= _AGREEMENT * computed:
+        stiffness, computed = self.link.stiffness, self.link.beam_stiffness
+        if abs(stiffness - computed) <= _AGREEMENT * computed:
             return None
         return Finding(
             "W101",
             "warning",
-            f"link.stiffness = {stated:.6g} N·m/rad contradicts 3EI/L = {computed:.6g} N·m/rad",
-            {"stiffness": stated, "beam_stiffness": computed},
+            f"link.stiffness = {stiffness:.6g} N·m/rad contradicts 3EI/L = {computed:.6g} N·m/rad",
+            {"stiffness": stiffness, "beam_stiffness": computed},
             "fraclink uses the stated stiffness; measure it, or correct EI or L",
         )
 

@@ -102,9 +102,10 @@ class SampledPlant:
             )
         # The factor 1 − z⁻¹ of the hold by expm1: at low frequencies the alias sum is
         # large and this factor small.
-        held = -np.expm1(-1j * self.period * w) / self.period * total
+        response = -np.expm1(-1j * self.period * w) / self.period * total
         return np.asarray(
-            held if self.before is None else held * self.before(w), dtype=np.complex128
+            response if self.before is None else response * self.before(w),
+            dtype=np.complex128,
         )
 
     @property
@@ -174,8 +175,8 @@ def sampled_plant(
             torque = torque + higher(s)
         if model.second_mode is not None:
             torque = torque + model.second_mode.response(s)
-        read = model.gauge_gain * np.exp(-model.gauge_delay * s)
-        return np.asarray((1.0 - read * torque) / drive, dtype=np.complex128)
+        gauge = model.gauge_gain * np.exp(-model.gauge_delay * s)
+        return np.asarray((1.0 - gauge * torque) / drive, dtype=np.complex128)
 
     # At high frequency B falls like s^(−λ), or like s^(α−λ) where μ s^α exceeds ω₀².
     softest = model.order - (model.damping_order if model.damping else 0.0)

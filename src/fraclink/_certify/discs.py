@@ -130,26 +130,26 @@ class Disc:
         room = np.where(clear, room, 1.0)
         share = np.where(clear, 2 * lost / room + 8 * ROUNDING, 0.0)
         centre = np.where(clear, np.conj(self.c) / room, 0.0)
-        found = Disc(
+        disc = Disc(
             centre,
             np.where(
                 clear, self.r / room * (1 + share) + share * np.abs(centre), np.inf
             ),
         )
-        slopes = {name: -(slope * found * found) for name, slope in self.d.items()}
-        return Disc(found.c, found.r, slopes)
+        slopes = {name: -(slope * disc * disc) for name, slope in self.d.items()}
+        return Disc(disc.c, disc.r, slopes)
 
     def exp(self) -> Disc:
         """e^z: |e^(c + h) − e^c| <= |e^c| (e^|h| − 1)."""
         centre = np.exp(self.c)
         # The error of the library's exponential is a few units of its result, plus |c|
         # units from the rounding of its argument.
-        found = Disc(
+        disc = Disc(
             centre,
             np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))),
         )
         return Disc(
-            found.c, found.r, {name: slope * found for name, slope in self.d.items()}
+            disc.c, disc.r, {name: slope * disc for name, slope in self.d.items()}
         )
 
     def closer(self, middle: Disc, steps: Mapping[str, Real]) -> Disc:

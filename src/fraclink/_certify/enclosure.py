@@ -93,9 +93,9 @@ class BoxLoop:
         """A parameter over boxes, as a disc with its slope; an exact parameter has
         none.
         """
-        found = span.disc()
-        one = Disc(np.ones(found.c.shape), np.zeros(found.c.shape))
-        return Disc(found.c, found.r, {name: one} if name in self.axes else None)
+        disc = span.disc()
+        one = Disc(np.ones(disc.c.shape), np.zeros(disc.c.shape))
+        return Disc(disc.c, disc.r, {name: one} if name in self.axes else None)
 
     # ---- what stands in front of the link -----------------------------------------------------------------
 
@@ -211,10 +211,10 @@ class BoxLoop:
         x, y = window.back, 1 - window.back
         n, n0, n2 = self.held_motor(late)
         e = math.exp(-self.statement.decay * self.period)
-        held = x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
+        tail = x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
         for _ in range(self.statement.whole):
-            held = held * x
-        return y * y * slow + window.both * held
+            tail = tail * x
+        return y * y * slow + window.both * tail
 
     def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
         """(n, n0, n2) of the motor under a held voltage that is delayed by a fraction
@@ -263,10 +263,12 @@ class BoxLoop:
             self._variable("frequency", box["frequency"]),
             self._log(box["frequency"], 1.0),
         )
-        read, mode = self._read(box, w), self._mode(box, w)
-        plain = front * (1 - read * ((self._compliant(box, log) + 1).inverse() + mode))
+        gauge, mode = self._read(box, w), self._mode(box, w)
+        plain = front * (1 - gauge * ((self._compliant(box, log) + 1).inverse() + mode))
         x = self._soft(box, log) + 1
-        inverse = front.inverse() * (x * (read + (1 - read * (1 + mode)) * x).inverse())
+        inverse = front.inverse() * (
+            x * (gauge + (1 - gauge * (1 + mode)) * x).inverse()
+        )
         if not held.any():
             return plain, inverse, alias
         part = {
@@ -296,37 +298,38 @@ class BoxLoop:
         """ln(±jω) with its slope along ω, which is negative where the frequency of the
         alias decreases with ω.
         """
-        found = (
+        disc = (
             Span.around(np.log(frequency.low), np.log(frequency.high)).disc()
             + sign * 0.5j * math.pi
         )
         slopes = {
             "frequency": self._variable("frequency", frequency).plain.inverse() * sign
         }
-        return Disc(found.c, found.r + ROUNDING, slopes)
+        return Disc(disc.c, disc.r + ROUNDING, slopes)
 
     def _compliant(self, box: dict[str, Span], log: Disc) -> Disc:
         """V = 1/S."""
         order = self._variable("order", box["order"])
-        found = (
+        compliance = (
             self._variable("softness", box["softness"]).inverse()
             * (-(log * order)).exp()
         )
         if not self.high["damping"]:
-            return found
+            return compliance
         drag = (log * (self.statement.damping_order - order)).exp()
-        return found + self._variable("damping", box["damping"]) * drag
+        return compliance + self._variable("damping", box["damping"]) * drag
 
     def _soft(self, box: dict[str, Span], log: Disc) -> Disc:
         """S."""
         order = self._variable("order", box["order"])
         q = self._variable("softness", box["softness"])
-        found = q * (log * order).exp()
+        softness = q * (log * order).exp()
         if not self.high["damping"]:
-            return found
+            return softness
         drag = (log * self.statement.damping_order).exp()
         return (
-            found * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
+            softness
+            * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
         )
 
     def _read(self, box: dict[str, Span], w: Disc) -> Disc:
@@ -383,8 +386,8 @@ class BoxLoop:
         if self.motor_loop == "ideal":
             motor = motor**2
             first = first * (near**2 / (near**2 + motor))
-        held = self.held(box["frequency"].low)
-        first, begin = np.where(held, 0.0, first), np.where(held, 2.0 * _HELD, 0.0)
+        fast = self.held(box["frequency"].low)
+        first, begin = np.where(fast, 0.0, first), np.where(fast, 2.0 * _HELD, 0.0)
         above, below = begin + 2.0 + box["frequency"].low / w, begin + 4.0 - ratio
         terms = sum(t**-3 + 0.25 / (t + 1.0) ** 2 for t in (above, below))
         rest = self._tip_bound(

@@ -79,13 +79,13 @@ def _continuous(
             * ratio**2
             / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
         )
-    read = (
+    gauge = (
         float(statement.coefficients["compliance"])
         * statement.stiffness
         * at["gauge_gain"]
     )
     link = (
-        (1.0 - read * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode))
+        (1.0 - gauge * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode))
         * np.exp(-s * at["delay"])
         / s
     )
@@ -113,12 +113,12 @@ def motor_loop(
     # The motor A/(s(s + a)) behind a hold with the given delay, at the sampling
     # instants: one partial fraction each for the integrator and the pole; `left` is the
     # rest of the period after the delayed edge.
-    left = (1 + statement.whole) * period - np.asarray(delay)
-    held = (decay * left - 1.0) + decay * period * x / (1.0 - x)
-    held = held + np.exp(-decay * left) * (1.0 - x) / (
+    rest = (1 + statement.whole) * period - np.asarray(delay)
+    response = (decay * rest - 1.0) + decay * period * x / (1.0 - x)
+    response = response + np.exp(-decay * rest) * (1.0 - x) / (
         1.0 - np.exp(-decay * period) * x
     )
-    motor = x ** (1 + statement.whole) * np.asarray(gain) / decay**2 * held
+    motor = x ** (1 + statement.whole) * np.asarray(gain) / decay**2 * response
     voltage = np.asarray(first / (1.0 + both * motor))
     return voltage, np.asarray(voltage * motor)
 
@@ -197,9 +197,9 @@ def _downhill(
     width = {name: high[name] - low[name] for name in names}
 
     def place(shares: Real) -> dict[str, float]:
-        moved = zip(names, shares, strict=True)
+        position = zip(names, shares, strict=True)
         return start | {
-            name: float(low[name] + share * width[name]) for name, share in moved
+            name: float(low[name] + share * width[name]) for name, share in position
         }
 
     def distance(shares: Real) -> float:
@@ -208,8 +208,10 @@ def _downhill(
 
     first = [(start[name] - low[name]) / width[name] for name in names]
     bounds, options = [(0.0, 1.0)] * len(names), {"ftol": 1e-12}
-    found = minimize(distance, first, method="L-BFGS-B", bounds=bounds, options=options)
-    return float(found.fun), place(found.x)
+    minimum = minimize(
+        distance, first, method="L-BFGS-B", bounds=bounds, options=options
+    )
+    return float(minimum.fun), place(minimum.x)
 
 
 def _over_corners(
@@ -251,8 +253,8 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     rows = np.flatnonzero(circled)
     row = int(rows[np.argmax(place["softness"][rows, 0])])
     crossing = np.nonzero((value[row, :-1].imag > 0) != (value[row, 1:].imag > 0))[0]
-    left = [i for i in crossing if value[row, i].real < 0.0]
-    at = left[0] if left else int(np.argmin(np.abs(value[row])))
+    beyond = [i for i in crossing if value[row, i].real < 0.0]
+    at = beyond[0] if beyond else int(np.argmin(np.abs(value[row])))
     return {name: float(column[row, 0]) for name, column in place.items()} | {
         "frequency": float(w[at])
     }

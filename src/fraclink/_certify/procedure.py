@@ -135,10 +135,10 @@ def _largest_claim(
     for most in _NODES:
         # The proof includes only some of the aliases and bounds the rest: the claim is
         # reduced by that bound.
-        kept = distance - loop.alias_at(place)
-        if kept < LEAST_MODULUS + _ROOM:
+        margin = distance - loop.alias_at(place)
+        if margin < LEAST_MODULUS + _ROOM:
             return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
-        modulus = max(math.floor(1000.0 * (kept - step)) / 1000.0, LEAST_MODULUS)
+        modulus = max(math.floor(1000.0 * (margin - step)) / 1000.0, LEAST_MODULUS)
         claim = replace(claim, modulus=modulus)
         outcome = prove(BoxLoop(claim), most=most)
         if isinstance(outcome, MarginProof):
@@ -243,10 +243,10 @@ def _statement(
         )
     if isinstance(subject, Controller):
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
-    chosen = law if law is not None else subject
+    subject_law = law if law is not None else subject
     # both branches above gave a law
-    assert not isinstance(chosen, (Design, Controller))  # noqa: S101
-    period = chosen.period
+    assert not isinstance(subject_law, (Design, Controller))  # noqa: S101
+    period = subject_law.period
     # The board may take between zero and one period to compute; the design assumed one,
     # after a whole number of periods of other delay.
     motor_loop = subject.motor_loop if isinstance(subject, Design) else rig.motor_loop
@@ -254,7 +254,7 @@ def _statement(
     first, last = (whole, whole + period) if delay is None else delay
     first = Between(0.0, 8.0 * period, "s").check("delay[0]", first)
     most = 8.0 * period
-    if chosen.motor_loop is not None:
+    if subject_law.motor_loop is not None:
         # within one period: beyond, the order of the sampled motor loop changes
         most = (math.floor(first / period * (1 + 1e-9)) + 1) * period
         if last == first:
@@ -263,7 +263,7 @@ def _statement(
     link = with_payload(model, rig)
     box = ParameterBox.of(link, rig) if box is None else box
     claim = state(
-        chosen,
+        subject_law,
         link,
         rig,
         box=box.with_others(others, link, rig),
@@ -272,7 +272,9 @@ def _statement(
         # placeholder: the caller sets the claim
         modulus=0.5,
     )
-    return replace(claim, nominal_payload=_nominal_payload(chosen, claim.link)), chosen
+    return replace(
+        claim, nominal_payload=_nominal_payload(subject_law, claim.link)
+    ), subject_law
 
 
 def _nominal_payload(law: Law, link: LinkModel) -> float:
@@ -284,10 +286,10 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
     """
     # The limits were derived as 1 − e^(−ω T/JUMP) from the resonance ω of the link;
     # solved for ω here.
-    wanted = -JUMP / law.period * math.log1p(-law.limits.reference_rate)
+    goal = -JUMP / law.period * math.log1p(-law.limits.reference_rate)
 
     def beyond(log_payload: float) -> float:
-        return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / wanted)
+        return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / goal)
 
     # From a milligram to ten tonnes, a range that contains the payload of any arm.
     ends = math.log(1e-6), math.log(1e4)

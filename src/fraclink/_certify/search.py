@@ -117,13 +117,13 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         # resonance L may be arbitrarily large, and 1/L is a small disc near 0.
         soft = np.isfinite(plain.r) & (np.abs(plain.c) < 1.0)
         loud = np.isfinite(inverse.r) & ~soft
-        kept = loop.statement.modulus + alias
-        of_loop = _plane_of_loop(plain.c, kept)
-        of_inverse = _plane_of_inverse(inverse.c, np.minimum(kept, 0.999))
+        limit = loop.statement.modulus + alias
+        of_loop = _plane_of_loop(plain.c, limit)
+        of_inverse = _plane_of_inverse(inverse.c, np.minimum(limit, 0.999))
         normal, least = (
             np.where(loud, b, a) for a, b in zip(of_loop, of_inverse, strict=True)
         )
-        point, loss, weight, moved = _downhill(
+        point, loss, weight, gain = _downhill(
             loop.axes, plain, inverse, loud, normal, low, high
         )
         # With the same aliases as the box: the point lies in it, but may lie on the
@@ -142,9 +142,9 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         # whole box: it is cut along the axis that moves the value most.
         missing = least + (_SLACK - 1.0) - reached
         weight = np.where(
-            (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], moved, weight
+            (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], gain, weight
         )
-        quiet = plain.most() < 1.0 - kept
+        quiet = plain.most() < 1.0 - limit
         proved = quiet | (front & (reached > least + (_SLACK - 1.0)))
         axis = _widest(low, high, weight)
         return _Judged(proved, loud & ~quiet, axis, point, at_plain.c)
@@ -163,7 +163,7 @@ def _downhill(
     axis, and change of the value along each).
     """
     point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
-    weight, moved = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
+    weight, gain = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
     for name in axes:
         k = AXES.index(name)
         a, b = plain.d[name], inverse.d[name]
@@ -189,8 +189,8 @@ def _downhill(
         weight[:, k] = np.where(
             width > 0.0, width * np.where(fixed, spread, steep), -1.0
         )
-        moved[:, k] = np.where(width > 0.0, width * slope.most(), -1.0)
-    return point, loss, weight, moved
+        gain[:, k] = np.where(width > 0.0, width * slope.most(), -1.0)
+    return point, loss, weight, gain
 
 
 def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
@@ -252,27 +252,27 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     generations: list[NDArray[np.int64]] = []
     nodes = 0
     while low.size:
-        found = _judge(loop, low, high)
+        verdict = _judge(loop, low, high)
         nodes += low.shape[0]
         # A point of the box whose value violates the claim ends the search: further
         # cuts cannot help.
-        wrong = np.abs(1.0 + found.value) < s.modulus
+        wrong = np.abs(1.0 + verdict.value) < s.modulus
         if wrong.any():
-            k = int(np.argmin(np.where(wrong, np.abs(1.0 + found.value), np.inf)))
-            place = dict(zip(AXES, map(float, found.point[k]), strict=True))
+            k = int(np.argmin(np.where(wrong, np.abs(1.0 + verdict.value), np.inf)))
+            place = dict(zip(AXES, map(float, verdict.point[k]), strict=True))
             return MarginFailure(
-                "the loop is too close", place, float(abs(1.0 + found.value[k]))
+                "the loop is too close", place, float(abs(1.0 + verdict.value[k]))
             )
-        left = ~found.proved
-        leaves = np.where(found.loud, len(AXES) + 1, len(AXES))
-        generations.append(np.where(left, found.axis, leaves))
-        if left.any() and (nodes > most or len(generations) > _DEPTH):
-            k = int(np.argmax(left))
+        rest = ~verdict.proved
+        leaves = np.where(verdict.loud, len(AXES) + 1, len(AXES))
+        generations.append(np.where(rest, verdict.axis, leaves))
+        if rest.any() and (nodes > most or len(generations) > _DEPTH):
+            k = int(np.argmax(rest))
             middle = 0.5 * (low[k] + high[k])
             return MarginFailure(
                 "the bound is not met", dict(zip(AXES, map(float, middle), strict=True))
             )
-        low, high = cut(low[left], high[left], found.axis[left])
+        low, high = cut(low[rest], high[rest], verdict.axis[rest])
     letters = _preorder(generations)
     return MarginProof(letters, sum(map(letters.count, LEAVES)), nodes)
 

@@ -312,11 +312,11 @@ class Statement:
         """Return the statement as one sentence; tools/check_certificate.py writes it
         once more by itself.
         """
-        read = {
+        figures = {
             k: self.coefficients[k]
             for k in ("real_modes", "pair_modes", "period", "compliance")
         }
-        return CLAIM.format(**asdict(self), **read, law=self.digest[:12])
+        return CLAIM.format(**asdict(self), **figures, law=self.digest[:12])
 
 
 @displayed
@@ -404,11 +404,11 @@ class Certificate:
             raise NotCertifiedError(
                 self.verdict, payload=self.payload, frequency=self.frequency
             )
-        made = {
+        origin = {
             "fraclink": version("fraclink"),
             "method": "branch and bound with slopes over discs",
         }
-        proof = {"leaves": self.leaves, "sha256": self.sha256, "made_with": made}
+        proof = {"leaves": self.leaves, "sha256": self.sha256, "made_with": origin}
         write_json(path, KIND, FORMAT, self._hashed() | proof)
 
     @staticmethod
@@ -423,13 +423,15 @@ class Certificate:
             raise _damaged(
                 "tree", type(tree).__name__, "a text, and a whole number of leaves"
             )
-        made = Certificate(statement, True, statement.words(), tree, leaves)
+        certificate = Certificate(statement, True, statement.words(), tree, leaves)
         if any(
             data.get(key) != value
-            for key, value in (made._hashed() | {"sha256": made.sha256}).items()
+            for key, value in (
+                certificate._hashed() | {"sha256": certificate.sha256}
+            ).items()
         ):
-            raise _damaged("sha256", data.get("sha256"), made.sha256)
-        return made
+            raise _damaged("sha256", data.get("sha256"), certificate.sha256)
+        return certificate
 
 
 def _damaged(field: str, value: object, allowed: str) -> FileFormatError:

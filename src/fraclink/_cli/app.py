@@ -174,11 +174,11 @@ def application() -> typer.Typer:
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line with `arguments` and return the exit code."""
-    given = list(arguments) or ["--help"]
+    words = list(arguments) or ["--help"]
     # An argument instead of an option, since it takes the place of a command.
-    everything = given == ["help", "all"]
-    if given[0] == "help":
-        given = [*given[1:], "--help"]
+    everything = words == ["help", "all"]
+    if words[0] == "help":
+        words = [*words[1:], "--help"]
 
     def work() -> int | None:
         if everything:
@@ -189,7 +189,7 @@ def run(arguments: Sequence[str]) -> int:
             # Not standalone: click would print errors in its own words and end the
             # process, even that of a test.
             result = application()(
-                args=given, standalone_mode=False, prog_name="fraclink"
+                args=words, standalone_mode=False, prog_name="fraclink"
             )
         except SystemExit as end:
             # If the reader of a pipe leaves, typer exits with 1, which would be a
@@ -201,4 +201,4 @@ def run(arguments: Sequence[str]) -> int:
         # --help and --version return what click makes of them: nothing went wrong.
         return result if isinstance(result, int) else None
 
-    return guarded(work, as_json="--json" in given)
+    return guarded(work, as_json="--json" in words)

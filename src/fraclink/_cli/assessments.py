@@ -121,19 +121,19 @@ def assess(
 
     $ fraclink assess design.json --link-mass 0.00735
     """
-    made = Design.load(design_file)
-    low, high = made.payloads
+    design = Design.load(design_file)
+    low, high = design.payloads
     # Both ends, and the middle on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
-    link = made.rig.link
+    link = design.rig.link
     if link_mass is not None:
         link = replace(link, mass=link_mass)
-    massive = replace(made, rig=replace(made.rig, link=link))
+    massive = replace(design, rig=replace(design.rig, link=link))
     worth = Assessment(
-        made,
+        design,
         payloads,
-        tuple(phase_budget(made, low)),
-        tuple(margin_curve(made, payloads, kind=kind) for kind in _KINDS),
+        tuple(phase_budget(design, low)),
+        tuple(margin_curve(design, payloads, kind=kind) for kind in _KINDS),
         tuple(mode_gains(massive, damping_ratio=mode_damping)),
     )
     return Answer(worth, worth.passed)
@@ -205,17 +205,17 @@ def tune_pid(
 
     $ fraclink tune-pid "1/(0.4*s**1.5 + 1)" --gain-crossover 2
     """
-    made = pid_for(
+    tuning = pid_for(
         _plant(plant),
         phase_margin=math.radians(phase_margin_deg),
         period=in_seconds(period_ms),
         **wanted,
     )
-    made.save(out)
+    tuning.save(out)
     needed = {
-        "--period-ms": made.period,
-        "--output-limit": made.output_limit,
-        "--measurement-limit": made.measurement_limit,
+        "--period-ms": tuning.period,
+        "--output-limit": tuning.output_limit,
+        "--measurement-limit": tuning.measurement_limit,
     }
     # A law needs a period and limits, which the formula of the plant does not contain:
     # a tuning without them is complete, but cannot ship yet.
@@ -223,7 +223,7 @@ def tune_pid(
     export = f"fraclink export c {out} --out firmware"
     again = f"the same with {missing}, then {export}"
     return Answer(
-        made, made.passed, written=(out,), following=again if missing else export
+        tuning, tuning.passed, written=(out,), following=again if missing else export
     )
 
 

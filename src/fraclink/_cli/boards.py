@@ -85,8 +85,8 @@ def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
     # The content of the file decides, not its name: a design may be called pid.json.
     if kind_of(path) == "pid-tuning":
         return PidTuning.load(path).law(), None
-    made = Design.load(path)
-    return _law(made, motor=motor), made
+    design = Design.load(path)
+    return _law(design, motor=motor), design
 
 
 def _law(made: Design, *, motor: bool) -> Law:
@@ -126,8 +126,8 @@ def c(
 
     $ fraclink export c design.json --out firmware
     """
-    law, made = _of_file(design_file, motor=motor)
-    if made is None:
+    law, design = _of_file(design_file, motor=motor)
+    if design is None:
         refuse_beside("a fractional PID", "no payload", estimate=estimate or None)
     # Rounded before it is proved and written: the claim must be about the coefficients
     # on the board.
@@ -137,17 +137,17 @@ def c(
         if prove:
             begin("certifying the loop")
             # A fractional PID has no arm, and thus no payloads for a certificate.
-            certificate = _certificate(made, shipped) if made else None
+            certificate = _certificate(design, shipped) if design else None
             begin("proving the files, half a minute")
         paths = export_c(
             shipped,
             out,
             prove=prove,
             certificate=certificate,
-            estimator=made.estimator() if estimate and made else None,
+            estimator=design.estimator() if estimate and design else None,
             force=force,
         )
-    listed = _listed(paths, f"fraclink replay {out} demo" if made else "")
+    listed = _listed(paths, f"fraclink replay {out} demo" if design else "")
     if not prove:
         return listed
     proof = Proof.load(out / "proof.json")
@@ -328,14 +328,14 @@ def run_realtime(
             reference=reference,
             move_time=move_time,
         )
-        wanted = _excitation(1.0 if amplitude is None else amplitude)
+        move = _excitation(1.0 if amplitude is None else amplitude)
     else:
-        wanted = reference_of(reference, amplitude, move_time)
+        move = reference_of(reference, amplitude, move_time)
     connection = connection_of(io, unsafe_remote, key_file)
-    made = load_design(design_file)
-    law = _law(made, motor=motor)
-    estimator = made.estimator() if estimate else None
-    rehearse(made, law, wanted, payload=options["payload"])
+    design = load_design(design_file)
+    law = _law(design, motor=motor)
+    estimator = design.estimator() if estimate else None
+    rehearse(design, law, move, payload=options["payload"])
     # Measured before anything is opened: an arm whose controller misses its periods
     # trips in the middle of a move.
     awake = lab.measure_wake_ups(law.period, priority=options["priority"])
@@ -347,7 +347,7 @@ def run_realtime(
         output_path(log, force=True)
     run = lab.run_realtime(
         law,
-        wanted,
+        move,
         connection,
         out=out,
         estimator=estimator,
@@ -357,12 +357,12 @@ def run_realtime(
     # The record was saved elsewhere: the arm has moved, and its data must not be lost
     # because of a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
-    written: tuple[Path, ...] = (Path(run.saved),)
+    files: tuple[Path, ...] = (Path(run.saved),)
     logged = True
     if log is not None:
         try:
             run.experiment().save(log)
-            written += (log,)
+            files += (log,)
         except LogError as error:  # the record of the run is saved in any case
             logged, remarks = False, (*remarks, f"no log: {error}")
     return Answer(
@@ -370,7 +370,7 @@ def run_realtime(
         run.passed and logged,
         values={"out": run.saved},
         remarks=remarks,
-        written=written,
+        written=files,
     )
 
 
@@ -415,20 +415,20 @@ def serve_arm(
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
     connection = connection_of(io, unsafe_remote, key_file)
-    made = load_design(design_file)
-    arm = Twin.from_rig(made.rig, payload=payload)
+    design = load_design(design_file)
+    arm = Twin.from_rig(design.rig, payload=payload)
     # Before serving, since the command may run for hours and later output would not be
     # read.
     for finding in arm.findings:
         tell(str(finding))
-    tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
+    tell(f"an arm at {connection}, {1e3 * design.rig.period:g} ms")
     with signals_held() as obeyed:
         if out is not None:
             check_ending(lab.ServedArm, output_path(out, force=True))
         served = lab.serve_arm(
             arm,
             connection,
-            made.rig.period,
+            design.rig.period,
             duration=duration,
             watchdog=watchdog,
             once=once,
@@ -437,10 +437,10 @@ def serve_arm(
         # Every signal requests the end, which has come: a further signal only has to
         # wait for the file.
         obeyed.set()
-        written = () if out is None else (saved(served, out),)
+        files = () if out is None else (saved(served, out),)
     return Answer(
         served,
         served.passed,
         remarks=_refused("priority", served.scheduling),
-        written=written,
+        written=files,
     )

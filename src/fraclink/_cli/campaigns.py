@@ -72,20 +72,20 @@ def montecarlo(
 
     $ fraclink campaign montecarlo --design design.json --runs 10000 --out mc
     """
-    made = Design.load(design)
+    subject = Design.load(design)
     # Both set the payload of the law, and the summary would not show which one was
     # used.
     if estimate:
         refuse_beside("--estimate", "the payload it estimates", told=told or None)
-    asked = Campaign.of(
-        made.rig,
-        made.model,
-        made.law(),
+    study = Campaign.of(
+        subject.rig,
+        subject.model,
+        subject.law(),
         runs=runs,
         seed=seed,
         told=told,
         # The range of the estimator is that of the design, as on the board.
-        estimated=made.payloads if estimate else None,
+        estimated=subject.payloads if estimate else None,
         reference=None if reference is None else read_reference(reference),
     )
     with steps(runs) as begin:
@@ -95,7 +95,7 @@ def montecarlo(
             share = progress.failed / max(progress.done - progress.before, 1)
             begin(f"{100 * share:.1f} % failed", progress.done)
 
-        run_campaign(asked, out, workers=workers, scheduler=scheduler, watch=watch)
+        run_campaign(study, out, workers=workers, scheduler=scheduler, watch=watch)
     return summary_answer(summarise(out), out)
 
 
@@ -267,11 +267,11 @@ def _bench(
 ) -> Bench:
     if design_file is None:
         needed = required("design", rig, "--design, --rig or both", "give one of them")
-        made, _ = design_for(load_rig(needed))
+        design, _ = design_for(load_rig(needed))
     else:
-        made = load_design(design_file)
-    stated = made.rig if rig is None else load_rig(rig)
+        design = load_design(design_file)
+    arm_rig = design.rig if rig is None else load_rig(rig)
     # A rig without a model gives the twin no damping: then the rig of the design is
     # used.
-    arm = made.rig if stated.model is None else stated
-    return Bench.of(made, arm if gear is None else geared(arm, gear), link_mass=mass)
+    arm = design.rig if arm_rig.model is None else arm_rig
+    return Bench.of(design, arm if gear is None else geared(arm, gear), link_mass=mass)

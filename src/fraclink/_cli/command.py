@@ -98,12 +98,12 @@ class Keywords:
     @property
     def options(self) -> dict[str, Parameter]:
         """The options by name."""
-        known, texts = declared(self.function), _parameter_texts(self.function)
+        by_name, texts = declared(self.function), _parameter_texts(self.function)
         only = inspect.Parameter.KEYWORD_ONLY
-        names = self.names or [name for name in known if known[name].way is only]
+        names = self.names or [name for name in by_name if by_name[name].way is only]
         return {
             name: replace(
-                known[name], hint=Annotated[known[name].hint, texts.get(name, "")]
+                by_name[name], hint=Annotated[by_name[name].hint, texts.get(name, "")]
             )
             for name in names
         }
@@ -214,9 +214,9 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
         # however good it is.
         return PASSED if answer.passed and not answer.doubts else FAILED
 
-    shown = [_option(each) for each in (*options.values(), *flags.values())]
-    run.__annotations__ = {p.name: p.annotation for p in shown} | {"return": int}
-    run.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    signature = [_option(each) for each in (*options.values(), *flags.values())]
+    run.__annotations__ = {p.name: p.annotation for p in signature} | {"return": int}
+    run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
     del run.__wrapped__  # typer would read the annotations of the wrapped function
     return run
 
@@ -238,11 +238,11 @@ def _show_json(answer: Answer) -> None:
 
 
 def _show_text(answer: Answer) -> None:
-    shown = answer.text
-    if not shown and answer.result is not None:
-        shown = plain_text(doubted(view(answer.result), answer.doubts), width())
-    if shown:
-        emit(shown)
+    text = answer.text
+    if not text and answer.result is not None:
+        text = plain_text(doubted(view(answer.result), answer.doubts), width())
+    if text:
+        emit(text)
     for remark in answer.remarks:
         tell(remark)
     for path in answer.written:

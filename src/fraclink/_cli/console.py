@@ -270,8 +270,8 @@ def _answer(error: BaseException) -> tuple[int, str]:
             " Raise the limit of the process (ulimit -v)."
         )
     if isinstance(error, KeyboardInterrupt):
-        done = "finished files are complete, nothing is half written"
-        return INTERRUPTED, f"interrupted; {done}"
+        state = "finished files are complete, nothing is half written"
+        return INTERRUPTED, f"interrupted; {state}"
     return DEFECT, (
         f"error: fraclink failed inside ({type(error).__name__}: {words}); this is a defect, please report it"
         " (FRACLINK_TRACEBACK=1 shows where)"

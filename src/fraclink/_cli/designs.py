@@ -95,13 +95,13 @@ def run(
 
     $ fraclink run --rig paper-2023 --log demo --out results
     """
-    known = load_rig(rig)
+    arm = load_rig(rig)
     with steps(6 + certify) as begin:
         # Announced before it begins, so that a wait for a slow disk is visible.
         begin("reading the log")
         study = run_study(
-            known,
-            load_log(log, known, column, **LOG.of(options)),
+            arm,
+            load_log(log, arm, column, **LOG.of(options)),
             certified=certify,
             arms=arms,
             out=out,
@@ -149,24 +149,24 @@ def design(
 
     $ fraclink design --rig rig.toml --model model.json
     """
-    known = load_rig(rig, link_mass=link_mass)
-    link, doubts = load_link_model(model, known)
+    arm = load_rig(rig, link_mass=link_mass)
+    link, doubts = load_link_model(model, arm)
     margin = in_radians(phase_margin_deg)
-    made, assumptions = design_for(known, link, phase_margin=margin, box=box, **request)
+    result, assumptions = design_for(arm, link, phase_margin=margin, box=box, **request)
     # Doubts about the fit are passed on to the design: requirements met for a doubtful
     # model do not pass.
-    made = made.doubted(doubts).with_law()
-    made.save(out)
+    result = result.doubted(doubts).with_law()
+    result.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
     # With the lightest payload, at which the phase margin is smallest.
     step = (
-        f"simulate {out} --payload {made.payloads[0]:g}"
-        if made.passed
+        f"simulate {out} --payload {result.payloads[0]:g}"
+        if result.passed
         else f"assess {out}"
     )
     return Answer(
-        made,
-        made.passed,
+        result,
+        result.passed,
         remarks=assumed,
         written=(out,),
         following=f"fraclink {step}",
@@ -204,9 +204,9 @@ def simulate(
     twin = on == "twin"
     place = output_path(out or f"{'twin' if twin else 'run'}.npz", force=force)
     usual_time = 1.0 if twin else 0.5
-    wanted = reference_of(reference, amplitude, move_time, usual_time=usual_time)
-    made = load_design(design_file, gear=gear)
-    carried = payload or made.rig.payloads.nominal
+    path = reference_of(reference, amplitude, move_time, usual_time=usual_time)
+    subject = load_design(design_file, gear=gear)
+    carried = payload or subject.rig.payloads.nominal
     if not twin:
         refuse_beside("--on model", "a link without mass", link_mass=link_mass)
     if estimate:
@@ -216,15 +216,15 @@ def simulate(
             "--estimate", "the payload that the law estimates", told=told or None
         )
     move = run_law(
-        made,
-        wanted,
-        arm=Twin.from_rig(made.rig, payload=carried, link_mass=link_mass)
+        subject,
+        path,
+        arm=Twin.from_rig(subject.rig, payload=carried, link_mass=link_mass)
         if twin
         else None,
         payload=carried,
         told="estimated" if estimate else told,
         # On the model 4 s of the usual move, as in a report.
-        duration=None if twin else wanted.duration + 3.5,
+        duration=None if twin else path.duration + 3.5,
         seed=seed,
     )
     move.save(place)
@@ -235,7 +235,7 @@ def simulate(
     return Answer(
         move,
         passed,
-        doubts=doubts_of_move(made, payload),
+        doubts=doubts_of_move(subject, payload),
         written=(place,),
         following=f"fraclink {step}",
     )
@@ -263,10 +263,10 @@ def certify(
     """
     with steps(1) as begin:
         begin("proving")
-        made = Design.load(design_file)
-        models = [load_link_model(other, made.rig)[0] for other in others or ()]
+        subject = Design.load(design_file)
+        models = [load_link_model(other, subject.rig)[0] for other in others or ()]
         certificate = prove(
-            made, modulus_margin=modulus_margin, others=filter(None, models)
+            subject, modulus_margin=modulus_margin, others=filter(None, models)
         )
     if not certificate.passed:
         following = f"fraclink assess {design_file}"

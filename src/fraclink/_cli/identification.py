@@ -80,26 +80,26 @@ def _link(
     rig, place = _rig(rig), output_path(out or "model.json", force=force)
     with steps(3) as begin:
         begin("reading the log")
-        stated = load_rig_for_logs(rig)
+        file_rig = load_rig_for_logs(rig)
         reading = READING.of(options)
-        (experiment,) = load_logs(logs, stated, payload, column, **reading)
+        (experiment,) = load_logs(logs, file_rig, payload, column, **reading)
         # A rig with blanks has no limits, no stiffness and no length.
-        known, stiffness = whole(stated), None
+        arm, stiffness = whole(file_rig), None
         begin("examining the log")
         # A model fits a reversed gauge as well as a correct one.
-        doubts = errors_of(diagnose(experiment, known))
+        doubts = errors_of(diagnose(experiment, arm))
         begin(f"fitting {structure or 'every structure'}")
         # A deflection log does not determine the stiffness: in Γ = c (θm − θt) every c
         # fits equally well. A torque log does.
-        if known is not None and experiment.output_kind == "deflection":
-            stiffness = known.link.stiffness
+        if arm is not None and experiment.output_kind == "deflection":
+            stiffness = arm.link.stiffness
         fit = identification.identify(
             experiment, structure, heldout=options["heldout"], stiffness=stiffness
         )
     fit.save(place)
-    if known is not None:
+    if arm is not None:
         # Each once, in the order in which they were found.
-        doubts = tuple(dict.fromkeys((*doubts, *doubts_of(known, fit.model))))
+        doubts = tuple(dict.fromkeys((*doubts, *doubts_of(arm, fit.model))))
     following = f"fraclink design --rig {rig} --model {place}"
     if fit.model.payload is None:
         # Otherwise `design` would take ω₀ from the rig.
@@ -121,12 +121,12 @@ def _several(
     **options: Annotated[Any, READING, TIED],
 ) -> Answer:
     """Several payloads together, and whether their parameters may be common."""
-    known, reading = load_rig(_rig(rig)), READING.of(options)
+    arm, reading = load_rig(_rig(rig)), READING.of(options)
     fit = identification.identify_payloads(
-        load_logs(logs, known, payload, column, **reading),
+        load_logs(logs, arm, payload, column, **reading),
         structure,
         tied=options["tied"],
-        length=known.link.length,
+        length=arm.link.length,
     )
     return Answer(fit, fit.test.common)
 
@@ -147,11 +147,11 @@ def _motor(
     if not column:
         remedy = "give --rig, or --column for time, motor_angle and voltage"
         rig = required("rig", rig, "a rig, or the columns", remedy)
-    known = None if rig is None else load_rig(rig)
+    arm = None if rig is None else load_rig(rig)
     # --column describes the whole log: mixed with the rig's mapping, two columns could
     # have the same role.
     columns = drive_columns(column) if column else None
-    experiment = read_log(log_path(logs[0]), rig=known, columns=columns)
+    experiment = read_log(log_path(logs[0]), rig=arm, columns=columns)
     if experiment.voltage is None:
         raise LogError(
             "log",
@@ -160,7 +160,7 @@ def _motor(
             allowed="a log with a voltage column",
             remedy='name it in the rig file\'s [log], or by --column "voltage=NAME [V]"',
         )
-    torque = _load(experiment, known)
+    torque = _load(experiment, arm)
     fit = identification.identify_motor(
         experiment.voltage,
         experiment.motor_angle,
@@ -168,7 +168,7 @@ def _motor(
         torque=torque,
         # Only if no torque determines the inertia: a stated and a measured value could
         # contradict each other unnoticed.
-        inertia=known.motor.inertia if torque is None and known is not None else None,
+        inertia=arm.motor.inertia if torque is None and arm is not None else None,
     )
     return Answer(fit, fit.passed)
 
@@ -193,8 +193,8 @@ def _load(log: Experiment, rig: Rig | None) -> NDArray[np.float64] | None:
 def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
     """A table of gain and phase, its columns as `read_frequency_response` takes them."""
     named = any("=" in text for text in columns or ())
-    stated = _named("column", columns) if named else columns
-    return read_frequency_response(table, stated or None)
+    roles = _named("column", columns) if named else columns
+    return read_frequency_response(table, roles or None)
 
 
 def _driven(
@@ -211,7 +211,7 @@ def _driven(
 ) -> Answer:
     """Link and motor, of a frequency response from the amplifier's voltage."""
     rig, place = _rig(rig), output_path(out or "model.json", force=force)
-    known = load_rig(rig)
+    arm = load_rig(rig)
     # The function itself rejects any other output.
     fit = identification.identify_driven_link(
         _response(tables[0], column),
@@ -221,8 +221,8 @@ def _driven(
     if not fit.passed:
         return Answer(fit, passed=False)
     # J n² [kg·m²]: the response is that of the gear's output.
-    inertia = known.motor.inertia * known.motor.gear_ratio**2
-    carried = payload[0] if payload else known.payloads.nominal
+    inertia = arm.motor.inertia * arm.motor.gear_ratio**2
+    carried = payload[0] if payload else arm.payloads.nominal
     save(fit.model(inertia, payload=carried), place, force=True)
     following = f"fraclink design --rig {rig} --model {place}"
     return Answer(fit, written=(place,), following=following)
@@ -327,10 +327,10 @@ def _named(option: str, texts: list[str] | None) -> dict[str, str]:
 def _numbers(option: str, text: str, count: int) -> Any:
     """The numbers of "1" or "1,2"."""
     try:
-        found = tuple(float(cell) for cell in text.split(","))
+        numbers = tuple(float(cell) for cell in text.split(","))
     except ValueError:
-        found = ()
-    if len(found) != count:
+        numbers = ()
+    if len(numbers) != count:
         raise FieldError(
             option,
             text,
@@ -340,7 +340,7 @@ def _numbers(option: str, text: str, count: int) -> Any:
             else "two numbers with a comma between them",
             remedy="write 0.5, or 0,10",
         )
-    return found
+    return numbers
 
 
 _FITS: dict[str, Callable[..., Answer]] = {

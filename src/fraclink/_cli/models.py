@@ -54,8 +54,8 @@ def diagnose(
 
     $ fraclink diagnose log.csv --rig rig.toml
     """
-    known = load_rig_for_logs(rig)
-    findings = examine(load_log(log, known, column, **reading), whole(known))
+    arm = load_rig_for_logs(rig)
+    findings = examine(load_log(log, arm, column, **reading), whole(arm))
     # Warnings do not fail a log: a model can be fitted to it, and the fit has its own
     # gates.
     failed = bool(errors_of(findings))
@@ -90,8 +90,8 @@ def validate(
     $ fraclink validate model.json other.csv --rig rig.toml
     """
     fit = identification.Fit.load(model)
-    known = load_rig_for_logs(rig)
-    found = fit.validate(*load_logs(logs, known, payload, column=column))
+    arm = load_rig_for_logs(rig)
+    validation = fit.validate(*load_logs(logs, arm, payload, column=column))
     if out is not None:
-        validation_figure(found).save(out)
-    return Answer(found, found.passed, written=() if out is None else (out,))
+        validation_figure(validation).save(out)
+    return Answer(validation, validation.passed, written=() if out is None else (out,))

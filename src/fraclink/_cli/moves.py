@@ -58,25 +58,23 @@ def shape(
         request["payloads"] = (payload, payload)
     if follow is not None:
         refuse_beside("--follow", "the angles of the file", amplitude=amplitude)
-    made = load_design(design_file)
+    subject = load_design(design_file)
     with steps(1) as begin:
         begin("shaping the move")
-        wanted: float | FollowedPath = 1.0 if amplitude is None else amplitude
+        goal: float | FollowedPath = 1.0 if amplitude is None else amplitude
         if follow is not None:
             # A file contains one of these two: other references have no points to
             # follow.
-            wanted = cast(FollowedPath, read_reference(follow))
-        move = shape_move(made, wanted, **request)
+            goal = cast(FollowedPath, read_reference(follow))
+        move = shape_move(subject, goal, **request)
     move.save(out)
-    written: tuple[Path, ...] = (out,)
+    files: tuple[Path, ...] = (out,)
     if table is not None:
-        written += (
+        files += (
             export_reference(move.reference, table, period=move.period, force=True),
         )
     # A move shaped for a known payload must be simulated with it.
-    told = " --told" if request["told"] else ""
-    following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{told} --out moves"
-    doubts = doubts_of_move(made, *move.worst_case.payloads)
-    return Answer(
-        move, move.passed, doubts=doubts, written=written, following=following
-    )
+    option = " --told" if request["told"] else ""
+    following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{option} --out moves"
+    doubts = doubts_of_move(subject, *move.worst_case.payloads)
+    return Answer(move, move.passed, doubts=doubts, written=files, following=following)

@@ -165,13 +165,13 @@ def load_link_model(
     """
     if path is None:
         return None, ()
-    found: Any = load(path, (Fit, Design, LinkModel))
+    content: Any = load(path, (Fit, Design, LinkModel))
     # A bare model, as from a spectrum, has no gates that could fail.
-    if isinstance(found, LinkModel):
-        return found, ()
+    if isinstance(content, LinkModel):
+        return content, ()
     # A design contains its model: a user who only kept design.json can go on.
-    model = found.model if isinstance(found, Design) else found.loop_model(rig)
-    return model, errors_of(found.findings)
+    model = content.model if isinstance(content, Design) else content.loop_model(rig)
+    return model, errors_of(content.findings)
 
 
 def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]:
@@ -187,11 +187,11 @@ def load_design(path: Path, *, gear: float | None = None) -> Design:
     """Return a design whose rig carries the model that it was made for, with a gear
     before the motor.
     """
-    made = Design.load(path)
+    design = Design.load(path)
     # The twin takes its damping from the model of the rig, and a design from a fit may
     # have a rig without one.
-    rig = replace(made.rig, model=made.rig.model or made.model)
-    return replace(made, rig=rig if gear is None else geared(rig, gear))
+    rig = replace(design.rig, model=design.rig.model or design.model)
+    return replace(design, rig=rig if gear is None else geared(rig, gear))
 
 
 def reference_of(
@@ -230,12 +230,12 @@ def refuse_beside(option: str, instead: str, **given: object) -> None:
     """
     for name, value in given.items():
         if value is not None:
-            shown = str(value) if isinstance(value, Path) else value
+            text = str(value) if isinstance(value, Path) else value
             remedy = f"leave out --{name.replace('_', '-')}"
             if option.startswith("--"):
                 remedy += f" or {option}"
             raise FieldError(
-                name, shown, f"given beside {option}", allowed=instead, remedy=remedy
+                name, text, f"given beside {option}", allowed=instead, remedy=remedy
             )
 
 

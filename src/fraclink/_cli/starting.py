@@ -57,7 +57,7 @@ def start(
 
     $ fraclink start log.csv --out mine
     """
-    found = start_from(
+    result = start_from(
         log_path(log),
         column=column or (),
         period=in_seconds(period_ms),
@@ -67,14 +67,14 @@ def start(
         # question.
         ask=_ask if interactive() else None,
     )
-    written = found.save(out, force=force)
+    files = result.save(out, force=force)
     # Also for a failed fit: the picture shows the reason.
-    fit_figure(found.experiment, found.fit).save(out / _PICTURE)
+    fit_figure(result.experiment, result.fit).save(out / _PICTURE)
     return Answer(
-        found,
-        found.passed,
-        written=(*written, out / _PICTURE),
-        following=_following(found, log, out),
+        result,
+        result.passed,
+        written=(*files, out / _PICTURE),
+        following=_following(result, log, out),
     )
 
 

@@ -89,32 +89,32 @@ def tune(
 
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
-    given = {
+    answers = {
         "angle_deg": angle_deg,
         "speed": speed,
         "torque": torque,
         "voltage": voltage,
         "payload": payload,
     }
-    stated = None if rig is None else load_rig(rig)
+    own_rig = None if rig is None else load_rig(rig)
     if resume and (out / FILES[0]).is_file():
-        known: Tuning = load(out / FILES[0], Tuning)
-        limits = known.limits
+        earlier: Tuning = load(out / FILES[0], Tuning)
+        limits = earlier.limits
         before = {
             "angle_deg": math.degrees(limits.angle),
             "speed": limits.speed,
             "torque": limits.torque,
             "voltage": limits.voltage,
-            "payload": known.payload,
+            "payload": earlier.payload,
         }
-        given = {k: before[k] if x is None else x for k, x in given.items()}
-        payloads, stated = payloads or known.payloads, stated or known.rig
+        answers = {k: before[k] if x is None else x for k, x in answers.items()}
+        payloads, own_rig = payloads or earlier.payloads, own_rig or earlier.rig
     # Before the limits are requested: nobody should answer five questions to learn that
     # a file is in the way.
     elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
-    values = {name: _asked(name, value) for name, value in given.items()}
+    values = {name: _asked(name, value) for name, value in answers.items()}
     carried = values.pop("payload")
     limits = MotionLimits(
         angle=math.radians(values["angle_deg"]),
@@ -126,7 +126,7 @@ def tune(
         carried,
         payloads,
         in_seconds(period_ms),
-        stated,
+        own_rig,
     )
     connection = connection_of(io, unsafe_remote, key_file)
     # On standard error, so that it is read even if the result goes to a pipe.
@@ -139,10 +139,10 @@ def tune(
         return Answer(text="nothing was moved", passed=False)
     # Every stage is announced when it begins: a turning motor must not come as a
     # surprise.
-    found = tune_arm(connection, plan, out=out, resume=resume, force=force, begin=tell)
-    written = tuple(out / name for name in FILES if (out / name).is_file())
+    tuning = tune_arm(connection, plan, out=out, resume=resume, force=force, begin=tell)
+    files = tuple(out / name for name in FILES if (out / name).is_file())
     return Answer(
-        found, found.passed, written=written, following=_following(found, io, out)
+        tuning, tuning.passed, written=files, following=_following(tuning, io, out)
     )
 
 
@@ -214,9 +214,9 @@ def watch(
     """
     # The folder as printed by `tune`, or the file as completed by a shell.
     place = tuned / FILES[0] if tuned.is_dir() else tuned
-    found = load(checked_path("record", record))
+    content = load(checked_path("record", record))
     # Up to 1 % of lost samples of a run are interpolated, as for any log.
-    log = found.experiment() if isinstance(found, RealtimeRun) else found
+    log = content.experiment() if isinstance(content, RealtimeRun) else content
     if not isinstance(log, Experiment):
         raise FieldError(
             "record",
@@ -225,8 +225,10 @@ def watch(
             allowed="a run in real time, or a log",
             remedy="record one: `fraclink run-realtime --out realtime.npz`",
         )
-    seen = watch_arm(log, load(place, Tuning))
+    comparison = watch_arm(log, load(place, Tuning))
     following = (
-        "" if seen.passed else "fraclink tune --io ADDRESS --payload KG --out retuned"
+        ""
+        if comparison.passed
+        else "fraclink tune --io ADDRESS --payload KG --out retuned"
     )
-    return Answer(seen, seen.passed, following=following)
+    return Answer(comparison, comparison.passed, following=following)

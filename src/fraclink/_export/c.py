@@ -152,11 +152,11 @@ def export_c(
             stream.write(content)
     # the law itself, for `fraclink replay`; no compiled file reads it
     shipped.save(place / "law.json")
-    written = [*(place / file for file in files), place / "law.json"]
+    paths = [*(place / file for file in files), place / "law.json"]
     if proof is not None:
         proof.save(place / "proof.json")
-        written.append(place / "proof.json")
-    return tuple(written)
+        paths.append(place / "proof.json")
+    return tuple(paths)
 
 
 def _proved(

@@ -134,8 +134,8 @@ def claims_text(law: Law, proof: Proof | None) -> str:
 
 
 def _proved(claim: Claim) -> str:
-    shown = ", ".join(f"`{file}` {digest[:12]}" for file, digest in claim.logs)
-    return _item(f"{claim.statement}. ({', '.join(claim.tools)}: {shown})")
+    logs = ", ".join(f"`{file}` {digest[:12]}" for file, digest in claim.logs)
+    return _item(f"{claim.statement}. ({', '.join(claim.tools)}: {logs})")
 
 
 def _open(claim: Claim) -> str:

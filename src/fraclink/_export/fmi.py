@@ -310,9 +310,9 @@ def descriptions(model: FmuModel) -> dict[str, str]:
     structure = ET.SubElement(root, "ModelStructure")
     for place, _ in _unknowns(model.variables):
         ET.SubElement(structure, "Output", valueReference=place, dependencies="")
-    for place, known in _unknowns(model.variables):
+    for place, dependencies in _unknowns(model.variables):
         ET.SubElement(
-            structure, "InitialUnknown", valueReference=place, dependencies=known
+            structure, "InitialUnknown", valueReference=place, dependencies=dependencies
         )
     build = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(

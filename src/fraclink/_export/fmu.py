@@ -260,11 +260,11 @@ def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
         # with an explicit suffix: compilers for Windows would add their own
         library = folder / "law.library"
         command = [found(compiler), *_FLAGS, "all.c", "-o", library.name]
-        if said := complaint(command, folder):
+        if message := complaint(command, folder):
             raise FieldError(
                 "compiler",
                 compiler,
-                f"unable to compile the FMU ({said})",
+                f"unable to compile the FMU ({message})",
                 allowed="a C99 compiler with its standard library",
                 remedy="install another one, or export sources only",
             )

@@ -291,12 +291,12 @@ def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> by
             _HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name),
             encoding="utf-8",
         )
-        if said := complaint(
+        if message := complaint(
             [*command, source.name, "law.c", "-o", program.name], Path(scratch)
         ):
             raise FieldError(
                 "firmware",
-                said,
+                message,
                 "refused by the compiler",
                 allowed="C99",
                 remedy="export the law again",

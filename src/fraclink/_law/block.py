@@ -142,8 +142,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
     """
     flat: list[float] = []
     for name, length in REALS:
-        given = values[name]
-        items = list(given) if isinstance(given, Sequence) else [given]
+        value = values[name]
+        items = list(value) if isinstance(value, Sequence) else [value]
         if len(items) > length:
             raise FieldError(
                 name,
@@ -190,8 +190,8 @@ def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]
     for name in COUNTS:
         result[name] = items.pop(0)
     for name, length in REALS:
-        taken, items = items[:length], items[length:]
-        result[name] = taken if length > 1 else taken[0]
+        head, items = items[:length], items[length:]
+        result[name] = head if length > 1 else head[0]
     return result
 
 
@@ -400,7 +400,7 @@ LEAST_RANGE = 1e-5
 def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
     """(pole, gain) of every mode of the correction, conjugates included."""
     real, pair = coefficients["real"], coefficients["pair"]
-    found = [
+    modes = [
         (complex(p), complex(g))
         for p, g in zip(real[::2], real[1::2], strict=True)
         if g
@@ -410,8 +410,8 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
             # The block stores c of ½(c/(z − q) + c̄/(z − q̄)): each fraction has half
             # of it.
             pole, gain = complex(re, im), complex(g, x) / 2
-            found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
-    return found
+            modes += [(pole, gain), (pole.conjugate(), gain.conjugate())]
+    return modes
 
 
 def mode_norms(coefficients: Mapping[str, Any]) -> tuple[float, float]:

@@ -413,8 +413,8 @@ class Design(Saved):
             for item in self.requirements
             if item.name not in (margin.name, modulus.name)
         ]
-        kept = (*others, margin, modulus)
-        return replace(self, requirements=kept, findings=findings)
+        rows = (*others, margin, modulus)
+        return replace(self, requirements=rows, findings=findings)
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:

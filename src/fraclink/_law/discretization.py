@@ -235,9 +235,9 @@ def discretize(
             allowed="a Design or a Controller",
             remedy="fl.design makes one",
         )
-    known = controller.period if isinstance(design, Controller) else design.rig.period
-    chosen = known if period is None else period
-    if chosen is None:
+    usual = controller.period if isinstance(design, Controller) else design.rig.period
+    step = usual if period is None else period
+    if step is None:
         raise FieldError(
             "period",
             None,
@@ -245,7 +245,7 @@ def discretize(
             allowed="> 0 s",
             remedy="give the control period in seconds",
         )
-    law = discretize_controller(controller, chosen, order=order, precision=precision)
+    law = discretize_controller(controller, step, order=order, precision=precision)
     if isinstance(design, Controller):
         return law
     return equip(law, design.rig, design.model, motor_loop=design.motor_loop)
@@ -453,8 +453,8 @@ def fit_correction(
     # with 7 states without one.
     if inside and _is_met(plain, slack=1.2):
         for emphasis in EMPHASES[1:]:
-            if _is_met(found := emphasised(emphasis, STATES)):
-                return found
+            if _is_met(candidate := emphasised(emphasis, STATES)):
+                return candidate
     if _is_met(plain):
         return plain
     # No fit meets the tolerance of C everywhere: the crossover then counts more than

@@ -162,7 +162,7 @@ class PayloadEstimator:
         counts = (self.together, self.chunk, self.quiet_limit, self.gap_limit)
         flat = [*self.values, *(x for row in self.models for x in row)]
         body = struct.pack(f"<{len(counts)}I{len(flat)}{code}", *counts, *flat)
-        made = (
+        block = (
             struct.pack(
                 "<IIII",
                 VERSION,
@@ -172,11 +172,11 @@ class PayloadEstimator:
             )
             + body
         )
-        if len(made) != _kernels.payload_sizes(self.precision == "single")[0]:
+        if len(block) != _kernels.payload_sizes(self.precision == "single")[0]:
             raise AssertionError(
                 "fraclink._law.estimator does not match csrc/payload_estimator.h"
             )
-        return made
+        return block
 
     @property
     def digest(self) -> str:
@@ -362,11 +362,13 @@ def payload_estimator(
 
 
 def _gain_doubt(link: LinkModel) -> float:
-    found = link.interval("gauge_gain")
-    if found is None:
+    interval = link.interval("gauge_gain")
+    if interval is None:
         return GAIN_DOUBT
     # A 95 % interval is 3.92 standard deviations wide.
-    return max(LEAST_GAIN_DOUBT, (found[1] - found[0]) / 3.92 / abs(link.gauge_gain))
+    return max(
+        LEAST_GAIN_DOUBT, (interval[1] - interval[0]) / 3.92 / abs(link.gauge_gain)
+    )
 
 
 def _values(
@@ -453,13 +455,13 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     columns += [
         np.concatenate([-torque * back**i * weight, 0 * high]) for i in (1, 2, 3)
     ]
-    both, wanted = (
+    both, target = (
         np.stack(columns, axis=1),
         np.concatenate([torque * weight, 0 * high]),
     )
     b0, b1, b2, *above = np.linalg.lstsq(
         np.vstack([both.real, both.imag]),
-        np.concatenate([wanted.real, wanted.imag]),
+        np.concatenate([target.real, target.imag]),
         rcond=None,
     )[0]
     rest = (1 + sum(above)) / below.sum()

@@ -237,13 +237,13 @@ class Law(Saved):
     @cached_property
     def block(self) -> bytes:
         """The parameter block of law.c, byte for byte."""
-        made = layout.pack(self.values, self.precision)
+        block = layout.pack(self.values, self.precision)
         # The layout of the struct is defined twice, here and by the C compiler. A field
         # missing in one of them would shift all fields after it, and the CRC, computed
         # here, would not detect that.
-        if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
+        if len(block) != _kernels.law_sizes(self.precision == "single")[0]:
             raise AssertionError("fraclink._law.block does not match csrc/law.h")
-        return made
+        return block
 
     @property
     def digest(self) -> str:

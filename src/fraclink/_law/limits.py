@@ -125,10 +125,10 @@ def derive_limits(
     # A vibrating link swings back within half a period. A deflection that lasts longer
     # is due to an acceleration, which is limited by the change of the reference's speed
     # from one extreme to the other.
-    held = 1.5 * math.pi / resonance
-    slow = abs(1 / link.tip()(1j * math.pi / held) - 1) * (held / math.pi) ** 2
+    hold = 1.5 * math.pi / resonance
+    slow = abs(1 / link.tip()(1j * math.pi / hold) - 1) * (hold / math.pi) ** 2
     block = (
-        2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
+        2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / hold)
     )
     # at the full speed and acceleration of the command: one missed period, and the part
     # of the loop that the model leaves out
@@ -182,7 +182,7 @@ def derive_limits(
             8 * gauge_noise / link.stiffness,
         ),
         stop_ringing=moves.vibration is not None,
-        block_limit=max(5, round(held / period)),
+        block_limit=max(5, round(hold / period)),
         # sum of squared motor steps whose torque is 6 standard deviations above the
         # noise of a torque step, at least that of 0.1 rad in 25 periods
         wiring_energy=max(

@@ -62,9 +62,9 @@ class HigherModes:
 
     def above(self, number: int) -> HigherModes:
         """Return the modes above a given number."""
-        kept = self.number > number
+        above = self.number > number
         return HigherModes(
-            *(getattr(self, part.name)[kept] for part in fields(HigherModes))
+            *(getattr(self, part.name)[above] for part in fields(HigherModes))
         )
 
     def gains(self, loop: Loop) -> Real:
@@ -135,7 +135,7 @@ def _beam_modes(
     identified.
     """
     frequencies, sizes = modal_shares(Beam.from_rig(rig, payload=payload))
-    found = []
+    modes = []
     for i in range(modes_of(model), frequencies.size):
         w = _around(model, float(frequencies[i]), ratio)
         s = np.asarray(1j * w, dtype=np.complex128)
@@ -151,8 +151,8 @@ def _beam_modes(
             )
         # The whole sum instead of the mode's own term: the gauge also shows the tails
         # of the neighbouring modes, which add to it or subtract from it.
-        found.append((i + 1, payload, w, np.log(np.abs(answer))))
-    return found
+        modes.append((i + 1, payload, w, np.log(np.abs(answer))))
+    return modes
 
 
 def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
@@ -196,15 +196,15 @@ def mode_requirements(
 ) -> tuple[tuple[int, Requirement], ...]:
     """Return (number, the worst loop gain against `limit`) of each higher mode."""
     gains = modes.gains(loop)
-    found = []
+    result = []
     for number in map(int, np.unique(modes.number)):
         rows = np.flatnonzero(modes.number == number)
         worst = rows[int(np.argmax(gains[rows]))]
         name, payload = f"loop gain at mode {number}", float(modes.payload[worst])
-        found.append(
+        result.append(
             (
                 number,
                 Requirement(name, limit, float(gains[worst]), "", payload, "at most"),
             )
         )
-    return tuple(found)
+    return tuple(result)

@@ -37,15 +37,15 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     (True, True)
     """
     w = np.geomspace(*law.band, _POINTS)
-    wanted = controller.response(w)
+    exact = controller.response(w)
     # C − C_law = Ĉ − Ĉ_law, so the relative error of C is that of Ĉ divided by |1 + Ĉ|:
     # linear in the gains.
-    weight = 1.0 / np.abs(1.0 + wanted)
+    weight = 1.0 / np.abs(1.0 + exact)
     # The poles depend on the band and hardly on the controller, whose β and δ change
     # little while a handle is dragged in the studio: with fixed poles the fit is
     # linear.
     rows = _terms(law, w) * weight[:, None]
-    aim = wanted * weight
+    aim = exact * weight
     # Real and imaginary parts are stacked: the gains are real.
     gains = np.linalg.lstsq(
         np.vstack([rows.real, rows.imag]),

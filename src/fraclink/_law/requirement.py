@@ -169,19 +169,19 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
     margin = min(abs(at_margin.phase_margin), math.pi)
     margin = margin if at_margin.stable else -margin
     modulus = at_modulus.modulus_margin if at_modulus.stable else 0.0
-    wanted, least = _wanted_of_law(design)
+    goal, least = _wanted_of_law(design)
     return (
-        Requirement(LAW_MARGIN, wanted, margin, "rad", close[1], "at least"),
+        Requirement(LAW_MARGIN, goal, margin, "rad", close[1], "at least"),
         Requirement(LAW_MODULUS, least, modulus, "", near[1], "at least"),
     )
 
 
 def no_law_rows(design: Design) -> tuple[Requirement, Requirement]:
     """Return the same requirements if no law represents the controller."""
-    wanted, least = _wanted_of_law(design)
+    goal, least = _wanted_of_law(design)
     payload = design.payloads[0]
     return (
-        Requirement(LAW_MARGIN, wanted, -math.pi, "rad", payload, "at least"),
+        Requirement(LAW_MARGIN, goal, -math.pi, "rad", payload, "at least"),
         Requirement(LAW_MODULUS, least, 0.0, "", payload, "at least"),
     )
 
@@ -229,22 +229,22 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
     """Arms and payloads: payloads of the model, or the lightest and the heaviest of
     every arm of the box.
     """
-    known = with_payload(design.model, design.rig)
+    model = with_payload(design.model, design.rig)
     if design.box is None:
         for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS):
             payload = design.payload(float(w0))
-            mode = model_at(known, design.rig, payload).second_mode
-            link = replace(known, natural_frequency=float(w0), second_mode=mode)
+            mode = model_at(model, design.rig, payload).second_mode
+            link = replace(model, natural_frequency=float(w0), second_mode=mode)
             yield Arm(link), payload
         return
-    for arm in arms_of(design.box, known):
+    for arm in arms_of(design.box, model):
         # The heaviest payload has the lowest ω₀: both ranges ascend, so one of them is
         # reversed. The box's own interval of ω₀ widens the range at both ends.
         for end, payload in enumerate(reversed(design.payloads)):
             w0 = (
                 design.natural_frequencies[end]
                 * design.box.natural_frequency[end]
-                / known.natural_frequency
+                / model.natural_frequency
             )
             yield replace(arm, model=replace(arm.model, natural_frequency=w0)), payload
 

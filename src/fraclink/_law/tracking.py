@@ -170,11 +170,11 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
     """
     s = 1j * abs(link.pole)
     z = np.exp(s * period)
-    fitted = feedforward.direct + sum(
+    response = feedforward.direct + sum(
         gain / (z - pole)
         for pole, gain in zip(feedforward.poles, feedforward.gains, strict=True)
     )
-    return float(abs(fitted * s**2 / (1 / link.tip()(s) - 1)))
+    return float(abs(response * s**2 / (1 / link.tip()(s) - 1)))
 
 
 def held_reference(reach: float, back: Complex) -> Complex:
