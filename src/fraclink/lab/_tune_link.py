@@ -89,9 +89,8 @@ def tune_link(
     # reached before that of the angle. Half of what is planned leaves room to grow, and
     # a link that hardens is bent less beyond its moves.
     path = _sequence(guard, motor, model, reach, duration)
-    bent = simulated_torque(model, path[0], guard.period, hold="first")
-    most = 0.5 * PLANNED * limits.torque
-    reach *= min(most / float(np.max(np.abs(bent))), 1.0)
+    peak = np.abs(simulated_torque(model, path[0], guard.period, hold="first")).max()
+    reach *= min(0.5 * PLANNED * limits.torque / float(peak), 1.0)
     rounds: list[tuple[float, float, float]] = []
     for number in range(1, _ROUNDS + 1):
         if number > 1:
