@@ -18,9 +18,8 @@ def main(folder: Path) -> None:
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    arm = fl.Twin.from_rig(
-        rig, link_mass=0.00735
-    )  # kg: a carbon rod, which the design does not know
+    # kg: a carbon rod, which is not part of the design
+    arm = fl.Twin.from_rig(rig, link_mass=0.00735)
     move = fl.smooth_step(1.0, duration=1.0)
     for name, events in (
         ("30 g", []),

@@ -1,5 +1,5 @@
-"""The controllers that the comparison is about: printed, corrected, and designed for
-the loop that runs.
+"""The controllers under comparison: as printed, as corrected, and as designed for the
+loop that actually runs.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ __all__ = [
 ]
 
 ORDER = 1.92  # λ of Tables 2 and 3
-CROSSOVER, MARGIN_DEG = 16.0, 70.0  # rad/s and °, asked for in section 7.1
+CROSSOVER, MARGIN_DEG = 16.0, 70.0  # rad/s and °, required in section 7.1
 SMALL = (0.016, 0.008)  # kg, section 7.2
 _PRINTED = (9.42, 11.54, 14.14)  # ϖ of Table 1: minimal, nominal, maximal
-# (58) from the fractional model and (59) from the integer one, as section 7.1 prints
-# them.
+# (58) from the fractional model and (59) from the integer one, as printed in section
+# 7.1.
 PRINTED: dict[str, Controller] = {
     "(58)": Controller(
         derivative_gain=0.148, derivative_order=0.65, filter_time=0.16, filter_order=2
@@ -298,15 +298,16 @@ def designed_in_loop(*, ruled: bool) -> Design:
 
 
 def _matched_in_loop(designed: Design) -> Controller:
-    """The controller that gives the loop with λ = 2 the same crossing and phase at 30
-    g.
+    """Return the controller that gives the loop with λ = 2 the same crossover and phase
+    at 30 g.
     """
     nominal = designed.natural_frequency(0.030)
     crossing = max(designed.at(0.030).gain_crossings, key=lambda item: item.frequency)
     s = 1j * crossing.frequency
     fractional = nominal**2 / (np.exp(ORDER * np.log(s)) + nominal**2)
     integer = nominal**2 / (s**2 + nominal**2 + 0j)
-    # (jω)^β carries both: its phase takes up the difference of the links' phases.
+    # (jω)^β is made to compensate both differences between the links: β the phase, k_d
+    # the modulus.
     shift = np.angle(fractional / integer)
     order = (
         designed.controller.derivative_order
@@ -340,7 +341,9 @@ def _controller(
 
 
 def _on_link(controller: Controller, link_order: float) -> Controller:
-    """`controller` with the link, the motor loop and the period of the paper's rig."""
+    """Return `controller` with the link, the motor loop and the period of the paper's
+    rig.
+    """
     inner = MotorLoop(pole=80.0, delay_samples=1)
     return replace(
         controller, link=link(0.030, link_order), motor_loop=inner, period=rig().period

@@ -17,7 +17,7 @@ __all__ = ["loop_drawings"]
 
 @dataclass(frozen=True)
 class _Board:
-    """Boxes, sums and arrows on a grid of inches."""
+    """Boxes, sums and arrows on a grid in inches."""
 
     axes: Axes
 

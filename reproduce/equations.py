@@ -28,7 +28,8 @@ from reproduce.published import Equation
 
 __all__ = ["CHECKS", "TOLERANCE", "Found", "code_of", "measured"]
 
-TOLERANCE = 1e-7  # numerical derivatives of a bisected crossing leave 1e-9
+# numerical derivatives of a crossing found by bisection are accurate to 1e-9
+TOLERANCE = 1e-7
 _SEED = 60
 CHECKS: Mapping[str, Check] = {**MODEL, **CONTROL, **DESIGN}
 
@@ -78,7 +79,7 @@ def measured(equation: Equation) -> Found:
             np.atleast_1d(np.asarray(side, dtype=complex)).ravel()
             for side in check.sides(code, draw)
         )
-        # An element that vanishes is compared with the largest one.
+        # An element equal to zero is compared with the largest element.
         size = np.maximum(np.abs(true), 1e-9 * float(np.max(np.abs(true))))
         size[size == 0.0] = 1.0
         printed = max(printed, float(np.max(np.abs(first - true) / size)))

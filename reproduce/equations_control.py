@@ -27,8 +27,8 @@ Draw = np.random.Generator
 
 @dataclass(frozen=True)
 class _Placed:
-    """A random motor, a pole p, and PID coefficients by a linear system for the closed
-    polynomial.
+    """A random motor, a pole p, and PID coefficients from a linear system for the
+    closed-loop polynomial.
     """
 
     motor: Motor
@@ -60,8 +60,8 @@ class _Placed:
         m, p = self.motor, self.pole
         gain, decay = m.torque_constant / m.inertia, m.viscous_friction / m.inertia
         names = ("c", "a0", "a1", "a2", "b0", "b1")
-        # of s³, s², s and 1 of the closed polynomial; then the zeros, a1 = 2p a2 and a0
-        # = p² a2
+        # coefficients of s³, s², s and 1 of the closed-loop polynomial, then the zeros:
+        # a1 = 2p a2 and a0 = p² a2
         rows = [
             ([1, 0, 0, 0, 0, 0], 4 * p - decay),
             ([decay, 0, 0, gain, 0, gain], 6 * p**2),
@@ -102,7 +102,7 @@ def _motor(code: Any, draw: Draw) -> Sides:
 
 
 def _first(code: Any, draw: Draw) -> Sides:
-    """(19): what C_m1 has to be for M, given C_m2."""
+    """(19): C_m1 required for M, given C_m2."""
     at = _placed(draw)
     own, s = code(at.motor, at.pole), at.s
     value = (own.a2 * s**2 + own.a1 * s + own.a0) / (s * (s + own.filter_pole))
@@ -111,7 +111,7 @@ def _first(code: Any, draw: Draw) -> Sides:
 
 
 def _second(code: Any, draw: Draw) -> Sides:
-    """(20): what C_m2 has to be for M, given C_m1."""
+    """(20): C_m2 required for M, given C_m1."""
     at = _placed(draw)
     own, s = code(at.motor, at.pole), at.s
     first, second = at.parts()
@@ -123,7 +123,7 @@ def _second(code: Any, draw: Draw) -> Sides:
 
 
 def _inner(code: Any, draw: Draw) -> Sides:
-    """(21): the closed inner loop from motor and controllers."""
+    """(21): the closed inner loop from the motor and the controllers."""
     at = _placed(draw)
     first, second = at.parts()
     loop: ContinuousPid = place_pid(at.motor, at.pole)
@@ -136,7 +136,7 @@ def _inner(code: Any, draw: Draw) -> Sides:
 
 @dataclass(frozen=True)
 class _Outer:
-    """A random link, controller and motor loop at one s."""
+    """A random link, controller and motor loop at one value of s."""
 
     link: Mass
     controller: Controller
@@ -218,15 +218,15 @@ def _outer(draw: Draw, *, axis: bool = False) -> _Outer:
 
 
 def _law(code: Any, draw: Draw) -> Sides:
-    """(22): what the law makes of θt* and of d, with M = 1; θt = θt* is what the
-    linearisation is for.
+    """(22): the responses of the law to θt* and to d, with M = 1. The linearisation is
+    meant to give θt = θt*.
     """
     at = _outer(draw)
     square = at.link.natural**2
     tip, x, c = square / (at.inertia + square), at.inertia, 1.0 + at.correction
 
     def closed(law: Any) -> list[complex]:
-        # The law is linear: θm* = ahead θt* + back θtᵉ, and θt = G θm*, θtᵉ = θt + d.
+        # The law is linear: θm* = ahead θt* + back θtᵉ; θt = G θm* and θtᵉ = θt + d.
         ahead, back = law(1.0, 0.0), law(0.0, 1.0)
         return [tip * ahead / (1.0 - tip * back), tip * back / (1.0 - tip * back)]
 
@@ -253,7 +253,7 @@ def _estimate(code: Any, draw: Draw) -> Sides:
 
 
 def _matrix(divided: bool) -> Check:
-    """(24), (25): all four of P11, P12, P21, P22."""
+    """(24), (25): P11, P12, P21 and P22."""
 
     def sides(code: Any, draw: Draw) -> Sides:
         at = _outer(draw)
@@ -266,7 +266,7 @@ def _matrix(divided: bool) -> Check:
 
 
 def _loop(code: Any, at: _Outer) -> complex:
-    """L(jω) of the package's Loop, M(s) inside."""
+    """L(jω) of the package's Loop, including M(s)."""
     k = at.controller
     loop = code(
         link_order=at.link.order,
@@ -320,7 +320,9 @@ def _without_filter(code: Any, draw: Draw) -> Sides:
 
 
 def _reference_of_disturbance(*, modulus: bool = False, hat: bool = False) -> Check:
-    """(29), (30) and (31): P22 in C, in Ĉ, and its modulus divided through by s^λ."""
+    """(29), (30) and (31): P22 in terms of C and of Ĉ, and its modulus with numerator
+    and denominator divided by s^λ.
+    """
 
     def sides(code: Any, draw: Draw) -> Sides:
         at = _outer(draw, axis=True)
@@ -344,7 +346,7 @@ def _reference_of_disturbance(*, modulus: bool = False, hat: bool = False) -> Ch
 
 
 def _proper(code: Any, draw: Draw) -> Sides:
-    """(32): P22 → 0 just where |Ĉ| → 0, which is where n > β."""
+    """(32): P22 → 0 if and only if |Ĉ| → 0, which requires n > β."""
     at = _outer(draw, axis=True)
 
     def falls(value: Any) -> float:

@@ -1,5 +1,5 @@
-"""Equations (34) to (60): open loop, lemma and theorems, and the procedure with what it
-gives.
+"""Equations (34) to (60): open loop, lemma and theorems, and the procedure with its
+results.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ def _loop_of(at: Crossing) -> Loop:
 
 
 def _link_of(at: Crossing) -> Mass:
-    """A link of this ω₀ and λ: c = 1 N·m, m L² = 1/ω₀²."""
+    """Return a link with this ω₀ and λ: c = 1 N·m, m L² = 1/ω₀²."""
     return Mass(1.0, at.natural**-2, 1.0, at.order)
 
 
 def _value(at: Crossing, w: float) -> complex:
-    """L(jω), the link by Newton's law and the gauge's strain."""
+    """L(jω), with the link from Newton's law and the strain of the gauge."""
     return at.gain * power(1j * w, at.beta) * _link_of(at).solved(1j * w)[0]
 
 
 def _bracket(at: Crossing, w: float) -> complex:
-    """(jω)^λ + ω₀², what G is divided by."""
+    """(jω)^λ + ω₀², the denominator of G."""
     return at.square / _link_of(at).solved(1j * w)[0]
 
 
 def _phase(at: Crossing, w: float) -> float:
-    """The phase of L at ω, followed from ω → 0 on: no branch of an arc tangent is
-    chosen.
+    """The phase of L at ω, unwrapped from ω → 0, so that no branch of an arctangent has
+    to be chosen.
     """
     mode = at.natural ** (2.0 / at.order)
     grid = np.unique(np.append(np.geomspace(1e-4 * mode, 1e4 * mode, 1500), w))
@@ -102,7 +102,7 @@ def _phase_slope(code: Any, draw: Draw) -> Sides:
 
 
 def _positive(code: Any, draw: Draw) -> Sides:
-    """(37): both sides, and that the first is not below the second."""
+    """(37): both sides, and that the first is not less than the second."""
     at = random_crossing(draw)
     w = _frequency(draw, at)
     found = code(w, at.natural, at.order)
@@ -134,7 +134,7 @@ def _homothety(code: Any, draw: Draw) -> Sides:
 
 
 def _bound(code: Any, draw: Draw) -> Sides:
-    """(39): its bound is where the measured torque resonates, found as a maximum of
+    """(39): its bound is the resonance of the measured torque, found as a maximum of
     |Γ|.
     """
     at = random_crossing(draw)
@@ -153,8 +153,8 @@ def _bound(code: Any, draw: Draw) -> Sides:
 
 
 def _condition(code: Any, draw: Draw) -> Sides:
-    """(40), (50): the real part of what G is divided by, negative just where (39)
-    holds.
+    """(40), (50): the real part of the denominator of G, which is negative exactly if
+    (39) holds.
     """
     at = random_crossing(draw)
     elsewhere = Crossing(at.gain, at.beta, at.order, at.natural, _frequency(draw, at))
@@ -181,7 +181,7 @@ def _consequence(code: Any, draw: Draw) -> Sides:
 
 
 def _margin(at: Crossing) -> float:
-    """φ_m [rad], the phase followed from ω → 0, plus π."""
+    """φ_m [rad]: the phase unwrapped from ω → 0, plus π."""
     return _phase(at, at.frequency) + math.pi
 
 
@@ -216,7 +216,7 @@ def _modulus(code: Any, draw: Draw) -> Sides:
 
 
 def _phase_margin(code: Any, draw: Draw) -> Sides:
-    """(44), with ω_c for its ω."""
+    """(44), with ω_c in place of ω."""
     at = random_crossing(draw)
     angle = 0.5 * math.pi * at.order
     ratio = math.sin(angle) * at.power / (math.cos(angle) * at.power + at.square)
@@ -232,19 +232,19 @@ def _phase_margin(code: Any, draw: Draw) -> Sides:
 
 
 def _by_natural(of: Callable[[Crossing], float], at: Crossing) -> float:
-    """d/dω₀ along the crossing, each of which is found by bisection."""
+    """d/dω₀ along the crossovers, each of which is found by bisection."""
     return slope_of(lambda natural: of(crossing_at(at, natural)), at.natural, 1e-3)
 
 
 def _angle(at: Crossing, other: Crossing) -> float:
-    """The difference of two margins by the angle between the two values of −L."""
+    """The difference of two phase margins, as the angle between the two values of −L."""
     return cmath.phase(_value(other, other.frequency) / _value(at, at.frequency))
 
 
 def _derived(
     code: Callable[[Crossing], Any], true: Callable[[Crossing], Any], draw: Draw
 ) -> Sides:
-    """What is printed is the code: these rows have no other form."""
+    """The printed form is the code itself: these rows have no other form."""
     at = random_crossing(draw)
     own = code(at)
     return own, own, true(at)
@@ -265,8 +265,8 @@ def _rate_of_reserve(at: Crossing) -> float:
 
 
 def _differentials(at: Crossing) -> list[float]:
-    """Half the partial derivatives of k_d² ω_c^(2β) ω₀⁴ − |(jω_c)^λ + ω₀²|², by ω₀ and
-    by ω_c.
+    """Half the partial derivatives of k_d² ω_c^(2β) ω₀⁴ − |(jω_c)^λ + ω₀²|² with
+    respect to ω₀ and to ω_c.
     """
 
     def balance(natural: float, w: float) -> float:
@@ -284,7 +284,7 @@ def _differentials(at: Crossing) -> list[float]:
 def _row(
     true: Callable[[Crossing], Any], also: Callable[[Crossing], float] | None = None
 ) -> Check:
-    """A check of a derivative; `also` is the rate of ω_c that (45) and (51) are given."""
+    """A check of a derivative; `also` gives the rate of ω_c that (45) and (51) require."""
 
     def sides(code: Any, draw: Draw) -> Sides:
         return _derived((lambda at: code(at, also(at))) if also else code, true, draw)
@@ -293,8 +293,8 @@ def _row(
 
 
 def _with_gain(code: Any, draw: Draw) -> Sides:
-    """(46) is the differential of (43) beside a crossing, too, where k_d cannot be
-    taken out.
+    """(46) is the differential of (43) also away from a crossover, where k_d cannot be
+    eliminated.
     """
     at = random_crossing(draw)
     beside = replace(at, gain=at.gain * float(draw.uniform(1.2, 3.0)))
@@ -303,14 +303,18 @@ def _with_gain(code: Any, draw: Draw) -> Sides:
 
 
 def _without_gain(code: Any, draw: Draw) -> Sides:
-    """(47) holds at a crossing only, and knows no k_d: it is given a wrong one."""
+    """(47) holds only at a crossover and does not depend on k_d: it is given a wrong
+    one.
+    """
     at = random_crossing(draw)
     own = code(replace(at, gain=2.0 * at.gain))
     return own, own, _differentials(at)
 
 
 def _integral(code: Any, draw: Draw) -> Sides:
-    """(53): h at the end of a range, by Gauss–Legendre on (52), against h there."""
+    """(53): h at the end of a range, from (52) by Gauss–Legendre quadrature, compared
+    with its value there.
+    """
     at = random_crossing(draw)
     end = at.natural * float(draw.uniform(1.1, 2.0))
     nodes, weights = np.polynomial.legendre.leggauss(20)
@@ -332,7 +336,7 @@ def _integral(code: Any, draw: Draw) -> Sides:
 def _solved(
     order: float, low: float, high: float, crossover: float, margin: float
 ) -> tuple[float, ...]:
-    """χ, β, k_d and ω̄_c of (54), (55), by bisection on the modulus of (55)."""
+    """χ, β, k_d and ω̄_c of (54) and (55), by bisection on the modulus of (55)."""
 
     def link(natural: float, w: float) -> complex:
         return Mass(1.0, natural**-2, 1.0, order).solved(1j * w)[0]
@@ -349,14 +353,15 @@ def _solved(
             + math.log(abs(link(high, w)))
         )
 
-    # Right of the resonance of the lightest payload the modulus falls through one once.
+    # Above the resonance of the lightest payload the modulus falls through one exactly
+    # once.
     start = high ** (2.0 / order) * 1.02
     upper = float(brentq(level, start, 50.0 * start, xtol=1e-13))
     return chi, beta(upper), chi / crossover ** beta(upper), upper
 
 
 def _task(draw: Draw) -> tuple[float, ...]:
-    """λ, both ω₀, ω_c and φ_m that the procedure can meet."""
+    """λ, both values of ω₀, ω_c and φ_m of a request that the procedure can meet."""
     low = float(draw.uniform(8.0, 12.0))
     high = low * float(draw.uniform(1.2, 1.45))
     return (
@@ -399,8 +404,8 @@ def _upper(code: Any, draw: Draw) -> Sides:
 
 
 def _table_1() -> tuple[float, float, float, float]:
-    """k_d, β, δ and ω_c of section 7.1 from the inputs of Table 1, δ by bisection on
-    the 10 % rule, n = 2.
+    """k_d, β, δ and ω_c of section 7.1 from the inputs of Table 1, with δ from the 10 %
+    rule by bisection for n = 2.
     """
     margin = math.radians(designs.MARGIN_DEG)
     _, beta, gain, _ = _solved(1.92, 9.42, 14.14, designs.CROSSOVER, margin)
@@ -420,9 +425,7 @@ def _table_1() -> tuple[float, float, float, float]:
 
 
 def _controller(number: str, integer: bool) -> Check:
-    """(58), (59): the printed controller against what (54), (55), the 10 % rule and
-    (42) give.
-    """
+    """(58), (59): the printed controller against (54), (55), the 10 % rule and (42)."""
 
     def sides(code: Any, draw: Draw) -> Sides:
         w = float(draw.uniform(5.0, 60.0))
@@ -441,7 +444,7 @@ def _controller(number: str, integer: bool) -> Check:
 
 
 def _four_loops(code: Any, draw: Draw) -> Sides:
-    """(60): L_M, L'_M, LM_M and LM'_M; the print has C_M for Ĉ_M in the first."""
+    """(60): L_M, L'_M, LM_M and LM'_M; in the first one C_M is printed for Ĉ_M."""
     payload, w = float(draw.uniform(0.008, 0.045)), float(draw.uniform(5.0, 60.0))
     arm, s = designs.rig(), 1j * w
     tip = Mass(arm.link.stiffness, payload, arm.link.length, designs.ORDER).solved(s)[0]

@@ -41,7 +41,7 @@ def _newton(order: float | None) -> Check:
 
 
 def _deflection(code: Any, draw: Draw) -> Sides:
-    """(3), (8): Γ = c (θm − θt), which Newton's law balances."""
+    """(3), (8): Γ = c (θm − θt), which is in balance with Newton's law."""
     link = mass(draw)
     s = _place(draw, link)
     tip = link.solved(s)[0]
@@ -98,7 +98,7 @@ def _torque(
 
 
 def _modulus(link: Mass, w: float) -> float:
-    """|f(jω)|², f = ω₀²/G, by the linear system."""
+    """|f(jω)|² with f = ω₀²/G, from the linear system."""
     return link.natural**4 / abs(link.solved(1j * w)[0]) ** 2
 
 
@@ -138,7 +138,7 @@ def _derivative(code: Any, draw: Draw) -> Sides:
 
 
 def _resonance(code: Any, draw: Draw) -> Sides:
-    """(14): where the numerical derivative of |f|² changes its sign."""
+    """(14): the zero of the numerical derivative of |f|²."""
     link = mass(draw, order=float(draw.uniform(1.2, 1.98)))
     printed = (-(link.natural**2) * math.cos(0.5 * math.pi * link.order)) ** (
         1.0 / link.order
@@ -154,8 +154,8 @@ def _resonance(code: Any, draw: Draw) -> Sides:
 
 
 def _residual(draw: Draw) -> tuple[int, int, float, float]:
-    """k, n, the mean square of a random residual, and its Gaussian log-likelihood at
-    that variance.
+    """Return k, n, the mean square of a random residual, and its Gaussian
+    log-likelihood at that variance.
     """
     n = int(draw.integers(50, 400))
     error = draw.normal(0.0, draw.uniform(0.01, 2.0), n)
@@ -169,7 +169,7 @@ def _residual(draw: Draw) -> tuple[int, int, float, float]:
 
 
 def _likelihood(code: Any, draw: Draw) -> Sides:
-    """(17), which is (18) and a constant for Gaussian residuals."""
+    """(17), which for Gaussian residuals is (18) plus a constant."""
     k, n, square, likelihood = _residual(draw)
     constant = n * (math.log(2.0 * math.pi) + 1.0)
     return (

@@ -1,5 +1,5 @@
-"""The paper's statements in words, each with the measurement that judges it, by the
-names of claims.toml.
+"""The statements the paper makes in words, each with the measurement that decides it,
+under the names of claims.toml.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Statements of sections 7.1 and 7.3 about crossovers and margins, under every reading
-of the controllers.
+"""Statements of sections 7.1 and 7.3 about crossovers and margins, for every reading of
+the controllers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ __all__ = ["MARGINS"]
 
 _NOMINAL = 0.030
 _LIGHT = tuple(m for m in SWEEP if m < _NOMINAL)
-_LOW = (0.008, 0.016, 0.020)  # kg: what section 7 calls very small, small and minimal
+# kg: the payloads that section 7 calls very small, small and minimal
+_LOW = (0.008, 0.016, 0.020)
 
 
 def _every() -> Iterator[Curves]:
@@ -26,8 +27,8 @@ def _every() -> Iterator[Curves]:
 
 
 def _trend(found: Sequence[Crossing], quantity: str, sign: int) -> tuple[bool, str]:
-    """Whether a quantity moves one way over the payloads at which the loop crosses, and
-    its ends.
+    """Return whether a quantity is monotonic over the payloads at which the loop has a
+    crossover, and its values at the ends.
     """
     there = [
         (m, getattr(item, quantity))
@@ -118,8 +119,8 @@ def _compare(
 
 
 def _value(item: Curves, name: str, at: int, quantity: str) -> float:
-    """The quantity of a loop; one that does not cross has none, and no comparison with
-    it is true.
+    """Return the quantity of a loop: NaN without a crossover, so that every comparison
+    with it is false.
     """
     return float(getattr(item.loops[name][at], quantity))
 

@@ -1,5 +1,5 @@
-"""Statements of section 3 about models and payloads: from the printed numbers, and from
-the twin's logs.
+"""Statements of section 3 about models and payloads, judged by the printed numbers and
+by logs of the twin.
 """
 
 from __future__ import annotations
@@ -20,13 +20,10 @@ from reproduce.values import SAMPLES, mse_of_table_2
 __all__ = ["MODEL", "ratios_of_table_3"]
 
 _KEYS = {"light": "m_min", "nominal": "m_nom", "heavy": "m_max"}
-_ASKED = (
-    math.sqrt(30 / 20),
-    math.sqrt(40 / 30),
-)  # of (5): ϖ(20 g)/ϖ(30 g), ϖ(30 g)/ϖ(40 g)
-NEAR = (
-    0.02  # the twin's link of 7 g moves the ratios by 1.4 %, its fits of UD-IOM apart
-)
+# from (5): ϖ(20 g)/ϖ(30 g), ϖ(30 g)/ϖ(40 g)
+_ASKED = (math.sqrt(30 / 20), math.sqrt(40 / 30))
+# the twin's link of 7 g changes the ratios by 1.4 %, except in the fits of UD-IOM
+NEAR = 0.02
 
 
 def _printed(

@@ -1,5 +1,5 @@
-"""Lemma 1, Theorems 1 and 2, Remark 1 and the two rules of thumb of section 6, tried on
-random loops.
+"""Lemma 1, Theorems 1 and 2, Remark 1 and the two rules of thumb of section 6, tested
+on random loops.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ __all__ = ["THEOREMS"]
 
 _TRIALS = 200
 _SEED = 58
-_FACTORS = (1.0, 1.05, 1.2, 2.0)  # of ω₀, from the one that meets (39) upwards
+# multiples of ω₀, starting from the value that meets (39)
+_FACTORS = (1.0, 1.05, 1.2, 2.0)
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ def _count(
     name: str,
     change: Callable[[_Case], _Case] | None = None,
 ) -> Reading:
-    """How many random loops keep a statement; `change` puts into the loop what the
-    statement leaves out.
+    """Count the random loops for which a statement holds; `change` adds to the loop
+    what the statement leaves out.
     """
     good = sum(kept(change(case) if change else case) for case in _cases())
     verdict = HOLDS if good == _TRIALS else NOT if good == 0 else PART
@@ -61,8 +62,8 @@ def _count(
 
 
 def _with_motor(case: _Case) -> _Case:
-    """The same crossing with M(s) inside, its poles at five times the crossover, as 80
-    rad/s lie from 16.
+    """Return the same crossover with M(s) included, its poles at five times the
+    crossover frequency: 80 rad/s for 16 rad/s.
     """
     slower = replace(case.loop, lag=1.0 / (5.0 * case.crossover))
     level = float(slower.log(case.crossover, case.natural).real)
@@ -70,7 +71,7 @@ def _with_motor(case: _Case) -> _Case:
 
 
 def _slow(case: _Case) -> _Case:
-    """The same relative crossing at an ω₀ below one, which Theorem 2 excludes."""
+    """Return the same relative crossover at an ω₀ below one, which Theorem 2 excludes."""
     natural = case.natural / 50.0
     ratio = case.crossover / case.loop.sufficient(case.natural)
     crossover = ratio * case.loop.sufficient(natural)
@@ -81,7 +82,9 @@ def _slow(case: _Case) -> _Case:
 
 
 def _beyond(statement: Evidence, rows: list[Reading]) -> Evidence:
-    """The verdict on what the paper states, with rows on what it does not state."""
+    """Return the verdict on the paper's statement, with rows on cases that it does not
+    cover.
+    """
     return Evidence(statement.text, statement.verdict, (*statement.readings, *rows))
 
 
@@ -119,7 +122,7 @@ def _lemma_1(published: Published) -> Evidence:
 
 
 def _last(case: _Case) -> Iterator[tuple[float, float]]:
-    """ω_c and φ_m of the last crossing as ω₀ rises."""
+    """ω_c and φ_m of the last crossover for increasing ω₀."""
     for factor in _FACTORS:
         found = case.loop.crossings(case.natural * factor)
         at = int(np.argmax(found.frequency))
@@ -170,14 +173,15 @@ def _theorem_2(published: Published) -> Evidence:
 
 
 def _rules_of_thumb() -> Iterator[tuple[str, float, float, float]]:
-    """Payload in words, φ_m [°], ζ and ω_c t_s of the procedure's loop, M(s) = 1 and no
-    filter.
+    """Yield the payload in words, and φ_m [°], ζ and ω_c t_s of the loop from the
+    procedure, with M(s) = 1 and no filter.
     """
     controller = designs.unfiltered(designs.corrected(), "").fractional
     for payload in (0.020, 0.030, 0.040):
         crossing = last_crossing(controller, payload)
         pole = designs.closed_loop_poles(controller, designs.link(payload))[0]
-        settling = math.log(50.0) / -pole.real  # an envelope within 2 %
+        # settled when the envelope is within 2 %
+        settling = math.log(50.0) / -pole.real
         yield (
             f"{1e3 * payload:.0f} g",
             crossing.margin,

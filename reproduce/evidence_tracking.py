@@ -1,5 +1,5 @@
-"""Statements of section 7.2, of the abstract and of the conclusions about moves,
-offset, noise and [31].
+"""Statements of section 7.2, the abstract and the conclusions about moves, offset,
+noise and [31].
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from reproduce.runs import move
 
 __all__ = ["TRACKING"]
 
-# of the move of 1 rad, the usual band of the settling time: what "same" and "zero" mean
-# here
+# fraction of the move of 1 rad, the usual band of the settling time: the tolerance of
+# "same" and "zero" here
 _BAND = 0.02
 
 
 def _pairs() -> tuple[designs.Pair, ...]:
-    """The readings with a filter: without one, noise and a sampled law have nothing to
-    say about the rig.
+    """Return the readings with a filter: without one, noise and a sampled law say
+    nothing about the rig.
     """
     as_printed, _, rescaled, _, own = designs.readings()
     return as_printed, rescaled, own
@@ -91,7 +91,7 @@ def _offset_left(published: Published) -> Evidence:
         )
     ]
     for count in (100, 1000, 5000):
-        # What a Grünwald–Letnikov sum of N terms leaves at ω = 0: Γ(N + 1 − β)/(Γ(1 −
+        # The value of a Grünwald–Letnikov sum of N terms at ω = 0: Γ(N + 1 − β)/(Γ(1 −
         # β) N!).
         tail = math.exp(
             math.lgamma(count + 1 - order) - math.lgamma(count + 1)
@@ -107,8 +107,8 @@ def _offset_left(published: Published) -> Evidence:
 
 
 def _compared(pair: designs.Pair, payload: float) -> tuple[bool, str]:
-    """Whether C is stable and further from −1 than C', and both in words, with the
-    vibration of the move.
+    """Return whether C is stable and further from −1 than C', and a description of both
+    with the vibration of the move.
     """
     loops = [sampled(controller, payload) for _, controller in _both(pair)]
     words = []
@@ -117,7 +117,7 @@ def _compared(pair: designs.Pair, payload: float) -> tuple[bool, str]:
         told = f"{margin}, {loop.distance:.2f} from −1" if loop.stable else "unstable"
         left = 1e3 * move(controller, payload).metrics.residual_vibration
         words.append(f"{name} {told}, {left:.0f} mrad")
-    # An unstable C' is the worse one; two unstable loops are no comparison.
+    # A stable C is better than an unstable C'; an unstable C is never better.
     better = loops[0].stable and (
         not loops[1].stable or loops[0].distance > loops[1].distance
     )
@@ -164,7 +164,7 @@ def _damped_at_light(published: Published) -> Evidence:
 
 
 def _better_than_integer(published: Published) -> Evidence:
-    """[31]'s controller is not printed; C', the paper's own stand-in for it, is."""
+    """The controller of [31] is not printed; the paper itself uses C' in its place."""
     rows = []
     for low, high in zip(
         _margins_below(published).readings,
@@ -187,9 +187,7 @@ def _better_than_integer(published: Published) -> Evidence:
 
 
 def _noise_reduced(published: Published) -> Evidence:
-    """|P22| at the Nyquist frequency: what a radian of noise in the tip estimate
-    becomes in θm*.
-    """
+    """|P22| at the Nyquist frequency: θm* per radian of noise in the tip estimate."""
     nyquist = math.pi / designs.rig().period
     rows = []
     for pair in designs.readings():

@@ -1,5 +1,5 @@
 """Figs. 3 to 6, 9 and 10 of the paper, drawn from fraclink's computations; each states
-its data.
+the data it uses.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-WIDTH = 8.6  # inches: a page's width
+WIDTH = 8.6  # inches: width of a page
 _TWIN = (
     "Data of the twin, into which λ = 1.92 was written, not of the laboratory, whose logs are not published: "
     "they show the method and confirm nothing."
@@ -73,7 +73,7 @@ def _identification(
                 linewidth=0.9,
                 label=structure,
             )
-            # Beside the title: inside it would lie on the curves.
+            # Next to the title: inside the axes the legend would cover the curves.
             axes.legend(
                 loc="lower right",
                 bbox_to_anchor=(1.0, 0.97),
@@ -94,7 +94,7 @@ def nyquist_picture() -> Picture:
     """Fig. 9: G and L = Ĉ·G at 30 g."""
     tip = designs.link(0.030).tip()
     c = designs.measured_design().controller
-    # Dense where the mode turns the curve.
+    # The grid is dense near the resonance, where the curve turns quickly.
     w = np.union1d(
         np.geomspace(0.1, 300, 300), 12.2 * np.exp(np.linspace(-0.4, 0.4, 400))
     )

@@ -1,5 +1,5 @@
-"""Figs. 11 to 16: moves under four readings of the controllers, with offset and noise
-of the gauge.
+"""Figs. 11 to 16: moves for four readings of the controllers, with offset and noise of
+the gauge.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def tracking_pictures() -> list[Picture]:
 
 
 def _draw(axes: Axes, run: Run, line: str, color: str, style: object) -> None:
-    # A tripped law leaves the arm to itself: what follows is no tracking.
+    # After the law has tripped, the arm is no longer controlled: the rest is not
+    # tracking.
     alive = np.cumsum(run.mode != 1) == 0
     axes.plot(
         run.time[alive], run.tip_angle[alive], color=color, linestyle=style, label=line
@@ -67,7 +68,7 @@ def _tracking(number: int, payload: float) -> Picture:
                     loops.append(f"{pair.name}, {line}")
                 elif reason.startswith(
                     "unstable"
-                ):  # near enough to −1 for noise to ring it
+                ):  # close enough to −1 that noise makes it oscillate
                     reason = f"noise rings a loop of {loop.margin:.1f}°:{reason.removeprefix('unstable:')}"
                 if not run.verdict.passed:
                     moves.append(f"{pair.name}, {line}: {reason}")
@@ -99,8 +100,8 @@ def _tracking(number: int, payload: float) -> Picture:
 
 
 def _end(loops: list[str], moves: list[str]) -> str:
-    """What a drawing of five seconds may hide: loops that are unstable; and moves that
-    do not hold.
+    """State what a plot of five seconds may hide: unstable loops, and moves that do not
+    hold.
     """
     flag = (
         f"**Unstable loops**: {'; '.join(loops)}."

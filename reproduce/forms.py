@@ -1,5 +1,5 @@
-"""The paper's equations that nothing in the package needs as such: each is a function
-of its own symbols.
+"""The equations of the paper that the package does not use in this form, each as a
+function of its own symbols.
 
 `reproduce.equations` evaluates them, and those of the package, at random points against
 expressions that do not share their algebra. ω₀ is the paper's ϖ throughout.

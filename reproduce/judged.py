@@ -1,5 +1,5 @@
-"""A verdict on a statement, and on each reading of it: none is left out, and none is
-chosen.
+"""The verdict on a statement, and on each of its readings, with no reading left out and
+none preferred.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What the paper identifies from, done on the twin: its pulse, its PRBS, and the fits
-as the paper has them.
+"""The paper's identification repeated on the twin: its pulse, its PRBS, and fits under
+the same conditions.
 
 The laboratory's logs are not published. The twin is an arm into which λ = 1.92 and c =
 1.56 N·m were written, so whatever is fitted here tests the method and the paper's
@@ -28,11 +28,12 @@ __all__ = ["PAYLOADS", "Fitted", "alone", "joint", "pulse_log", "twin_fits"]
 
 PAYLOADS = {"light": 0.020, "nominal": 0.030, "heavy": 0.040}
 AMPLITUDE, WIDTH = 1.0, 7.0  # rad and s, section 3.3
-_LEFT_OF = 0.012  # share of noise in the torque's mean square, as in the bundled logs
+# fraction of noise in the mean square of the torque, as in the bundled logs
+_LEFT_OF = 0.012
 
-# As the paper fits: c is "obtained via direct experimentation" and held, and its AIC
-# counts k = 1, 2, 2, 3, so that neither a gain nor a delay of the gauge can have been
-# fitted beside ϖ, λ, μ and α.
+# As in the paper's fits: c is "obtained via direct experimentation" and fixed, and the
+# AIC counts k = 1, 2, 2, 3, so neither a gain nor a delay of the gauge can have been
+# fitted in addition to ϖ, λ, μ and α.
 STIFFNESS, DELAY = 1.56, 0.0  # N·m/rad and s
 
 

@@ -1,5 +1,5 @@
-"""The loops of (60) under every reading: their last crossing, at one payload and
-against payload.
+"""The loops of (60) for every reading: their last crossover at one payload and over the
+payload.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ __all__ = [
 
 Complex = NDArray[np.complex128]
 
-# s: half a sample of hold and one of computation, at 4 ms; `sampled` has them exactly
+# s: half a sample of hold and one of computation, at 4 ms; `sampled` models both
+# exactly
 LOOP_DELAY = 0.006
 SWEEP = tuple(
     round(0.001 * grams, 3) for grams in range(8, 46)

@@ -1,4 +1,6 @@
-"""Figures of matplotlib in the report's colours, as SVG that is the same every time."""
+"""Figures of matplotlib in the colours of the report, as SVG that is identical on every
+run.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,7 @@ _STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.linewidth": 1.3,
-    "text.parse_math": False,  # a `$` in a file's name is a dollar, not a formula
+    "text.parse_math": False,  # a `$` in a file name is a dollar sign, not a formula
     "svg.fonttype": "path",
     "svg.hashsalt": "fraclink",
     "path.simplify_threshold": 0.2,
@@ -55,7 +57,7 @@ _STYLE: dict[Any, Any] = {
 @contextmanager
 def figure(width: float, height: float) -> Iterator[Figure]:
     """Yield an empty figure of `width` × `height` inches in the report's style."""
-    # `layout` is solved when the figure is drawn, and `svg` draws it inside of the same
+    # The layout is solved when the figure is drawn, and `svg` draws it in the same
     # style.
     with matplotlib.rc_context(_STYLE):
         yield Figure(figsize=(width, height), layout="constrained")
@@ -83,9 +85,8 @@ def svg(drawing: Figure, name: str, description: str) -> str:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    # matplotlib's ids are hashes of coordinates in all their digits, and the layout's
-    # solver does not find the last one twice alike; numbers in the order of the page
-    # are the same every time.
+    # The ids of matplotlib are hashes of coordinates with all digits, the last of which
+    # is not reproducible after the layout's solver. Numbers in order of appearance are.
     order = {
         old: f"{name}-{number}"
         for number, old in enumerate(re.findall(r'\bid="([^"]*)"', text))
@@ -93,8 +94,8 @@ def svg(drawing: Figure, name: str, description: str) -> str:
     text = re.sub(
         r'(\bid="|url\(#|href="#)([^")]*)', lambda at: at[1] + order[at[2]], text
     )
-    # A hundredth of a point is a thirtieth of a screen's dot; more digits are half of
-    # the text, and they differ in the last place between processors.
+    # A hundredth of a point is a thirtieth of a pixel. More digits would be half of the
+    # text, and they differ in the last place between processors.
     text = _PLACES.sub(
         lambda place: re.sub(r"-?\d+\.\d{3,}", _rounded, place.group()), text
     )

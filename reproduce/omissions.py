@@ -1,5 +1,5 @@
-"""What the paper's procedure leaves out and what that costs, in numbers that the paper
-does not print.
+"""What the paper's procedure leaves out and what that costs, in figures that are not in
+the paper.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from reproduce import designs
 __all__ = ["costs", "facts", "sampled_margins"]
 
 Complex = NDArray[np.complex128]
-# periods of delay of a loop with a zero-order hold and one sample of computation
+# delay, in periods, of a loop with a zero-order hold and one sample of computation
 _SAMPLED = 1.5
 _LIGHTEST = {
     "printed": 14.14,
@@ -55,8 +55,8 @@ def costs() -> tuple[tuple[str, float, float], ...]:
 
 @dataclass(frozen=True)
 class _Parts:
-    """What stands in the loop beside Ĉ and the link; delay and period of the sums in s,
-    0 for none.
+    """Parts of the loop besides Ĉ and the link; delay, and period of the sums, in s, 0
+    for none.
     """
 
     filtered: bool = False
@@ -66,7 +66,9 @@ class _Parts:
 
 
 def _margin(which: str, parts: _Parts) -> float:
-    """Phase margin [°] of the procedure's own controller at the last gain crossing."""
+    """Phase margin [°] at the last gain crossover, with the controller from the
+    procedure.
+    """
     designed = designs.printed_design() if which == "printed" else designs.measured()[0]
     delta = designs.rule_filter(which, 2) if parts.filtered else 0.0
     controller = replace(designed.controller, filter_time=delta, filter_order=2)
@@ -85,7 +87,7 @@ def _loop(
 
     def loop(s: Complex) -> Complex:
         value = controller.response(np.imag(s)) * tip(s) * np.exp(-parts.delay * s)
-        if parts.sums:  # the backward difference in place of s
+        if parts.sums:  # backward difference in place of s
             value = (
                 value
                 * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums))
@@ -120,8 +122,8 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
 
 
 def _sums(designed: Design) -> Callable[[NDArray[np.float64]], Complex]:
-    """Ĉ with the paper's backward difference in place of s, all its memory: it lags by
-    β ωTs/2.
+    """Ĉ with the paper's backward difference in place of s and unlimited memory, which
+    adds a lag of β ωTs/2.
     """
     correction, period = designed.controller.correction(), designed.rig.period
     return lambda w: correction(-np.expm1(-1j * w * period) / period)
@@ -162,7 +164,9 @@ def _printed_poles() -> list[tuple[str, str]]:
 
 
 def _inner_radii() -> str:
-    """The spectral radius with 1/s and 1/(s + c) by three rules; Tustin's is the law's."""
+    """The spectral radius for three discretisations of 1/s and 1/(s + c); the law uses
+    Tustin's.
+    """
     rig = designs.rig()
     placed, period = place_pid(rig.motor, rig.motor_loop.pole), rig.period
     c, tustin = placed.filter_pole, placed.discretize(period)
@@ -190,8 +194,8 @@ def _inner_radii() -> str:
 
 
 def _damping(period: float) -> float:
-    """−cos(π/λ), or what is left of it when s is (1 − e^(−sT))/T in the link's
-    denominator.
+    """−cos(π/λ), or what remains of it with (1 − e^(−sT))/T in place of s in the
+    denominator of the link.
     """
     pole = cmath.rect(
         designs.link(0.030).natural_frequency ** (2 / designs.ORDER),

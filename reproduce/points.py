@@ -1,5 +1,5 @@
-"""Random links, loops and crossings, and the independent ways to a value that the
-checks of equations use.
+"""Random links, loops and crossovers, and the independent computations used by the
+checks of equations.
 """
 
 from __future__ import annotations

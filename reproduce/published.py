@@ -1,4 +1,4 @@
-"""What the paper prints, read from reproduce/*.toml, and how far our values agree with
+"""What the paper prints, read from reproduce/*.toml, and how well our values agree with
 it.
 """
 

@@ -1,4 +1,4 @@
-"""RESULTS.md: what came out, as text that is the same on every run."""
+"""RESULTS.md: the results as text that is identical on every run."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def results_text(
 
 def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    # A bar inside a cell (|G|) would end it.
+    # A bar inside a cell (|G|) would end the cell.
     lines += [
         "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
         for row in rows
@@ -114,8 +114,8 @@ def _numbers(published: Published, values: Mapping[str, float]) -> str:
 
 
 def _two_readings(published: Published, values: Mapping[str, float]) -> str:
-    """Table 2's MSE as the paper says that it fits, and with what fraclink fits by
-    default.
+    """The MSE of Table 2 under the conditions the paper states, and with the parameters
+    fraclink fits by default.
     """
     printed = {item.id: item.value for item in published.numbers}
     rows = [
@@ -258,8 +258,8 @@ def _equations(published: Published) -> str:
 
 
 def _name(code: str) -> str:
-    """The public part of a name: private modules move, and the page with them would
-    change for nothing.
+    """The public part of a name, so that the page does not change when private modules
+    are moved.
 
     >>> _name("fraclink.LinkModel.tip"), _name("fraclink._identify.aic")
     ('LinkModel.tip', 'aic')

@@ -1,5 +1,5 @@
-"""The moves of Figs. 11 to 16, simulated with what the paper's rig adds: offset and
-noise of its gauge.
+"""The moves of Figs. 11 to 16, simulated with the offset and the noise of the gauge on
+the paper's rig.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from reproduce import designs
 
 __all__ = ["OFFSET", "move", "tracking_pairs"]
 
-OFFSET = 0.05  # N·m: the paper prints none; its Fig. 14 shows a small one
+OFFSET = 0.05  # N·m: not printed in the paper; its Fig. 14 shows a small one
 DURATION = 5.0  # s, the length of the figures
 
 

@@ -1,5 +1,5 @@
-"""The first page of RESULTS.md: what holds, what is a misprint, what contradicts, what
-needs the logs.
+"""The first page of RESULTS.md: what holds, what is a misprint, what contradicts the
+paper, and what needs the logs.
 """
 
 from __future__ import annotations

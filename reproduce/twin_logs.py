@@ -1,8 +1,8 @@
-"""Logs as a servo-driven rig of the paper would record them: the twin's link behind a hub
-that follows M(s) of equation (21), whatever the link does.
+"""Logs as a servo-driven rig of the paper would record them: the twin's link behind a
+hub that follows M(s) of equation (21), whatever torque the link exerts on it.
 
 The bundled logs (tools/make_logs.py) and the reproduction's own are made here. The twin
-of fraclink has a motor instead; its runs hold what its sensors gave.
+of fraclink has a motor instead, and its runs hold the readings of its sensors.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class TwinLog:
         """Return the file's text."""
         lines = [f"# {key}: {value}" for key, value in self.header.items()]
         lines.append("time_s,motor_angle_rad,torque_Nm")
-        # Nine digits: a thousandth of the finest quantum, and short files.
+        # Nine digits resolve a thousandth of the finest quantum and keep the files
+        # short.
         rows = np.column_stack([self.time, self.motor_angle, self.torque]).tolist()
         lines += [f"{t:.9g},{a:.9g},{g:.9g}" for t, a, g in rows]
         return "\n".join(lines) + "\n"
@@ -86,11 +87,12 @@ def simulate_log(
     free = assemble(beam, damping, modes=modes, step=fine, hub_inertia=1.0)
     plant = on_servo(free, pole)
     inputs = np.repeat(reference[:-1] - reference[0], count)
-    # Linear and at rest at first: only the angles know where zero is.
+    # Linear and initially at rest: an offset only affects the angles.
     outputs = np.vstack([np.zeros(6), marched(plant, inputs, fine)])
     hub = outputs[::count, 0] + reference[0]
     torque = outputs[:, 3]
-    # Delayed at the fine steps, then sampled: a delay of half a period is not rounded.
+    # The delay is applied at the fine steps before sampling, so a delay of half a
+    # period is not rounded.
     oldest, weights = delay_line(gauge_delay / fine)
     late = np.concatenate([np.zeros(oldest), torque])
     parts = (w * late[i : i + torque.size] for i, w in enumerate(weights) if w)

@@ -1,4 +1,4 @@
-"""Our value of everything the paper prints, by the names that published.toml uses."""
+"""Our value of everything the paper prints, under the names used by published.toml."""
 
 from __future__ import annotations
 
@@ -30,13 +30,12 @@ def computed(published: Published) -> Mapping[str, float]:
 
 
 def _used() -> dict[str, float]:
-    """Every datum of the paper that is an input here, read from where the computations
+    """Every datum of the paper that is an input here, taken from where the computations
     take it.
     """
     arm, pulse = designs.rig(), logs.pulse_log().header
-    density = (
-        1600.0  # kg/m³, of a carbon rod: the paper prints neither mass nor material
-    )
+    # kg/m³, of a carbon rod: neither mass nor material is printed in the paper
+    density = 1600.0
     return {
         "used.inertia": arm.motor.inertia,
         "used.viscous_friction": arm.motor.viscous_friction,
@@ -127,8 +126,8 @@ def _designs() -> dict[str, float]:
 
 
 def _fits() -> dict[str, float]:
-    """Tables 2 and 3 on the twin under the paper's conditions, and with gain and delay
-    fitted as well.
+    """Tables 2 and 3 on the twin, under the conditions of the paper and with gain and
+    delay fitted in addition.
     """
     values: dict[str, float] = {}
     for name in ("pulse", *PAYLOADS):
