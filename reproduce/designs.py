@@ -61,8 +61,8 @@ PRINTED: dict[str, Controller] = {
 
 @dataclass(frozen=True)
 class Pair:
-    """A controller from the fractional model, C, and its rival from the integer model,
-    C'.
+    """A controller from the fractional model, C, and the corresponding one from the
+    integer model, C'.
     """
 
     name: str
@@ -93,8 +93,8 @@ def carried_out(
     margin: float = math.radians(MARGIN_DEG),
     **options: object,
 ) -> Design:
-    """Section 6 for ω₀ from `low` to `high`: M(s) = 1, `crossover` [rad/s] and `margin`
-    [rad] at its ends.
+    """Section 6 carried out for ω₀ from `low` to `high`, with M(s) = 1, and with
+    `crossover` [rad/s] and `margin` [rad] at the ends.
     """
     model = LinkModel(
         rig().link.stiffness, nominal, order=ORDER, payload=rig().payloads.nominal
@@ -164,7 +164,7 @@ def measured() -> tuple[Design, float]:
 
 @cache
 def printed() -> Pair:
-    """(58) and (59) as they are printed."""
+    """(58) and (59) as printed."""
     pair = (_on_link(PRINTED["(58)"], ORDER), _on_link(PRINTED["(59)"], 2.0))
     return Pair("printed (58), (59)", *pair)
 
@@ -191,8 +191,8 @@ def _with_filter(name: str, pair: Pair, time: float) -> Pair:
 
 @cache
 def readings() -> tuple[Pair, ...]:
-    """Every way to read the paper's two controllers: as printed, and as its own
-    procedure gives them.
+    """Every reading of the paper's two controllers: as printed, and as given by its own
+    procedure.
     """
     return (
         Pair(
@@ -246,8 +246,8 @@ def corrected() -> Pair:
 
 @cache
 def in_loop() -> Pair:
-    """Designed on the loop that runs (12 rad/s, 50°, 10 % rule), and λ = 2 matched at
-    30 g in that loop.
+    """A design on the loop that actually runs (12 rad/s, 50°, 10 % rule), and λ = 2
+    matched at 30 g in that loop.
     """
     base = designed_in_loop(ruled=True)
     return Pair("in the loop", base.controller, _matched_in_loop(base))

@@ -39,7 +39,7 @@ class _Board:
         self.axes.text(x, y, text, ha="center", va="center", fontsize=8.5, color=color)
 
     def sum(self, x: float, y: float, *signs: tuple[float, float, str]) -> None:
-        """A circle where signals add, with (dx, dy, sign) beside it."""
+        """A circle where signals are added, with (dx, dy, sign) next to it."""
         self.axes.plot(
             x,
             y,
@@ -53,7 +53,7 @@ class _Board:
             self.axes.text(x + dx, y + dy, sign, ha="center", va="center", fontsize=8.5)
 
     def arrow(self, *points: tuple[float, float], color: str = INK) -> None:
-        """A line through the points, with a head at its end."""
+        """A line through the points with an arrowhead at its end."""
         xs, ys = zip(*points, strict=True)
         self.axes.plot(xs[:-1], ys[:-1], color=color, linewidth=1.0)
         self.axes.annotate(

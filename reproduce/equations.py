@@ -1,14 +1,14 @@
-"""Each numbered equation evaluated at random points: as printed, by the code that is
-it, and independently.
+"""Each numbered equation evaluated at random points: as printed, by the code that
+implements it, and independently.
 
     right     print and code agree with the independent expression at every point
-    misprint  the code does, the print does not
+    misprint  only the code agrees with the independent expression
 
 The independent expression shares no algebra with the other two: it solves the physical
-equations as a linear system, differentiates numerically, finds a crossing by bisection,
-or maximises a modulus. The code of a row is whatever equations.toml names; it is looked
-up by that name and called, so a row that names another function, or another verdict,
-fails.
+equations as a linear system, differentiates numerically, finds a crossover by
+bisection, or maximises a modulus. The code of a row is the function named in
+equations.toml; it is looked up by name and called, so a row with the wrong function or
+the wrong verdict fails.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CHECKS: Mapping[str, Check] = {**MODEL, **CONTROL, **DESIGN}
 
 @dataclass(frozen=True)
 class Found:
-    """The largest relative difference of print and of code from the independent
+    """The largest relative difference of the print and of the code from the independent
     expression.
     """
 
@@ -45,15 +45,15 @@ class Found:
 
     @property
     def verdict(self) -> str:
-        """Right, a misprint, or "wrong" where the code is not the equation."""
+        """Right, a misprint, or "wrong" if the code does not implement the equation."""
         if not self.code <= TOLERANCE:
             return "wrong"
         return "right" if self.printed <= TOLERANCE else "misprint"
 
 
 def code_of(name: str) -> Any:
-    """The object that a dotted name means; AttributeError or ModuleNotFoundError where
-    there is none.
+    """The object with a dotted name; AttributeError or ModuleNotFoundError if there is
+    none.
     """
     parts = name.split(".")
     for cut in range(len(parts), 0, -1):
@@ -68,8 +68,8 @@ def code_of(name: str) -> Any:
 
 
 def measured(equation: Equation) -> Found:
-    """Evaluate an equation's three sides at its random points; the same points on every
-    run.
+    """Evaluate the three sides of an equation at its random points, which are the same
+    on every run.
     """
     check, code = CHECKS[equation.number], code_of(equation.code)
     draw = np.random.default_rng([_SEED, int(equation.number.strip("()"))])

@@ -50,13 +50,13 @@ class _Placed:
 
     @property
     def ideal(self) -> complex:
-        """M(s): four poles at −p and two zeros there, gain one at s = 0."""
+        """M(s): four poles and two zeros at −p, with unit gain at s = 0."""
         poles, zeros = np.poly([-self.pole] * 4), np.poly([-self.pole] * 2)
         scale = poles[-1] / zeros[-1]
         return complex(scale * np.polyval(zeros, self.s) / np.polyval(poles, self.s))
 
     def coefficients(self) -> dict[str, float]:
-        """c, a0, a1, a2, b0, b1 that put all poles and both zeros at −p."""
+        """c, a0, a1, a2, b0 and b1 that place all poles and both zeros at −p."""
         m, p = self.motor, self.pole
         gain, decay = m.torque_constant / m.inertia, m.viscous_friction / m.inertia
         names = ("c", "a0", "a1", "a2", "b0", "b1")
@@ -185,7 +185,7 @@ class _Outer:
         return np.array([found[0], found[3]])
 
     def printed(self, *, divided: bool) -> Complex:
-        """(24) or (25) as they are printed, with s^λ where s^λ/ω₀² should be."""
+        """(24) or (25) as printed, with s^λ instead of s^λ/ω₀²."""
         square, c, m, x = (
             self.link.natural**2,
             1.0 + self.correction,

@@ -99,11 +99,11 @@ def _compare(
     shown: Callable[[Curves, int], str],
     masses: Sequence[float],
 ) -> Evidence:
-    """One row a reading: the test at each of `masses`, the values at the payloads that
-    section 7 names.
+    """Return one row per reading: the test at each of `masses`, and the values at the
+    payloads named in section 7.
 
-    A test returns None where a loop does not cross: there is nothing to compare, and
-    the row says so.
+    A test returns None if a loop has no crossover: then there is nothing to compare,
+    which the row states.
     """
     rows = []
     for item in _every():

@@ -34,7 +34,7 @@ def _printed(
 
 
 def ratios_of_table_3(published: Published, structure: str) -> tuple[float, float]:
-    """ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g) as Table 3 prints them."""
+    """ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g) as printed in Table 3."""
     light, nominal, heavy = (
         _printed(published, structure, name, "varpi") for name in PAYLOADS
     )

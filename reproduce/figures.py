@@ -139,7 +139,7 @@ def nyquist_picture() -> Picture:
 
 
 def margin_pictures() -> list[Picture]:
-    """Fig. 10: crossover and margin against payload, under four readings of the
+    """Fig. 10: crossover and margin against payload, for four readings of the
     controllers.
     """
     return [
@@ -174,7 +174,9 @@ _DRAWN = (0.008, 0.016, 0.020, 0.030, 0.040)  # kg, the payloads of section 7
 
 
 def unstable(pair: designs.Pair, payloads: tuple[float, ...] = _DRAWN) -> str:
-    """In words, which loops of 4 ms are unstable at which of the payloads; by Nyquist."""
+    """Describe which loops of 4 ms are unstable at which of the payloads, by the
+    Nyquist criterion.
+    """
     parts = []
     for name, controller in (("C", pair.fractional), ("C'", pair.integer)):
         at = [f"{1e3 * m:g}" for m in payloads if not sampled(controller, m).stable]

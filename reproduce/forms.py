@@ -57,7 +57,7 @@ def square_of_modulus(w: float, natural: float, order: float) -> float:
 
 
 def derivative_of_modulus(w: float, natural: float, order: float) -> float:
-    """∂|f|²/∂ω of (13), with the factor 2λω^(λ−1) that the print leaves out."""
+    """∂|f|²/∂ω of (13), with the factor 2λω^(λ−1), which is missing in print."""
     return float(
         2.0 * order * w ** (order - 1.0) * (w**order + natural**2 * _cosine(order))
     )
@@ -101,8 +101,8 @@ def closed_loop(
     *,
     divided: bool,
 ) -> Complex:
-    """P(s) of (25), or of (24) with G divided out: (θt, θm*) from (θt*, d), with
-    s^λ/ω₀² for s^λ.
+    """P(s) of (25), or of (24) divided by G: (θt, θm*) from (θt*, d), with s^λ/ω₀² for
+    s^λ.
     """
     square, correction = natural**2, controller - 1.0
     if divided:
@@ -120,8 +120,8 @@ def closed_loop(
 
 
 def offset_error(correction: float) -> float:
-    """What an offset of 1 in the tip estimate leaves in θt by (27), for Ĉ(0) =
-    `correction` and M(0) = 1.
+    """The error in θt that an offset of 1 in the tip estimate leaves by (27), for Ĉ(0)
+    = `correction` and M(0) = 1.
     """
     return -correction / (1.0 + correction) + 0.0
 
@@ -131,7 +131,7 @@ def offset_error(correction: float) -> float:
 
 @dataclass(frozen=True)
 class Crossing:
-    """A crossing of (34): k_d, β, λ, ω₀ and ω_c [rad/s], where |L(jω_c)| = 1."""
+    """A crossover of (34): k_d, β, λ, ω₀ and ω_c [rad/s], where |L(jω_c)| = 1."""
 
     gain: float
     beta: float
@@ -165,8 +165,8 @@ class Crossing:
 
     @property
     def denominator(self) -> float:
-        """The denominator of (48), (49) and (52); its sign is that of minus the slope
-        of |L|.
+        """The denominator of (48), (49) and (52), whose sign is opposite to that of the
+        slope of |L|.
         """
         ahead = (
             (self.order - self.beta)
@@ -179,7 +179,9 @@ class Crossing:
 
 
 def inequality_37(w: float, natural: float, order: float) -> tuple[float, float]:
-    """Both sides of (37): the denominator of (36), and the square that it is not below."""
+    """Both sides of (37): the denominator of (36), and the square that is its lower
+    bound.
+    """
     power, square = w**order, natural**2
     return power**2 + 2.0 * square * _cosine(order) * power + square**2, (
         power - square
@@ -187,7 +189,7 @@ def inequality_37(w: float, natural: float, order: float) -> tuple[float, float]
 
 
 def inequality_41(at: Crossing) -> tuple[float, float]:
-    """The two terms of (41): 0 < first ≤ second where (39) holds."""
+    """The two terms of (41): 0 < first ≤ second if (39) holds."""
     return at.square / at.cosine + at.power, at.cosine * at.square + at.power
 
 
@@ -204,7 +206,7 @@ def margin_rate_from_crossover(at: Crossing, rate: float) -> float:
 
 
 def differential(at: Crossing) -> tuple[float, float]:
-    """The two coefficients of (46), of dω₀ and of dω_c, with k_d in them."""
+    """The two coefficients of (46), of dω₀ and of dω_c, which contain k_d."""
     first = (at.gain**2 * at.frequency ** (2.0 * at.beta) - 1.0) * at.natural**3
     first -= at.cosine * at.natural * at.power
     second = at.beta * at.gain**2 * at.square**2 * at.frequency ** (2.0 * at.beta - 1.0)
@@ -214,7 +216,7 @@ def differential(at: Crossing) -> tuple[float, float]:
 
 
 def differential_at_crossing(at: Crossing) -> tuple[float, float]:
-    """The two coefficients of (47), k_d taken out by (43)."""
+    """The two coefficients of (47), with k_d eliminated by (43)."""
     first = 2.0 * at.power / at.natural * (at.power + at.square * at.cosine)
     return first, -at.denominator / at.frequency
 
@@ -236,7 +238,7 @@ def margin_rate(at: Crossing) -> float:
 
 
 def reserve(at: Crossing) -> float:
-    """h(ω₀) of (50): negative where (39) holds."""
+    """h(ω₀) of (50), which is negative where (39) holds."""
     return at.square + at.cosine * at.power
 
 
@@ -257,8 +259,8 @@ def rate_of_reserve(at: Crossing) -> float:
 def reserve_by_integral(
     start: Crossing, rates: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> float:
-    """h at the end of a range of ω₀ by (53): h at its start and the integral of dh/dω₀
-    by a quadrature.
+    """h at the end of a range of ω₀ by (53): its value at the start plus the integral
+    of dh/dω₀ by quadrature.
     """
     return reserve(start) + float(rates @ weights)
 
@@ -266,7 +268,7 @@ def reserve_by_integral(
 def loop_value(
     w: float, gain: float, beta: float, order: float, natural: float
 ) -> complex:
-    """L(jω) of (34) by powers of a complex base, for what needs no class."""
+    """L(jω) of (34) by powers of a complex base, where no class is needed."""
     return (
         gain
         * cmath.exp(beta * cmath.log(1j * w))

@@ -15,7 +15,7 @@ LOGS = "not testable without the logs"
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to take a statement: which controllers on which loop, what was found, and
+    """One reading of a statement: which controllers on which loop, what was found, and
     the verdict.
     """
 
@@ -26,8 +26,8 @@ class Reading:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What was measured, in words, the verdict, and the readings that it follows from,
-    if several.
+    """What was measured, in words, the verdict, and the readings it is based on, if
+    there are several.
     """
 
     text: str

@@ -52,7 +52,7 @@ class Fitted:
 
 @cache
 def pulse_log() -> TwinLog:
-    """The pulse of section 3.3, 1 rad for 7 s at 30 g, on the arm and the sensors of
+    """The pulse of section 3.3, 1 rad for 7 s at 30 g, with the arm and the sensors of
     the bundled logs.
     """
     rig = designs.rig()
@@ -93,8 +93,8 @@ def _log(name: str) -> Experiment:
 
 @cache
 def alone(name: str, *, free: bool) -> dict[str, Fitted]:
-    """The four structures fitted to one log, every sample of it; `free`: with gain and
-    delay fitted, too.
+    """The four structures fitted to all samples of one log; `free`: gain and delay are
+    fitted as well.
     """
     log = _log(name)
     if free:
@@ -111,8 +111,8 @@ def alone(name: str, *, free: bool) -> dict[str, Fitted]:
 
 @cache
 def joint(structure: str, *, free: bool, tied: bool = False) -> JointFit:
-    """One structure fitted to the three PRBS logs with λ, or α and μ, common to them,
-    as Table 3 has it.
+    """One structure fitted to the three PRBS logs, with common λ, or common α and μ, as
+    in Table 3.
     """
     logs = [_log(name) for name in PAYLOADS]
     if free:

@@ -43,9 +43,9 @@ SWEEP = tuple(
 
 @dataclass(frozen=True)
 class Crossing:
-    """The last gain crossing of a loop: frequency [rad/s] and phase margin [°]; and for
-    the whole loop whether it is stable, and its distance from −1, which a loop without
-    a crossing has, too.
+    """The last gain crossover of a loop: frequency [rad/s] and phase margin [°]; also
+    whether the whole loop is stable, and its distance from −1, which exist without a
+    crossover, too.
     """
 
     frequency: float
@@ -74,8 +74,8 @@ def open_loop(
     delay: float = 0.0,
     order: float = designs.ORDER,
 ) -> Callable[[Complex], Complex]:
-    """Ĉ·G of (60) at `payload` [kg], with M(s) if `motor` and a delay [s]; a function
-    of s on the axis.
+    """Ĉ·G of (60) at `payload` [kg], with M(s) if `motor`, and with a delay [s], as a
+    function of s on the imaginary axis.
     """
     tip = designs.link(payload, order).tip()
 
@@ -97,7 +97,7 @@ def last_crossing(
     delay: float = 0.0,
     order: float = designs.ORDER,
 ) -> Crossing:
-    """The crossing of Ĉ·G, with M(s) if `motor`, at `payload` [kg]; NaN where |L| < 1
+    """The last crossover of Ĉ·G at `payload` [kg], with M(s) if `motor`; NaN if |L| < 1
     everywhere.
     """
     loop = open_loop(controller, payload, motor=motor, delay=delay, order=order)
@@ -120,8 +120,8 @@ def _last(found: Margins) -> Crossing:
 
 @cache
 def sampled(controller: Controller, payload: float) -> Crossing:
-    """The crossing of the loop that runs: the shipped law, M(s), 4 ms, one sample,
-    exactly sampled.
+    """The last crossover of the loop that actually runs, exactly sampled: the shipped
+    law, M(s), 4 ms and one sample of delay.
     """
     arm = designs.rig()
     law = discretize(controller, arm.period, precision="double")
@@ -136,8 +136,8 @@ def sampled(controller: Controller, payload: float) -> Crossing:
 
 @dataclass(frozen=True)
 class Curves:
-    """The four loops of (60) against payload, one crossing for each mass of `SWEEP`, by
-    their names.
+    """The four loops of (60) against payload, by name, with one crossover for each mass
+    of `SWEEP`.
     """
 
     pair: designs.Pair
@@ -146,7 +146,7 @@ class Curves:
 
 @cache
 def curves(pair: designs.Pair) -> Curves:
-    """L_M, L'_M, LM_M and LM'_M of a pair, all on λ = 1.92, as (60) has them."""
+    """L_M, L'_M, LM_M and LM'_M of a pair, all with λ = 1.92, as in (60)."""
     return Curves(
         pair,
         {

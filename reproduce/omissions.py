@@ -130,7 +130,7 @@ def _sums(designed: Design) -> Callable[[NDArray[np.float64]], Complex]:
 
 
 def facts() -> tuple[tuple[str, str], ...]:
-    """What else was found, as (what, our value)."""
+    """Other findings, as (what, our value)."""
     return (
         *(
             (f"dominant poles at 30 g with {number} as printed and M(s)", text)

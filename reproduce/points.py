@@ -35,8 +35,8 @@ Sides = tuple[ArrayLike, ArrayLike, ArrayLike]  # printed, code, independent
 
 @dataclass(frozen=True)
 class Check:
-    """How one equation is evaluated: `sides(code, draw)` at one random point, and at
-    how many points.
+    """How one equation is evaluated: `sides(code, draw)` at one random point, and the
+    number of points.
     """
 
     sides: Callable[[Any, np.random.Generator], Sides]
@@ -61,19 +61,19 @@ class Mass:
 
     @property
     def natural(self) -> float:
-        """ω₀, without the root: from the energy balance ½ m L² ω₀² = ½ c."""
+        """ω₀ from the energy balance ½ m L² ω₀² = ½ c, by logarithms instead of a root."""
         return math.exp(0.5 * (math.log(self.stiffness) - math.log(self.inertia)))
 
     @property
     def link(self) -> LinkModel:
-        """The link that the package makes of it."""
+        """The same link as an object of the package."""
         return LinkModel(
             self.stiffness, self.natural, self.order, self.damping, self.damping_order
         )
 
     def solved(self, s: complex) -> tuple[complex, complex]:
         """(θt, Γ) for θm = 1: Newton's law with the restoring torque, and the strain
-        that the gauge reads.
+        measured by the gauge.
         """
         pull = (
             self.inertia * self.damping * power(s, self.damping_order) + self.stiffness
@@ -94,7 +94,7 @@ def power(s: complex, order: float) -> complex:
 
 
 def mass(draw: np.random.Generator, *, order: float | None = None) -> Mass:
-    """A random payload on a random link, 1 < λ < 2 unless `order` says it."""
+    """A random payload on a random link; 1 < λ < 2 unless `order` is given."""
     found = draw.uniform(1.05, 1.98) if order is None else order
     return Mass(
         draw.uniform(0.5, 3.0),
@@ -112,8 +112,8 @@ def somewhere(draw: np.random.Generator, scale: float) -> complex:
 def slope_of(
     function: Callable[[float], float], at: float, step: float = 1e-3
 ) -> float:
-    """d/dx by five points; the error is 1e-12 of the fourth derivative for a step of
-    1e-3.
+    """d/dx by a five-point formula; the error is h⁴/30 times the fifth derivative, with
+    h = `step`·`at`.
     """
     h = step * at
     near, far = (
@@ -124,7 +124,7 @@ def slope_of(
 
 
 def random_crossing(draw: np.random.Generator) -> forms.Crossing:
-    """A crossing of (34) that meets (39), with ω₀ > 1 and 0 < β < λ."""
+    """A random crossover of (34) that meets (39), with ω₀ > 1 and 0 < β < λ."""
     order = float(draw.uniform(1.1, 1.97))
     beta, natural = (
         order * float(draw.uniform(0.1, 0.9)),
@@ -138,8 +138,8 @@ def random_crossing(draw: np.random.Generator) -> forms.Crossing:
 
 
 def crossing_at(of: forms.Crossing, natural: float) -> forms.Crossing:
-    """The crossing of the same controller at another ω₀, by bisection right of the
-    torque's resonance.
+    """The crossover with the same controller at another ω₀, by bisection above the
+    resonance of the torque.
     """
 
     def level(w: float) -> float:

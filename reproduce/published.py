@@ -37,8 +37,8 @@ _CLAIMS = ("holds", "does not hold", "holds in part", "not testable without the 
 
 @dataclass(frozen=True)
 class Number:
-    """One printed number: where it stands, its printed digits, the name of our
-    computation, the verdict.
+    """One printed number: where it is printed, its digits, the name of our computation,
+    and the verdict.
     """
 
     id: str
@@ -60,7 +60,7 @@ class Number:
 @dataclass(frozen=True)
 class Equation:
     """One numbered equation, the function that implements it, and whether it is printed
-    right.
+    correctly.
     """
 
     number: str
@@ -84,7 +84,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Published:
-    """Everything that the paper prints."""
+    """Everything the paper prints."""
 
     source: str
     numbers: tuple[Number, ...]
@@ -115,8 +115,8 @@ def agreement(printed: float, ours: float) -> float:
 
 
 def read_published(folder: Path) -> Published:
-    """Read numbers, equations and claims from `folder`; FileFormatError names what is
-    wrong.
+    """Read numbers, equations and claims from `folder`; a FileFormatError states what
+    is wrong.
     """
     numbers = _read(folder / "published.toml")
     rest = _read(folder / "equations.toml") | _read(folder / "claims.toml")

@@ -36,7 +36,7 @@ def move(controller: Controller, payload: float) -> Run:
 
 
 def tracking_pairs() -> tuple[designs.Pair, ...]:
-    """The pairs of the figures: as printed, with δ read as 0.0016 s, corrected, and
+    """The pairs in the figures: as printed, with δ read as 0.0016 s, corrected, and
     fraclink's own.
     """
     return designs.printed(), designs.rescaled(), designs.corrected(), designs.in_loop()

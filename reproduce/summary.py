@@ -53,7 +53,7 @@ PAGE = "../docs/explanation/if-you-are-the-authors.md"
 
 
 def summary(published: Published, values: Mapping[str, float]) -> str:
-    """Return the summary, its counts and lists from the verdicts themselves."""
+    """Return the summary, with its counts and lists taken from the verdicts."""
     by = {
         verdict: [c for c in published.claims if c.verdict == verdict]
         for verdict in (HOLDS, PART, NOT, LOGS)

@@ -26,8 +26,8 @@ EXACT, QUIET = Encoder(), Gauge()
 
 @dataclass(frozen=True)
 class TwinLog:
-    """time [s], motor_angle [rad], torque [N·m] as the sensors gave them, the truth
-    beside them, and the lines of the file's head.
+    """time [s], motor_angle [rad] and torque [N·m] as measured by the sensors, the true
+    values, and the header lines of the file.
     """
 
     time: Real
@@ -38,7 +38,7 @@ class TwinLog:
     header: Mapping[str, str]
 
     def text(self) -> str:
-        """Return the file's text."""
+        """Return the text of the file."""
         lines = [f"# {key}: {value}" for key, value in self.header.items()]
         lines.append("time_s,motor_angle_rad,torque_Nm")
         # Nine digits resolve a thousandth of the finest quantum and keep the files
@@ -49,8 +49,8 @@ class TwinLog:
 
 
 def on_servo(plant: Plant, pole: float = 80.0) -> Plant:
-    """Return the plant with its hub behind v̇ = p²(θ* − θm) − 2 p v: M(s) of (21), without
-    the link's moment on it.
+    """Return the plant with its hub driven by v̇ = p²(θ* − θm) − 2 p v: M(s) of (21),
+    without the moment of the link.
     """
     dynamics, inputs = plant.dynamics.copy(), plant.inputs.copy()
     dynamics[1], inputs[1] = 0.0, 0.0
@@ -59,7 +59,9 @@ def on_servo(plant: Plant, pole: float = 80.0) -> Plant:
 
 
 def marched(plant: Plant, inputs: Real, step: float) -> Real:
-    """Return the outputs after each step [s] of an input held over it, from rest."""
+    """Return the outputs after each step [s] of an input that is constant over the
+    step, starting from rest.
+    """
     exact = plant.discretise(step)
     states = np.zeros((len(inputs) + 1, exact.hub.size))
     for k, value in enumerate(inputs.tolist()):
@@ -81,7 +83,9 @@ def simulate_log(
     seed: int = 0,
     title: str = "",
 ) -> TwinLog:
-    """Return the log of a hub reference [rad], one value per period, held over it."""
+    """Return the log for a hub reference [rad] with one value per period, held over the
+    period.
+    """
     count = substeps(period, LONGEST_STEP)
     fine = period / count
     free = assemble(beam, damping, modes=modes, step=fine, hub_inertia=1.0)

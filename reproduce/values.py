@@ -19,7 +19,7 @@ _FREE = {"UD-IOM": 1, "D-IOM": 2, "UD-FOM": 2, "D-FOM": 3}
 
 
 def computed(published: Published) -> Mapping[str, float]:
-    """Every value that we can compute, by name."""
+    """Every value we can compute, by name."""
     return {
         **_used(),
         **_law_of_payloads(),
@@ -156,7 +156,7 @@ def _fits() -> dict[str, float]:
 
 
 def joint_models(free: bool) -> tuple[float, tuple[float, float]]:
-    """λ of UD-FOM, and (α, μ) of D-FOM, each common to the twin's three PRBS logs."""
+    """λ of UD-FOM, and (α, μ) of D-FOM, each common to the three PRBS logs of the twin."""
     damped = logs.joint("D-FOM", free=free).models[0]
     return logs.joint("UD-FOM", free=free).models[0].order, (
         damped.damping_order,
