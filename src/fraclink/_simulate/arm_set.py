@@ -299,8 +299,8 @@ class WorstCase:
     @property
     def carried(self) -> str:
         """The payloads, and whether they were given to the law."""
-        given = "given" if self.told else "not given"
-        return f"{span(*self.payloads, 'g')}, payload {given}"
+        state = "given" if self.told else "not given"
+        return f"{span(*self.payloads, 'g')}, payload {state}"
 
     def overview(self) -> Overview:
         """The arm that settles last, and every arm of the set."""

@@ -150,20 +150,20 @@ class Run(Saved):
     @property
     def carried(self) -> str:
         """The payload at the tip, and what the law was given of it."""
-        given, payload = (
+        law_payload, payload = (
             self.about.get("payload_given", 0.0),
             quantity(self.payload, "g"),
         )
-        if not given:
+        if not law_payload:
             return payload
-        if given == "estimated":
+        if law_payload == "estimated":
             estimate = float(self.extras["payload_estimate"][-1])
             return f"{payload}, estimated {quantity(estimate, 'g') if estimate else 'not yet'}"
         # If the given value equals the payload it is the same as "told"; any other
         # number is a wrong payload given to the law, and both are shown.
-        if isinstance(given, str) or given == self.payload:
+        if isinstance(law_payload, str) or law_payload == self.payload:
             return f"{payload}, given"
-        return f"{payload}, given {quantity(given, 'g')}"
+        return f"{payload}, given {quantity(law_payload, 'g')}"
 
     @property
     def rows(self) -> tuple[Row, ...]:
