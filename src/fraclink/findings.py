@@ -163,11 +163,11 @@ class Verdict:
         """The worst state of the scopes; no record of the arm itself is none of them, and
         a record of the arm stands in for the twin where that was not run.
         """
-        judged = [self.promise, self.model]
-        judged += [
+        scopes = [self.promise, self.model]
+        scopes += [
             scope for scope in (self.twin, self.arm) if scope.state != "not run"
         ] or [self.twin]
-        states = {scope.state for scope in judged}
+        states = {scope.state for scope in scopes}
         return next(state for state in _WORST_FIRST if state in states)
 
     @property

@@ -43,10 +43,10 @@ def step_values(quotient: Quotient, times: Reals, *, more: int = 0) -> Reals:
     than for its order at 0.
     """
     values = np.empty(len(times))
-    needed = _needed(quotient, times) if len(times) else np.empty(0, np.intp)
+    counts = _needed(quotient, times) if len(times) else np.empty(0, np.intp)
     size = _CHUNK if quotient.is_sparse else 1
-    for nodes in sorted(set(needed.tolist())):
-        place = np.flatnonzero(needed == nodes)
+    for nodes in sorted(set(counts.tolist())):
+        place = np.flatnonzero(counts == nodes)
         for k in range(0, len(place), size):
             part = place[k : k + size]
             values[part] = _on_parabola(quotient, times[part], nodes + more)

@@ -140,22 +140,24 @@ def _grown(
     """The fractions of the order given; otherwise those of the lowest order that meets
     the tolerances, or the best found.
     """
-    grown: list[list[PartialFractions]] = []
+    generations: list[list[PartialFractions]] = []
     finished: dict[int, PartialFractions] = {}
     for here in grow(target, plane, highest if order is None else order, pairs=pairs):
-        grown.append(here)
+        generations.append(here)
         # The full sequence of norms lowers the error of the quick ones by 10 to 20 %.
         if order is None and score(here[0], target) <= 1.3:
-            fit = finished[len(grown) - 1] = finish(here, target)
+            fit = finished[len(generations) - 1] = finish(here, target)
             if score(fit, target) <= _WITHIN:
                 return fit
     if order is not None:
-        return finish(grown[-1], target)
+        return finish(generations[-1], target)
     # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
     # change ranks.
-    likely = sorted(range(len(grown)), key=lambda k: score(grown[k][0], target))[:2]
+    likely = sorted(
+        range(len(generations)), key=lambda k: score(generations[k][0], target)
+    )[:2]
     candidates = [
-        finished[k] if k in finished else finish(grown[k], target) for k in likely
+        finished[k] if k in finished else finish(generations[k], target) for k in likely
     ]
     return min(candidates, key=lambda fit: score(fit, target))
 
@@ -334,18 +336,18 @@ class DiscreteRational:
         """
         sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
         real, pair = fit.real_gains * sigma / (1 + sigma), fit.pair_gains * q / (1 + q)
-        decays, turned = (1 - sigma) / (1 + sigma), (1 - q) / (1 + q)
-        gains = pair * (1 + turned)
+        decays, pole_values = (1 - sigma) / (1 + sigma), (1 - q) / (1 + q)
+        gains = pair * (1 + pole_values)
         # The map (1 − q)/(1 + q) reverses the sign of Im q; the law keeps the pole of
         # each pair that has Im > 0.
-        below = turned.imag < 0
+        below = pole_values.imag < 0
         return cls(
             period=period,
             zeros_at_one=zeros_at_one,
             feedthrough=float(fit.direct + real.sum() + pair.real.sum()),
             decays=decays,
             gains=real * (1 + decays),
-            pole_decays=np.where(below, turned.conj(), turned),
+            pole_decays=np.where(below, pole_values.conj(), pole_values),
             pole_gains=np.where(below, gains.conj(), gains),
             band=band,
         )

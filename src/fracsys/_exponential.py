@@ -117,8 +117,8 @@ class ExponentialSum:
             # nothing new.
             if a.size > PIECE_LIMIT or np.min(np.abs(b - a)) < 1e-13:
                 raise NearZeroError(a.size)
-            turned, sure = self._pieces(a, b)
-            total += float(turned[sure].sum())
+            phase, sure = self._pieces(a, b)
+            total += float(phase[sure].sum())
             # Only uncertain pieces are halved: their number grows with the zeros beside
             # the path, not with its length.
             a, b = a[~sure], b[~sure]
@@ -146,17 +146,17 @@ class ExponentialSum:
             np.abs(left), np.abs(right)
         )  # e^((ν−c)x) is monotone between the ends
         radius, gap = 0.5 * np.abs(b - a), nu - c
-        strayed, power = ROUNDING * moduli.sum(axis=0), np.ones_like(radius)
+        remainder, power = ROUNDING * moduli.sum(axis=0), np.ones_like(radius)
         for j in (1, 2, 3):
             centre_terms = centre * gap**j
             power = power * radius / j
-            strayed = strayed + power * np.abs(centre_terms.sum(axis=0))
-        strayed = strayed + power * radius / 4 * (moduli * gap**4).sum(axis=0)
-        sure = strayed < np.abs(centre.sum(axis=0))
+            remainder = remainder + power * np.abs(centre_terms.sum(axis=0))
+        remainder = remainder + power * radius / 4 * (moduli * gap**4).sum(axis=0)
+        sure = remainder < np.abs(centre.sum(axis=0))
         # Both ends lie in a disc that does not contain the origin: the principal
         # argument of their quotient is the phase change.
-        turned = np.angle(right.sum(axis=0) * left.sum(axis=0).conj())
-        return turned + c * (b.imag - a.imag), sure
+        phase = np.angle(right.sum(axis=0) * left.sum(axis=0).conj())
+        return phase + c * (b.imag - a.imag), sure
 
 
 # --- How many zeros: the argument principle on strips and boxes of the log-plane ----------------------

@@ -65,10 +65,10 @@ class Target:
         """Real rows of a complex error (or of columns of a Jacobian): tolerances are 1."""
         own = (self.turn, self.weight_real, self.weight_imag)
         turn, real, imag = own if values.ndim == 1 else (part[:, None] for part in own)
-        turned, count = values * turn, len(values)
+        product, count = values * turn, len(values)
         rows = np.empty((2 * count, *values.shape[1:]))
-        np.multiply(turned.real, real, out=rows[:count])
-        np.multiply(turned.imag, imag, out=rows[count:])
+        np.multiply(product.real, real, out=rows[:count])
+        np.multiply(product.imag, imag, out=rows[count:])
         return rows
 
 

@@ -166,8 +166,8 @@ def _poles(z: Complexes, alpha: float) -> tuple[Complexes, Complexes]:
     # Both 1/α and |z| are rounded; the first error is multiplied by ln z, the second by
     # 1/α.
     inverse = 1.0 / alpha
-    lost = float(Fraction(1) / Fraction(alpha) - Fraction(inverse))
-    radius = size**inverse * (1.0 + lost * np.log(size) + inverse * error)
+    defect = float(Fraction(1) / Fraction(alpha) - Fraction(inverse))
+    radius = size**inverse * (1.0 + defect * np.log(size) + inverse * error)
     # z^(1/α) has an argument within ±π for this many branches of z; for α < 1 there is
     # at most one pole.
     turns = math.ceil(0.5 * alpha)
@@ -187,8 +187,8 @@ def _modulus(z: Complexes) -> tuple[Reals, Reals]:
     exponent = np.frexp(size)[1]
     # Powers of two scale without rounding; the squares of 1e±200 would overflow or
     # underflow.
-    scaled = [np.ldexp(part, -exponent) for part in (z.real, z.imag, size)]
-    (x, dx), (y, dy), (r, dr) = (_square(part) for part in scaled)
+    parts = [np.ldexp(part, -exponent) for part in (z.real, z.imag, size)]
+    (x, dx), (y, dy), (r, dr) = (_square(part) for part in parts)
     return size, np.asarray(0.5 * (((x - r) + y) + (dx + dy - dr)) / r)
 
 

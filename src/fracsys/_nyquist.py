@@ -94,5 +94,5 @@ def _arc(value: complex, slope: float) -> float:
         return cmath.phase(1 + value)
     # L starts at a multiple of π and turns by slope π/2, which follows more exactly
     # from the phase itself.
-    turned = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
-    return turned + cmath.phase(1 + 1 / value)
+    change = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
+    return change + cmath.phase(1 + 1 / value)

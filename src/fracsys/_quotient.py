@@ -158,15 +158,15 @@ class Quotient:
             ]
             groups = [g for g in groups if g not in near]
             groups.append([z, *(w for g in near for w in g)])
-        packed = []
+        clusters = []
         for group in (g for g in groups if len(g) > 1):
             centre = sum(group) / len(group)
             if abs(centre.imag - math.pi) < _SYMMETRIC:
                 centre = complex(centre.real, math.pi)  # so that its modes are real
-            packed.append(
+            clusters.append(
                 Cluster(centre, len(group), max(abs(z - centre) for z in group))
             )
-        return [g[0] for g in groups if len(g) == 1], packed
+        return [g[0] for g in groups if len(g) == 1], clusters
 
     def circle(
         self,

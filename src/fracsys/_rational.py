@@ -249,8 +249,8 @@ def _continuous(
     target = Target(
         w, np.ones(w.size, dtype=complex), values, 1 / values, nepers, radians
     )
-    grown = list(grow(target, band, order, resonances=[-p for p in near]))
-    fit = finish(grown[-1], target)
+    generations = list(grow(target, band, order, resonances=[-p for p in near]))
+    fit = finish(generations[-1], target)
     sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
     pole_values = np.concatenate([-sigma, -q, -q.conj()])
     half = 0.5 * fit.pair_gains * q

@@ -295,14 +295,14 @@ def settle_clusters(sum_: ExponentialSum, points: Complexes) -> Complexes:
     one of D^(m−1). The multiplicity is accepted if D … D^(m−2) vanish there within
     rounding.
     """
-    settled = np.empty_like(points)
+    result = np.empty_like(points)
     free = np.ones(len(points), dtype=bool)
     for i in range(len(points)):
         if free[i]:
             near, centre = _cluster(sum_, points, free, i)
-            settled[near] = centre
+            result[near] = centre
             free &= ~near
-    return settled
+    return result
 
 
 def _cluster(

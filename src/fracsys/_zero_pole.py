@@ -28,12 +28,12 @@ def evaluate(
     overflows.
     """
     flat = s.reshape(-1, 1)
-    shared = min(len(zeros), len(poles))
-    value = np.prod((flat - zeros[:shared]) / (flat - poles[:shared]), axis=1)
+    count = min(len(zeros), len(poles))
+    value = np.prod((flat - zeros[:count]) / (flat - poles[:count]), axis=1)
     value = (
         value
-        * np.prod(flat - zeros[shared:], axis=1)
-        / np.prod(flat - poles[shared:], axis=1)
+        * np.prod(flat - zeros[count:], axis=1)
+        / np.prod(flat - poles[count:], axis=1)
     )
     return np.asarray((gain * value).reshape(s.shape))
 
@@ -183,9 +183,9 @@ class _Sum:
     ) -> None:
         split = [(t.coefficient, *_split(t.order)) for t in terms]
         self.fractions = {f for _, _, f in split if f}
-        used = [(c, n, filters[f] if f else _NONE) for c, n, f in split]
-        self.terms = [(c * part.gain, n, part) for c, n, part in used]
-        self.degree = max(n for _, n, _ in used)
+        summands = [(c, n, filters[f] if f else _NONE) for c, n, f in split]
+        self.terms = [(c * part.gain, n, part) for c, n, part in summands]
+        self.degree = max(n for _, n, _ in summands)
         self.down = np.concatenate(
             [np.empty(0, complex), *(filters[f].poles for f in sorted(self.fractions))]
         )

@@ -404,8 +404,8 @@ def material_law(
         return np.asarray(1.0 + 2.0 * ratio * s / frequency)
     if model.order < 2.0:
         return np.asarray(np.exp((2.0 - model.order) * np.log(s)))
-    turned = np.exp(model.damping_order * np.log(s))
-    return np.asarray(1.0 + model.damping / model.natural_frequency**2 * turned)
+    power = np.exp(model.damping_order * np.log(s))
+    return np.asarray(1.0 + model.damping / model.natural_frequency**2 * power)
 
 
 def unmodelled_modes(
@@ -432,7 +432,7 @@ def unmodelled_modes(
     )
 
     def torque(s: Complex) -> Complex:
-        squared, total = s**2, np.zeros(np.shape(s), dtype=np.complex128)
+        square, total = s**2, np.zeros(np.shape(s), dtype=np.complex128)
         law = (
             material_law(model, s, 1.0, None) if ratio is None else None
         )  # the same for every mode
@@ -440,7 +440,7 @@ def unmodelled_modes(
             map(float, frequencies), sizes / model.stiffness, strict=True
         ):
             stiff = material_law(model, s, frequency, ratio) if law is None else law
-            total += share * squared / (squared + frequency**2 * stiff)
+            total += share * square / (square + frequency**2 * stiff)
         return total
 
     return torque

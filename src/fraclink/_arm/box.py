@@ -347,8 +347,10 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
     if not value:
         return 0.0
     digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
-    scaled = value * digit
+    multiple = value * digit
     # A value of at most six digits stays unchanged: its product with a power of ten is
     # an integer up to rounding.
-    whole = round(scaled) if abs(scaled - round(scaled)) < 1e-6 else towards(scaled)
+    whole = (
+        round(multiple) if abs(multiple - round(multiple)) < 1e-6 else towards(multiple)
+    )
     return float(f"{whole / digit:.6g}")

@@ -219,12 +219,12 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     if model.payload is None:  # ω₀ is then taken from the rig
         return
     moving = model.payload + rig.link.tip_mass
-    expected = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
+    own = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
     # Eq. (5) gives ω₀ in s^(−λ/2), while a vibration has |p| in rad/s: either may be
     # meant.
     frequencies = (model.natural_frequency, abs(model.pole))
     ratios = [
-        max(value / expected, expected / value) if value > 0 else math.inf
+        max(value / own, own / value) if value > 0 else math.inf
         for value in frequencies
     ]
     if min(ratios) <= _FREQUENCY_MOST:
@@ -233,10 +233,10 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
         "W106",
         "error",
         f"the model vibrates at {frequencies[1]:.4g} rad/s with {model.payload:.4g} kg, where the rig's stiffness "
-        f"and length give {expected:.4g} rad/s",
+        f"and length give {own:.4g} rad/s",
         {
             "model": frequencies[1],
-            "rig": expected,
+            "rig": own,
             "ratio": min(ratios),
             "most": _FREQUENCY_MOST,
         },

@@ -109,18 +109,16 @@ class GaugedLink:
         whole = inertia + drag + spring
         # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay
         # of microseconds.
-        turned = np.expm1(-self.gauge_delay * s)
+        lag = np.expm1(-self.gauge_delay * s)
         # One fraction: far above the resonance X is close to 1, and 1 − X would cancel.
         bracket = (
-            drag
-            + spring
-            + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)
+            drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * lag)
         ) / whole
         torque = inertia / whole
         if self.second_mode is not None:
             mode = self.second_mode.response(s)
             torque = torque + mode
-            bracket = bracket - self.gauge_gain * (1.0 + turned) * mode
+            bracket = bracket - self.gauge_gain * (1.0 + lag) * mode
         angle = (
             np.angle(torque)
             - self.gauge_delay * w
@@ -206,9 +204,9 @@ class GaugedLink:
         """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)``
         (eq. (14)) [rad/s].
         """
-        squared = np.square(np.asarray(natural_frequency, dtype=float))
+        square = np.square(np.asarray(natural_frequency, dtype=float))
         return np.asarray(
-            (-squared * math.cos(0.5 * math.pi * self.link_order))
+            (-square * math.cos(0.5 * math.pi * self.link_order))
             ** (1.0 / self.link_order)
         )
 

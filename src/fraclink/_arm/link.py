@@ -333,10 +333,10 @@ class LinkModel:
         restoring += [Term(self.damping, self.damping_order)] if self.damping else []
         moving = Term(1.0, self.order)
         numerator = [moving] if inertia else restoring
-        scaled = tuple(
+        top = tuple(
             replace(term, coefficient=gain * term.coefficient) for term in numerator
         )
-        return FractionalTransferFunction(scaled, (*restoring, moving))
+        return FractionalTransferFunction(top, (*restoring, moving))
 
     @property
     def pole(self) -> complex:

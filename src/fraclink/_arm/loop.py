@@ -304,8 +304,8 @@ class Loop(GaugedLink):
             parts.append(np.broadcast_to(points, (w0.size, points.size)))
         grid = np.minimum(np.sort(np.concatenate(parts, axis=1), axis=1), self.highest)
         # past `highest` all points of a row coincide there
-        needed = int(np.sum(np.any(grid < self.highest, axis=0))) + 1
-        return np.asarray(grid[:, :needed])
+        count = int(np.sum(np.any(grid < self.highest, axis=0))) + 1
+        return np.asarray(grid[:, :count])
 
     def _gauge_points(self, w0: Real) -> Real:
         """Frequencies at which a late gauge or a second mode bends |B| faster than the

@@ -152,13 +152,13 @@ def _gap(
     resample: bool,
 ) -> Finding:
     worst = float(steps.max())
-    lost = int(np.rint(steps[gaps] / typical - 1).sum())
+    missing = int(np.rint(steps[gaps] / typical - 1).sum())
     first = float(stamps[gaps[0]])
     if not resample:
         raise LogError(
             "time",
             f"{worst * 1e3:.6g} ms between samples, first after {first:.6g} s",
-            f"not uniform: {gaps.size} gaps, about {lost} samples lost at {typical * 1e3:.6g} ms",
+            f"not uniform: {gaps.size} gaps, about {missing} samples lost at {typical * 1e3:.6g} ms",
             allowed=f"gaps below {_GAP * typical * 1e3:.4g} ms",
             remedy="record again, read a stretch without gaps (--keep), or with resample=True (--resample)",
         )
@@ -168,7 +168,7 @@ def _gap(
         f"{gaps.size} gaps in time were bridged by interpolation",
         {
             "gaps": gaps.size,
-            "lost_samples": lost,
+            "lost_samples": missing,
             "longest_s": worst,
             "period_s": typical,
             "time_s": first - float(stamps[0]),

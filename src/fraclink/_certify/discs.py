@@ -125,10 +125,10 @@ class Disc:
         # containing it, so that `share` stays of the order of one.
         square = np.abs(self.c) ** 2
         room = square - self.r**2
-        lost = 8 * ROUNDING * (square + self.r**2)
-        clear = room > 2 * lost
+        rounding = 8 * ROUNDING * (square + self.r**2)
+        clear = room > 2 * rounding
         room = np.where(clear, room, 1.0)
-        share = np.where(clear, 2 * lost / room + 8 * ROUNDING, 0.0)
+        share = np.where(clear, 2 * rounding / room + 8 * ROUNDING, 0.0)
         centre = np.where(clear, np.conj(self.c) / room, 0.0)
         disc = Disc(
             centre,

@@ -141,15 +141,15 @@ class BoxLoop:
         z, x = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp()
         y = 1 - x
         kernel = self._kernel(z)
-        shared = kernel * y * y * (1 / self.period)
-        turned = np.minimum(y.most(), 2.0)
-        alias = kernel.most() * turned**2 * (1 + 1e-9) / self.period
+        factor = kernel * y * y * (1 / self.period)
+        size = np.minimum(y.most(), 2.0)
+        alias = kernel.most() * size**2 * (1 + 1e-9) / self.period
         both = y
         if self.motor_loop == "sampled":
             first, both = self.controllers(x)
-            shared = shared * y * first
-            alias = alias * turned * first.most()
-        fronts = [shared * self._open((w + n * self.turn) * 1j) for n in shifts]
+            factor = factor * y * first
+            alias = alias * size * first.most()
+        fronts = [factor * self._open((w + n * self.turn) * 1j) for n in shifts]
         if np.any(frequency.low < frequency.high):
             middle = self._window(Span(frequency.middle, frequency.middle), shifts)
             steps = {"frequency": w.r}

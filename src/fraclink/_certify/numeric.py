@@ -246,11 +246,11 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     value = 1.0 + _over_corners(statement, law, w, place)
     # From 0 to the Nyquist frequency 1 + L runs from 1 to a real number: half the
     # encirclements of the whole unit circle.
-    turned = np.unwrap(np.angle(value), axis=-1)
-    circled = np.round((turned[:, -1] - turned[:, 0]) / np.pi) != 0
-    if not np.any(circled):
+    phase = np.unwrap(np.angle(value), axis=-1)
+    encircling = np.round((phase[:, -1] - phase[:, 0]) / np.pi) != 0
+    if not np.any(encircling):
         return None
-    rows = np.flatnonzero(circled)
+    rows = np.flatnonzero(encircling)
     row = int(rows[np.argmax(place["softness"][rows, 0])])
     crossing = np.nonzero((value[row, :-1].imag > 0) != (value[row, 1:].imag > 0))[0]
     beyond = [i for i in crossing if value[row, i].real < 0.0]

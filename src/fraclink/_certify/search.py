@@ -131,7 +131,7 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         at_plain, at_inverse, _ = loop.forms(point, point, loop.held(low[:, 0]))
         value = np.where(loud, at_inverse.c, at_plain.c)
         radius = np.where(loud, at_inverse.r, at_plain.r)
-        reached = (
+        distance = (
             (np.conj(normal) * value).real
             - radius
             - 4 * ROUNDING * (1 + np.abs(value))
@@ -140,12 +140,12 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
         # Where even exact slopes would not close the gap, no half plane contains the
         # whole box: it is cut along the axis that moves the value most.
-        missing = least + (_SLACK - 1.0) - reached
+        missing = least + (_SLACK - 1.0) - distance
         weight = np.where(
             (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], gain, weight
         )
         quiet = plain.most() < 1.0 - limit
-        proved = quiet | (front & (reached > least + (_SLACK - 1.0)))
+        proved = quiet | (front & (distance > least + (_SLACK - 1.0)))
         axis = _widest(low, high, weight)
         return _Judged(proved, loud & ~quiet, axis, point, at_plain.c)
 

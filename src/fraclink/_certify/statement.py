@@ -186,7 +186,7 @@ class Statement:
     @property
     def intervals(self) -> Table:
         """Least and largest value of everything that the claim is about."""
-        named = (
+        quantities = (
             ("payload", "payload", "g"),
             ("delay", "computation delay", "ms"),
             ("order", "order λ", ""),
@@ -207,7 +207,7 @@ class Statement:
                 getattr(self, f"{name}_low"),
                 getattr(self, f"{name}_high"),
             )
-            for name, words, unit in named
+            for name, words, unit in quantities
         ]
         return Table.of(
             "box",

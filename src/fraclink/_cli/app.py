@@ -115,9 +115,9 @@ class _Group(TyperGroup):
 
 
 def _write_sections(formatter: Any, count: int) -> None:
-    for title, listed in list(_SECTIONS.items())[:count]:
+    for title, commands in list(_SECTIONS.items())[:count]:
         with formatter.section(title):
-            formatter.write_dl([(name, words) for name, (_, words) in listed.items()])
+            formatter.write_dl([(name, words) for name, (_, words) in commands.items()])
 
 
 def _everything() -> str:

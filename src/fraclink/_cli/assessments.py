@@ -94,10 +94,10 @@ class Assessment:
         massless = "higher modes: none, as the link has no mass; give --link-mass [kg]"
         sampled = next(curve for curve in self.curves if curve.kind == "sampled")
         least = quantity(float(min(sampled.phase_margin)), "rad")
-        lost = not all(item.passed for item in self.modes)
+        spillover = not all(item.passed for item in self.modes)
         return Overview(
             f"at least {least} of phase margin in the sampled loop",
-            "failed" if lost else self.design.overview().state,
+            "failed" if spillover else self.design.overview().state,
             rows,
             (
                 Table.of("spillover", (mode.rows for mode in self.modes)),
@@ -212,14 +212,14 @@ def tune_pid(
         **wanted,
     )
     tuning.save(out)
-    needed = {
+    options = {
         "--period-ms": tuning.period,
         "--output-limit": tuning.output_limit,
         "--measurement-limit": tuning.measurement_limit,
     }
     # A law needs a period and limits, which the formula of the plant does not contain:
     # a tuning without them is complete, but cannot ship yet.
-    missing = ", ".join(name for name, value in needed.items() if not value)
+    missing = ", ".join(name for name, value in options.items() if not value)
     export = f"fraclink export c {out} --out firmware"
     again = f"the same with {missing}, then {export}"
     return Answer(

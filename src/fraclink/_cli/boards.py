@@ -147,9 +147,9 @@ def c(
             estimator=design.estimator() if estimate and design else None,
             force=force,
         )
-    listed = _listed(paths, f"fraclink replay {out} demo" if design else "")
+    listing = _listed(paths, f"fraclink replay {out} demo" if design else "")
     if not prove:
-        return listed
+        return listing
     proof = Proof.load(out / "proof.json")
     values = {
         "passed": proof.passed,
@@ -157,8 +157,8 @@ def c(
     }
     return Answer(
         passed=proof.passed,
-        text=f"{listed.text}\n{proof}",
-        values=listed.values | values,
+        text=f"{listing.text}\n{proof}",
+        values=listing.values | values,
     )
 
 
@@ -422,7 +422,7 @@ def serve_arm(
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * design.rig.period:g} ms")
-    with signals_held() as obeyed:
+    with signals_held() as signals:
         if out is not None:
             check_ending(lab.ServedArm, output_path(out, force=True))
         served = lab.serve_arm(
@@ -436,7 +436,7 @@ def serve_arm(
         )
         # Every signal requests the end, which has come: a further signal only has to
         # wait for the file.
-        obeyed.set()
+        signals.set()
         files = () if out is None else (saved(served, out),)
     return Answer(
         served,

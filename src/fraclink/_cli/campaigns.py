@@ -182,7 +182,7 @@ def faults(
     # Stored in the table: a replay a year later must find the same arm.
     about = {name: str(value) for name, value in arm.items() if value is not None}
     about["command"] = f"fraclink campaign faults{as_stated(arm)}"
-    planned = cases(
+    plan = cases(
         bench,
         only=only or (),
         severities=severity or (1, 2, 3),
@@ -192,8 +192,8 @@ def faults(
     )
     # fails early if the folder cannot be written
     out.mkdir(parents=True, exist_ok=True)
-    with steps(len({case.fault for case in planned})) as begin:
-        result = run_faults(bench, planned, progress=begin, about=about)
+    with steps(len({case.fault for case in plan})) as begin:
+        result = run_faults(bench, plan, progress=begin, about=about)
     save(result, out / "faults.json", force=True)
     write_text(out / "faults.txt", plain_text(view(result)))
     with steps(len(result.failures)) as begin:
@@ -201,8 +201,8 @@ def faults(
             begin(outcome.case.name)
             draw_outcome(bench, outcome, out / "figures" / f"{outcome.case.name}.svg")
     # A single run is meant to be inspected closely.
-    if len(planned) == 1:
-        observe(bench, planned[0]).faulty.save(out / "run.npz")
+    if len(plan) == 1:
+        observe(bench, plan[0]).faulty.save(out / "run.npz")
     worst = next((row.example.case.name for row in result.rows() if row.example), None)
     again = f"fraclink replay {out} --run {worst}"
     return Answer(
@@ -211,7 +211,7 @@ def faults(
         values={"out": str(out)},
         remarks=tuple(map(str, bench.twin.findings)),
         written=(out / "faults.txt",),
-        following=again if worst and len(planned) > 1 else "",
+        following=again if worst and len(plan) > 1 else "",
     )
 
 
@@ -233,13 +233,13 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
     bench = _bench_of(table, folder)
     # By its digest: a new design under the same name would show the behaviour of
     # another law as that of the fault.
-    tested = table.about.get("law_sha256", bench.law.digest)
-    if bench.law.digest != tested:
+    digest = table.about.get("law_sha256", bench.law.digest)
+    if bench.law.digest != digest:
         raise FieldError(
             "law",
             bench.law.digest[:16],
             "not the law that was tested",
-            allowed=f"the campaign's law, {tested[:16]}",
+            allowed=f"the campaign's law, {digest[:16]}",
             remedy="run the campaign again",
         )
     result = run_faults(bench, [case], about=dict(table.about))

@@ -206,7 +206,7 @@ def simulate(
     usual_time = 1.0 if twin else 0.5
     path = reference_of(reference, amplitude, move_time, usual_time=usual_time)
     subject = load_design(design_file, gear=gear)
-    carried = payload or subject.rig.payloads.nominal
+    mass = payload or subject.rig.payloads.nominal
     if not twin:
         refuse_beside("--on model", "a link without mass", link_mass=link_mass)
     if estimate:
@@ -218,10 +218,10 @@ def simulate(
     move = run_law(
         subject,
         path,
-        arm=Twin.from_rig(subject.rig, payload=carried, link_mass=link_mass)
+        arm=Twin.from_rig(subject.rig, payload=mass, link_mass=link_mass)
         if twin
         else None,
-        payload=carried,
+        payload=mass,
         told="estimated" if estimate else told,
         # On the model 4 s of the usual move, as in a report.
         duration=None if twin else path.duration + 3.5,
@@ -229,7 +229,7 @@ def simulate(
     )
     move.save(place)
     passed = move.verdict.passed
-    step = f"simulate {design_file} --payload {carried:g} --on twin"
+    step = f"simulate {design_file} --payload {mass:g} --on twin"
     if twin:
         step = f"{'certify' if passed else 'assess'} {design_file}"
     return Answer(

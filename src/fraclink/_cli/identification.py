@@ -192,8 +192,8 @@ def _load(log: Experiment, rig: Rig | None) -> NDArray[np.float64] | None:
 
 def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
     """A table of gain and phase, its columns as `read_frequency_response` takes them."""
-    named = any("=" in text for text in columns or ())
-    roles = _named("column", columns) if named else columns
+    pairs = any("=" in text for text in columns or ())
+    roles = _named("column", columns) if pairs else columns
     return read_frequency_response(table, roles or None)
 
 
@@ -222,8 +222,8 @@ def _driven(
         return Answer(fit, passed=False)
     # J n² [kg·m²]: the response is that of the gear's output.
     inertia = arm.motor.inertia * arm.motor.gear_ratio**2
-    carried = payload[0] if payload else arm.payloads.nominal
-    save(fit.model(inertia, payload=carried), place, force=True)
+    mass = payload[0] if payload else arm.payloads.nominal
+    save(fit.model(inertia, payload=mass), place, force=True)
     following = f"fraclink design --rig {rig} --model {place}"
     return Answer(fit, written=(place,), following=following)
 
@@ -307,21 +307,21 @@ def _transfer_function(
 
 def _named(option: str, texts: list[str] | None) -> dict[str, str]:
     """Name and value of every NAME=VALUE."""
-    named: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     for text in texts or ():
         name, mark, value = (part.strip() for part in text.partition("="))
         # Of two values for one name the last one would apply, and a typing error would
         # change a fit unnoticed.
-        if not mark or name in named:
+        if not mark or name in by_name:
             raise FieldError(
                 option,
                 text,
-                f"given beside {name}={named[name]}" if mark else "without a value",
+                f"given beside {name}={by_name[name]}" if mark else "without a value",
                 allowed="NAME=VALUE, each name once",
                 remedy=f"as in --{option} k=1",
             )
-        named[name] = value
-    return named
+        by_name[name] = value
+    return by_name
 
 
 def _numbers(option: str, text: str, count: int) -> Any:

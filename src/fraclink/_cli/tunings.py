@@ -115,7 +115,7 @@ def tune(
         for name in FILES:
             output_path(out / name, force=False)
     values = {name: _asked(name, value) for name, value in answers.items()}
-    carried = values.pop("payload")
+    mass = values.pop("payload")
     limits = MotionLimits(
         angle=math.radians(values["angle_deg"]),
         # no defaults for these: the person at the arm decides what it may do
@@ -123,7 +123,7 @@ def tune(
     )
     plan = TuningPlan(
         limits,
-        carried,
+        mass,
         payloads,
         in_seconds(period_ms),
         own_rig,
@@ -132,9 +132,7 @@ def tune(
     # On standard error, so that it is read even if the result goes to a pipe.
     tell(plan.text)
     if resume:
-        tell(
-            f"of these only the wiring and the first moves, with {1e3 * carried:.3g} g"
-        )
+        tell(f"of these only the wiring and the first moves, with {1e3 * mass:.3g} g")
     if not yes and not _confirmed():
         return Answer(text="nothing was moved", passed=False)
     # Every stage is announced when it begins: a turning motor must not come as a

@@ -104,7 +104,7 @@ does not prove; about the rounding of the integral.
 def claims_text(law: Law, proof: Proof | None) -> str:
     """Return the sections "Claimed" and "Not claimed" of README.md."""
     open_ = NOT_CLAIMED if law.has_gauge else NOT_CLAIMED_OF_PID
-    built = "For this `law.c`, compiled as ISO C99 without fast-math and with contraction off:"
+    preamble = "For this `law.c`, compiled as ISO C99 without fast-math and with contraction off:"
     if proof is None:
         voltage = (
             f" and `voltage` within ±{law.motor_loop.voltage_limit:g} V"
@@ -112,7 +112,7 @@ def claims_text(law: Law, proof: Proof | None) -> str:
             else ""
         )
         claimed = (
-            f"{built} whatever the inputs (NaN and\n"
+            f"{preamble} whatever the inputs (NaN and\n"
             "infinities among them) and whatever the state memory holds, no undefined behaviour, both\n"
             f"commands finite, `motor_reference` within ±{law.limits.motor_limit:.6g} rad{voltage}.\n"
             "This was proved for the designs of fraclink's own tests, not for this one: `fraclink export c\n"
@@ -126,11 +126,13 @@ def claims_text(law: Law, proof: Proof | None) -> str:
     rest = [claim for claim in proof.claims if claim.status != "proved"]
     # Hashes are cut to 12 digits, 48 bits, enough to tell two logs apart; proof.json
     # has the full hashes.
-    text = f"## Proved\n{built}\n\n" + "\n".join(map(_proved, proved)) if proved else ""
+    text = (
+        f"## Proved\n{preamble}\n\n" + "\n".join(map(_proved, proved)) if proved else ""
+    )
     if rest:
         text += "\n\n## Not proved\n" + "\n".join(_open(claim) for claim in rest)
-    listed = "`proof.json` lists the tools and the hashes of all files named here."
-    return f"{text.strip()}\n\n{listed}\n\n## Not claimed\n{open_}"
+    closing = "`proof.json` lists the tools and the hashes of all files named here."
+    return f"{text.strip()}\n\n{closing}\n\n## Not claimed\n{open_}"
 
 
 def _proved(claim: Claim) -> str:

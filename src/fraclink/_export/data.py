@@ -218,10 +218,10 @@ def data_header(law: Law, *, name: str, title: str) -> str:
             # An initialiser without elements is not C99; an omitted array is zero.
             if modes[field] == 0:  # C fills it with zeros, or does not have it
                 continue
-            listed = [hex_float(x, law.precision) for x in value]
+            numbers = [hex_float(x, law.precision) for x in value]
             group = 4 if field == "pair" else 2
             parts = (
-                ", ".join(listed[i : i + group])
+                ", ".join(numbers[i : i + group])
                 for i in range(0, modes[field] * group, group)
             )
             rows.append(

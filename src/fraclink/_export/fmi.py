@@ -230,8 +230,8 @@ def _text(root: ET.Element) -> str:
 def _add_general(root: ET.Element, model: FmuModel) -> None:
     """Add units, the single log category, and a default experiment of 500 periods."""
     units = ET.SubElement(root, "UnitDefinitions")
-    used = {variable.unit for variable in model.variables}
-    for name, unit in ((name, unit) for name, unit in UNITS.items() if name in used):
+    symbols = {variable.unit for variable in model.variables}
+    for name, unit in ((name, unit) for name, unit in UNITS.items() if name in symbols):
         element = ET.SubElement(units, "Unit", name=name)
         ET.SubElement(
             element, "BaseUnit", {key: str(power) for key, power in unit.base.items()}

@@ -101,9 +101,9 @@ def export_fmu(
     # The token is a hash of the C sources: if a library is combined with the
     # description of another law, the FMU itself refuses to start.
     sources, token = _sources(shipped, name)
-    listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
+    variables = VARIABLES if shipped.has_gauge else PID_VARIABLES
     model = FmuModel(
-        name, token, shipped.period, shipped.digest, _connected(shipped), listed
+        name, token, shipped.period, shipped.digest, _connected(shipped), variables
     )
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
     parts |= {file: text.encode() for file, text in descriptions(model).items()}

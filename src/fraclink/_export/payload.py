@@ -101,8 +101,8 @@ def _hash(estimator: PayloadEstimator) -> int:
     _, columns = estimator.run(estimator.initial_state(), angles, torques, ticks=ticks)
     code, digest = ("f" if estimator.precision == "single" else "d"), 0x811C9DC5
     for *reals, flags in zip(*columns, strict=True):
-        packed = struct.pack(f"<4{code}", *reals)
-        for word in (*struct.unpack(f"<{len(packed) // 4}I", packed), int(flags)):
+        block = struct.pack(f"<4{code}", *reals)
+        for word in (*struct.unpack(f"<{len(block) // 4}I", block), int(flags)):
             digest = ((digest ^ word) * 16777619) % 2**32
     return digest
 

@@ -95,10 +95,10 @@ def _words(outputs: LawOutputs, single: bool) -> list[int]:
         outputs.tip_estimate,
         outputs.error,
     )
-    packed = struct.pack(f"<5{'f' if single else 'd'}", *reals)
+    block = struct.pack(f"<5{'f' if single else 'd'}", *reals)
     # Bits, not values: −0 and 0, or two NaNs, are different words.
     return [
-        *struct.unpack(f"<{len(packed) // 4}I", packed),
+        *struct.unpack(f"<{len(block) // 4}I", block),
         outputs.mode,
         outputs.reason,
         outputs.flags,

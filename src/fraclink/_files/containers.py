@@ -127,14 +127,14 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
     # the umask. Reading the umask requires setting it for a moment, in which files of
     # other threads would be created with 0666.
     try:
-        opened = temporary.open(
+        file = temporary.open(
             "xb" if binary else "x", encoding=None if binary else "utf-8"
         )
     except OSError as error:
         # the name given by the user, not that of the removed temporary file
         error.filename = str(place)
         raise
-    with opened as stream:
+    with file as stream:
         try:
             yield stream
             stream.flush()

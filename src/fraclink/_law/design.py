@@ -201,9 +201,9 @@ class Design(Saved):
         """What decides: what it carries and how fast, what more delay it stands, and
         which requirement is the tightest.
         """
-        carried = span(*self.payloads, "g")
+        masses = span(*self.payloads, "g")
         parts = [
-            f"carries {carried} at {quantity(self.gain_crossover, 'rad/s')} with a phase "
+            f"carries {masses} at {quantity(self.gain_crossover, 'rad/s')} with a phase "
             f"margin of {quantity(self.phase_margin, 'rad')}"
         ]
         late = [r.achieved for r in self.requirements if r.name == "delay margin"]

@@ -207,8 +207,8 @@ def role_of_name(name: str) -> tuple[str, str]:
         return "voltage", unit
     if by_words == ("voltage", "command"):
         return by_words
-    for meaning, listed in _OTHER.items():
-        if word := next((word for word in words if word in listed), ""):
+    for meaning, hints in _OTHER.items():
+        if word := next((word for word in words if word in hints), ""):
             return meaning, word
     if words[:1] == ("d",) and by_words[0]:
         return "a speed", "d"
@@ -243,7 +243,7 @@ def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
     # In this order, as names may hold two words: "motor_torque" and "joint_effort" are
     # torques, "motor_voltage" is none of the three. Words of one or two letters are the
     # weakest hints: theta_m is not a torque.
-    hints = [(role, hint) for role, listed in _ROLES.items() for hint in listed]
+    hints = [(role, hint) for role, own in _ROLES.items() for hint in own]
     hints.sort(key=lambda each: len(each[1]) < 3)
     for role, hint in hints:
         if any(_hits(word, hint) for word in words):

@@ -258,8 +258,8 @@ def _channels(
             raw = np.arange(table.values[angle].size, dtype=np.float64)
         else:
             place = table.place(channel.column, role)
-            raw, filled = table.clean(place, interpolate=interpolate)
-            findings += [*filled, *_contradicted(table, place, role, channel)]
+            raw, repairs = table.clean(place, interpolate=interpolate)
+            findings += [*repairs, *_contradicted(table, place, role, channel)]
         data[role] = channel.in_si(raw, role)
         if data[role].size != data["time"].size:
             raise LogError(

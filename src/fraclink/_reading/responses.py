@@ -187,8 +187,8 @@ def _unit(name: str, role: str, in_file: str) -> str:
     factors, words = _UNITS[role], words_of(name)
     # "freqHz" is split after the word of its role and not at the capital, so that
     # "fkHz" is f in kHz and not "fk" in Hz.
-    called = "|".join(sorted(_ROLES.get(role, ()), key=len, reverse=True))
-    parted = re.sub(rf"^((?i:{called}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
+    synonyms = "|".join(sorted(_ROLES.get(role, ()), key=len, reverse=True))
+    parted = re.sub(rf"^((?i:{synonyms}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
     # A unit in the file takes precedence over one in the name: a program sets a TDMS
     # property, a person a name. "kHz", "millis" and "ms_since_start" state a unit too.
     units = [stated_unit(text, factors) for text in (f"[{in_file}]", parted)]

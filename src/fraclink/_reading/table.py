@@ -218,14 +218,14 @@ class LogTable:
         rising = {k: step for k in fitting if (step := clock_step(self.values[k]))}
         # Stamps that jump back or contain non-numbers are still stamps, and the reader
         # reports the fault. A row counter comes last, since it may also be a clock.
-        named = [k for k in rising or fitting if names_time(names[k])]
+        times = [k for k in rising or fitting if names_time(names[k])]
         # An angle that only increases is not a clock: its steps differ.
         roles = self.roles
         steps = {k: np.diff(self.values[k]) for k in rising}
         equal = {k for k in rising if np.allclose(steps[k], rising[k], rtol=0.01)}
         alone = [k for k in rising if k in equal or not roles[k][0]]
         alone.sort(key=lambda k: (roles[k][0] != "", rising[k] == 1))
-        place = next(iter([*named, *alone]), None)
+        place = next(iter([*times, *alone]), None)
         return "" if place is None else self.label(place)
 
     def with_combined(self, stated: Iterable[str]) -> LogTable:
@@ -303,8 +303,8 @@ class LogTable:
         good = np.flatnonzero(np.isfinite(values))
         # Over the row number: whether the samples are uniform is determined later, from
         # the stamps.
-        filled = np.interp(np.arange(values.size), good, values[good])
-        return filled, [
+        complete = np.interp(np.arange(values.size), good, values[good])
+        return complete, [
             Finding(
                 "W205",
                 "warning",

@@ -103,7 +103,7 @@ def read_text_table(path: Path) -> LogTable:
     or SizeError (over the limits of `fraclink._reading.table`).
     """
     check_file(path)
-    text, turned = _upright(_utf8(path.read_bytes(), path))
+    text, remarks = _upright(_utf8(path.read_bytes(), path))
     _check_lines(text)
     raw = text.split(b"\n", _HEAD)
     lines = [line.decode() for line in raw[:_HEAD]]
@@ -144,7 +144,7 @@ def read_text_table(path: Path) -> LogTable:
         tuple((note[1], note[2]) for note in notes),
         faults,
         tuple(layout.units.get(name, "") for name in names) if layout.units else (),
-        (*turned, *layout.remarks),
+        (*remarks, *layout.remarks),
         layout.hints,
     )
 
@@ -246,12 +246,12 @@ def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
         heads = [row[0] for row in table]
         # Either every row begins with a distinct name, or there are no names and this
         # has more columns than any log has channels.
-        named = len(set(heads)) == len(heads) and not any(map(_is_numeric, heads))
+        has_names = len(set(heads)) == len(heads) and not any(map(_is_numeric, heads))
         wide = width > max(_HEAD, 4 * len(rows))
-        cells = [cell for row in table for cell in row[named:]]
-        if width > 1 and (named or wide) and all(map(_is_numeric, cells)):
+        cells = [cell for row in table for cell in row[has_names:]]
+        if width > 1 and (has_names or wide) and all(map(_is_numeric, cells)):
             turned = [*comments, *map("\t".join, zip(*table, strict=True))]
-            remark = f"{len(rows)} rows of {width - named} samples: turned upright"
+            remark = f"{len(rows)} rows of {width - has_names} samples: turned upright"
             return "\n".join(turned).encode(), (remark,)
     return text, ()
 

@@ -359,8 +359,8 @@ def answer(kind: str, path: Path) -> tuple[dict[str, Any], list[RawColumn]]:
         return {"damaged": "it asks for more memory than a log needs"}, []
     except Exception as error:  # noqa: BLE001
         return {"damaged": f"{type(error).__name__}: {error}"[:200]}, []
-    listed = [[column.name[:200], column.unit] for column in columns]
-    return {"columns": listed, "notes": notes}, columns
+    pairs = [[column.name[:200], column.unit] for column in columns]
+    return {"columns": pairs, "notes": notes}, columns
 
 
 def main() -> None:

@@ -83,12 +83,12 @@ def _agree(rig: Rig, model: LinkModel) -> None:
     # A model without a known payload cannot contradict one.
     if model.payload is None:
         return
-    lumped = rig.natural_frequency(model.payload)
-    if abs(model.natural_frequency / lumped - 1.0) > SAME_ARM:
+    frequency = rig.natural_frequency(model.payload)
+    if abs(model.natural_frequency / frequency - 1.0) > SAME_ARM:
         raise FieldError(
             "model.natural_frequency",
             model.natural_frequency,
-            f"contradicting stiffness, length and payload, which make {lumped:.4g}",
+            f"contradicting stiffness, length and payload, which make {frequency:.4g}",
             allowed=f"within {100 * SAME_ARM:g} % of eq. (5)",
             remedy="correct the rig, or give damping= and the beam yourself",
         )

@@ -153,10 +153,10 @@ def estimate_findings(
                 "design for a range that holds this payload: the certificate says nothing about it",
             )
         )
-    touched = (estimates.flags & _kernels.PAYLOAD_CONTACT) != 0
-    if touched.any():
+    contact = (estimates.flags & _kernels.PAYLOAD_CONTACT) != 0
+    if contact.any():
         # The first contact; later ones are due to the arm swinging from it.
-        first = float(period * np.flatnonzero(touched)[0])
+        first = float(period * np.flatnonzero(contact)[0])
         findings.append(
             Finding(
                 "W605",

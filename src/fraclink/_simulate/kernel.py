@@ -341,13 +341,13 @@ class ArmState:
             return record, []
         angle, torque, tip = (record[:, RECORD.index(name)] for name in _SEEN)
         # the law missed a period without an output
-        ticks, called = (
+        ticks, active = (
             first + 1 + np.arange(len(record)),
             np.isfinite(tip),
         )
         state = before or estimator.initial_state()
         return record, [
-            estimated_over(estimator, state, angle, torque, ticks, called)[1]
+            estimated_over(estimator, state, angle, torque, ticks, active)[1]
         ]
 
     def sense(self, inputs: Real) -> tuple[float, float]:

@@ -146,14 +146,14 @@ def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Com
     value.
     """
     alpha = model.damping_order
-    scaled = damping * stiff ** ((alpha - order) / order)
+    ratio = damping * stiff ** ((alpha - order) / order)
     log_pole = 1j * np.pi / order
-    if not np.any(scaled):
+    if not np.any(ratio):
         return np.asarray(log_pole)
     for share in np.linspace(0.1, 1.0, 10):
         for _ in range(6):
             moving = np.exp(order * log_pole)
-            friction = share * scaled * np.exp(alpha * log_pole)
+            friction = share * ratio * np.exp(alpha * log_pole)
             log_pole = log_pole - (moving + friction + 1.0) / (
                 order * moving + alpha * friction
             )
@@ -243,8 +243,8 @@ def batch_links(
         ends = -min(digits / slowest, still), min(digits / slowest, over)
         first, last = (math.floor(end / width) for end in ends)
         grid = np.asarray(width * (np.arange(first, last + 2) + 0.5), dtype=np.float64)
-    scaled = damping * speed ** (alpha - order)
-    restoring = 1.0 + scaled[:, None] * np.exp(alpha * (grid + 1j * np.pi))
+    ratio = damping * speed ** (alpha - order)
+    restoring = 1.0 + ratio[:, None] * np.exp(alpha * (grid + 1j * np.pi))
     moving = np.exp(order[:, None] * (grid + 1j * np.pi))
     density = (restoring / (moving + restoring)).imag / np.pi
     # Weight of e^(−r t) in S; over one period the response of a mode to a step is
@@ -253,7 +253,7 @@ def batch_links(
     log_decay = -reach[:, None] * np.exp(grid)
     pole = reach * np.exp(log_pole)
     swing: Complex = np.exp(order * log_pole)
-    residue = swing / (order * swing + alpha * scaled * np.exp(alpha * log_pole))
+    residue = swing / (order * swing + alpha * ratio * np.exp(alpha * log_pole))
     pair = np.asarray(-2.0 * residue, dtype=np.complex128)
     if not whole:
         pair = pair * _correction(log_pole, float(grid[0]), width)

@@ -148,10 +148,10 @@ class Signals:
         vibration_period: Real | float,
     ) -> Signals:
         """Return the judged signals from named ones, of many runs or of one."""
-        judged = ("reference", "tip_angle", "motor_reference", "voltage")
+        channels = ("reference", "tip_angle", "motor_reference", "voltage")
         marks = ("flags", "mode", "reason")
         return Signals(
-            **{name: np.atleast_2d(signals[name]) for name in (*judged, *marks)},
+            **{name: np.atleast_2d(signals[name]) for name in (*channels, *marks)},
             period=period,
             ended=np.atleast_1d(ended),
             vibration_period=np.atleast_1d(vibration_period),
@@ -238,22 +238,22 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
     stop = int(_first_abnormal(signals.mode)[0])
     tripped = stop < signals.mode.shape[1]
     if metrics.growth > 0.0 or not np.all(np.isfinite(signals.tip_angle)):
-        grown = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
+        growth = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
         return MoveVerdict(
             False,
-            f"{grown}; the law trips at {signals.period * stop:.3g} s"
+            f"{growth}; the law trips at {signals.period * stop:.3g} s"
             if tripped
-            else grown,
+            else growth,
         )
     if tripped:
         what = f"{MODES[int(many['mode'][0])]} ({REASONS[int(many['reason'][0])]})"
         return MoveVerdict(
             False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s"
         )
-    driven = float(_driven(signals)[0])
-    if driven > _AT_LIMIT:
+    share = float(_driven(signals)[0])
+    if share > _AT_LIMIT:
         what = (
-            f"it is at its limit in {100 * driven:.2g} % of the periods after the move"
+            f"it is at its limit in {100 * share:.2g} % of the periods after the move"
         )
         return MoveVerdict(False, f"the voltage does not come to rest: {what}")
     lasting = (

@@ -137,8 +137,8 @@ class ShapedMove(Saved):
                 f"({quantity(self.promised, 'mrad')} promised)"
             )
         elif math.isfinite(self.settling_time):
-            promised = quantity(self.promised, "s", 3)
-            result = f"every arm settles within {quantity(self.settling_time, 's', 3)} ({promised} promised)"
+            promise = quantity(self.promised, "s", 3)
+            result = f"every arm settles within {quantity(self.settling_time, 's', 3)} ({promise} promised)"
         else:
             result = f"the arm “{case.worst.arm}” does not settle"
         peak = max(each.peak_voltage for each in case.arms)
@@ -244,7 +244,7 @@ def shape(
     if isinstance(move, Path):
         search = _Search(arms, share, most, float(move.angle(move.duration)))
         coefficients, programme = search.following(move)
-        promised = _farthest(programme.tips(coefficients), move, programme.period)
+        promise = _farthest(programme.tips(coefficients), move, programme.period)
     else:
         # Beyond the law's own angle limit, its guard would reject the reference.
         if move == 0.0 or abs(move) >= limits.angle_limit:
@@ -258,7 +258,7 @@ def shape(
         search = _Search(arms, share, most, move)
         coefficients, programme = search.settling(settle)
         outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
-        promised = programme.period * float(np.flatnonzero(outside)[-1] + 1)
+        promise = programme.period * float(np.flatnonzero(outside)[-1] + 1)
     reference = programme.path(coefficients)
     figures = arms.figures(reference, seeds)
     runs = [arms.run(arms.links[each.arm], each.payload, reference) for each in figures]
@@ -269,7 +269,7 @@ def shape(
         target=target,
         voltage=most,
         reserve=reserve,
-        promised=promised,
+        promised=promise,
         worst_case=WorstCase(
             figures, (arms.payloads[0], arms.payloads[-1]), told, on, arms.law.digest
         ),

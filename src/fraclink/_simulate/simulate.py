@@ -331,7 +331,7 @@ def _on_model(
         np.array([about["seed"]], dtype=np.uint64),
         **{name: np.array([value]) for name, value in values.items()},
     )
-    shared = shared_rig(
+    rig_constants = shared_rig(
         rig,
         law,
         about["motor_loop"],
@@ -341,7 +341,7 @@ def _on_model(
     broken = fault_rows(faults, law.period, count) if faults else None
     rows = run_lumped(
         law,
-        shared,
+        rig_constants,
         arm,
         path[None, [0, 2]],
         np.zeros(1, dtype=np.int32),
@@ -379,14 +379,14 @@ def model_run(
     if estimator is not None:
         angle, torque = signals["motor_angle_measured"], signals["torque_measured"]
         missed = np.zeros(angle.size) if faults is None else faults[:, FAULT_BITS]
-        called = (missed.astype(int) & FAULTS["tick missed"][0]) == 0
+        active = (missed.astype(int) & FAULTS["tick missed"][0]) == 0
         _, estimates = estimated_over(
             estimator,
             estimator.initial_state(),
             angle,
             torque,
             np.arange(angle.size),
-            called,
+            active,
         )
         findings += estimate_findings(estimator, estimates, law.period)
         extras = estimate_signals(estimates)

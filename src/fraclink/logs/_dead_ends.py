@@ -54,25 +54,25 @@ def dead_end(
     stamps = matching.stamps(time, max(values.size for values in table.values))
     period = float(stamps[-1] - stamps[0]) / max(1, stamps.size - 1)
     names = {place: shlex.quote(matching.label(place)) for place in free}
-    felt = [place for place in free if roles[place][0] == "an acceleration"]
-    driven = [place for place in free if roles[place][0] == "voltage"]
+    sensors = [place for place in free if roles[place][0] == "an acceleration"]
+    voltages = [place for place in free if roles[place][0] == "voltage"]
     rings = [place for place in free if roles[place][0] in _RINGS]
     mode, channels = '"k/(s**a + w)*exp(-L*s)"', ""
-    if missing == "output" and angle is not None and felt:
+    if missing == "output" and angle is not None and sensors:
         # A lag of a quarter of a sample makes the structure proper, and every
         # accelerometer has one; any further lag is L.
         mode = f'"k*s**2/(s**a + w)/({0.25 * period:.3g}*s + 1)*exp(-L*s)"'
         channels = (
-            f"--input {shlex.quote(matching.label(angle))} --output {names[felt[0]]}"
+            f"--input {shlex.quote(matching.label(angle))} --output {names[sensors[0]]}"
         )
         problem = "with an acceleration, which is no angle, as its output"
         remedy = "run"
-    elif missing == "output" and angle is not None and driven:
+    elif missing == "output" and angle is not None and voltages:
         scale = "" if time.scale == 1 else f" * {time.scale:g}"
         statements = (
             f"time={time.column}{scale} [{time.unit}]",
             f"motor_angle={matching.label(angle)} [{matching.unit(angle) or 'deg'}]",
-            f"voltage={matching.label(driven[0])} [{matching.unit(driven[0]) or 'V'}]",
+            f"voltage={matching.label(voltages[0])} [{matching.unit(voltages[0]) or 'V'}]",
         )
         columns = " ".join(f'--column "{text}"' for text in statements)
         return _without_model(
@@ -82,7 +82,7 @@ def dead_end(
         )
     # One signal that rings and nothing that drives it; with two it would be unknown
     # which one is the output.
-    elif missing == "motor_angle" and len(rings) == 1 and not driven:
+    elif missing == "motor_angle" and len(rings) == 1 and not voltages:
         channels = f"--ring-down --output {names[rings[0]]}"
         problem = "without a motor that moves"
         remedy = "if the link was bent and let go, run"

@@ -211,9 +211,9 @@ class _Matching:
         channel = None if angle is None else self.motor_angle(angle)
         if time is None or angle is None or output is None or channel is None:
             return None
-        turned = channel.in_si(self.cells(angle), "motor_angle")
+        motor_angle = channel.in_si(self.cells(angle), "motor_angle")
         # The median: gaps or stamps that jump back are left to the reader.
-        steps = np.abs(np.diff(self.stamps(time, turned.size)))
+        steps = np.abs(np.diff(self.stamps(time, motor_angle.size)))
         period = float(np.median(steps))
         if not period > 0:
             raise LogError(
@@ -223,12 +223,12 @@ class _Matching:
                 allowed="stamps that rise",
                 remedy="state another column, or --period-ms 4",
             )
-        if turned.size != self.table.values[output].size:
+        if motor_angle.size != self.table.values[output].size:
             return None
-        source = self.from_the_hub(channel, turned, output, period)
+        source = self.from_the_hub(channel, motor_angle, output, period)
         if source is None:
             return None
-        mode = _vibration(turned, self.cells(source), period)
+        mode = _vibration(motor_angle, self.cells(source), period)
         mode = mode if share_of(mode) > _SHOWN else None
         measured = self.output(source, mode)
         if measured is None:
@@ -236,7 +236,7 @@ class _Matching:
         kind, unit, scale = measured
         sign = self.sign(mode)
         signal = Channel(self.label(source), unit, sign=sign, scale=scale)
-        voltage = self.voltage(turned, taken=(angle, source))
+        voltage = self.voltage(motor_angle, taken=(angle, source))
         return LogColumns(time, channel, **{kind: signal}, voltage=voltage)
 
     # --- time ---
@@ -262,10 +262,10 @@ class _Matching:
             place = (
                 self.add(column, "s") if combined else self.table.place(column, "time")
             )
-        named = names_time(self.table.name(place))
+        is_time = names_time(self.table.name(place))
         step = float(np.median(np.abs(np.diff(self.cells(place)))))
         rate = f"a sample every {step * scale:.6g}"
-        sure: Certainty = "certain" if named else "likely"
+        sure: Certainty = "certain" if is_time else "likely"
         name = self.label(place)
         self.conclude("time", name, "stated" if statement.column else sure, rate)
         own = statement.unit or self.unit(place)
@@ -276,7 +276,7 @@ class _Matching:
         ]
         # A column that increases by one may count samples or milliseconds; it is a
         # clock only if its name says so.
-        counter = step == 1.0 and not named
+        counter = step == 1.0 and not is_time
         # The unit in the name applies unless no arm is sampled that slowly: then
         # milliseconds were exported under a name for seconds.
         valid = own in UNITS["time"]
@@ -383,8 +383,8 @@ class _Matching:
             values = table.values[place]
             # A column that only increases is another clock, unless its name denotes a
             # quantity other than time.
-            named = self.table.roles[place][0] and not names_time(table.name(place))
-            rises = clock_step(values) is not None and not named
+            has_role = self.table.roles[place][0] and not names_time(table.name(place))
+            rises = clock_step(values) is not None and not has_role
             again = any(np.array_equal(values, table.values[k]) for k in places)
             signal = values.size == length and moves(values)
             if place != clock and signal and not rises and not again:
@@ -565,9 +565,9 @@ class _Matching:
         table, statement = self.table, self.statement("voltage")
         place = self.place("voltage")
         roles = enumerate(self.table.roles)
-        named = [k for k, (role, _) in roles if role == "voltage" and k not in taken]
-        if place is None and len(named) == 1:
-            place = named[0]
+        voltages = [k for k, (role, _) in roles if role == "voltage" and k not in taken]
+        if place is None and len(voltages) == 1:
+            place = voltages[0]
         if place is None or table.values[place].size != angle.size:
             return None
         raw, own, name = table.values[place], self.unit(place), self.label(place)

@@ -102,12 +102,12 @@ class Question:
         if of_column and self.role == "motor_angle" and each.unit is None:
             # This extends the existing question instead of adding a second one.
             each = replace(each, unit=own if own in units else "")
-        named = not of_column or any(name in text for name in self.choices)
+        complete = not of_column or any(name in text for name in self.choices)
         optional = of_column and self.role == "output" and each.unit is None
-        if not named or (each.unit not in units and not optional):
+        if not complete or (each.unit not in units and not optional):
             problem = "not understood" if each.unit else "without a unit"
             allowed = f"a column and one of {', '.join(units)}"
-            if not named:
+            if not complete:
                 problem = "none of these columns"
                 allowed = f"{', '.join(self.choices[:12])}, a sum such as a + b [rad], or none"
             remedy = f"such as {', '.join(self.choices)}"

@@ -177,14 +177,14 @@ def _measured(
     """
     rows = _rows(campaign, block)
     metrics = measure_many(_judged(campaign, block, rows))
-    grown = np.flatnonzero(metrics["growth"] > 0.0)
-    if grown.size:
+    growing = np.flatnonzero(metrics["growth"] > 0.0)
+    if growing.size:
         # The same arms with the same noise as in the first run, continued for the same
         # time again: an envelope raised by noise falls back, one that grows is larger
         # by e^(growth · duration).
-        some = block.rows(grown)
+        some = block.rows(growing)
         longer = _judged(campaign, some, _rows(campaign, some, 2))
-        metrics["growth"][grown] = measure_many(longer)["growth"]
+        metrics["growth"][growing] = measure_many(longer)["growth"]
     return rows, metrics
 
 

@@ -143,9 +143,9 @@ def _value(word: str) -> float | str:
 def only(e: Evidence, *modes: str) -> Check:
     """Only `modes` after the law started: no other trip."""
     # A law is idle until it has read both sensors once, with or without a fault.
-    begun = int(np.argmax((e.faulty.flags & FLAGS["started"]) != 0))
+    first = int(np.argmax((e.faulty.flags & FLAGS["started"]) != 0))
     allowed = [MODES.index(mode) for mode in modes]
-    others = np.count_nonzero(~np.isin(e.faulty.mode[begun:], allowed))
+    others = np.count_nonzero(~np.isin(e.faulty.mode[first:], allowed))
     return Check.at_most(OTHER_MODE, int(others), 0)
 
 
@@ -164,19 +164,19 @@ def reacts(e: Evidence, mode: str, within: float, *reasons: str) -> Check:
     """
     first = e.row + e.reacted - 1
     target = MODES.index(mode)
-    missed = ""
+    remark = ""
     if e.reacted < 0:
-        missed = " (never)"
+        remark = " (never)"
     elif e.faulty.mode[first] != target:
-        missed = f" (went {MODES[e.faulty.mode[first]]})"
+        remark = f" (went {MODES[e.faulty.mode[first]]})"
     elif REASONS[e.faulty.reason[first]] not in reasons:
-        missed = f" (for {REASONS[e.faulty.reason[first]]})"
+        remark = f" (for {REASONS[e.faulty.reason[first]]})"
     # A higher mode may follow (degraded, then off). A law must not return on its own,
     # since a fault that pauses has not gone.
     elif np.any(e.faulty.mode[first:] < target):
-        missed = " (did not latch)"
-    measured = np.inf if missed else e.reacted
-    return Check.at_most(f"periods until {mode}{missed}", measured, within)
+        remark = " (did not latch)"
+    measured = np.inf if remark else e.reacted
+    return Check.at_most(f"periods until {mode}{remark}", measured, within)
 
 
 def peak_ratio(e: Evidence, limit: float) -> Check:
@@ -406,8 +406,8 @@ def hit_reaction(e: Evidence) -> Check:
     if e.case.severity < 3:
         return settled(e, 1.0)
     check = reacts(e, "hold", math.inf, "link overloaded")
-    felt, limit = float(np.abs(e.faulty.torque).max()), e.law.limits.torque_trip
-    name = f"{check.name}; torque reached {felt:.3g} of {limit:.3g} N·m"
+    torque, limit = float(np.abs(e.faulty.torque).max()), e.law.limits.torque_trip
+    name = f"{check.name}; torque reached {torque:.3g} of {limit:.3g} N·m"
     return Check.at_most(name, check.measured, check.limit)
 
 

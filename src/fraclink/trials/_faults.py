@@ -293,9 +293,9 @@ class FaultTable:
     def repeated(self, outcome: Outcome) -> str:
         """The command that runs one case again."""
         case = outcome.case
-        begun = self.about.get("command", "fraclink campaign faults")
+        command = self.about.get("command", "fraclink campaign faults")
         return (
-            f"{begun} --only {case.fault} --severity {case.severity} --payload {case.payload!r} "
+            f"{command} --only {case.fault} --severity {case.severity} --payload {case.payload!r} "
             f"--phase {case.phase} --seed {case.seed} --out {case.name}"
         )
 
@@ -343,11 +343,11 @@ class FaultTable:
 
 
 def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
-    failed = [outcome for outcome in runs if not outcome.passed]
+    failures = [outcome for outcome in runs if not outcome.passed]
     # Compared by the factor over the limit, the only common measure of a peak in
     # radians and a reaction in periods.
     check, example = max(
-        ((check, outcome) for outcome in failed for check in outcome.failed),
+        ((check, outcome) for outcome in failures for check in outcome.failed),
         key=lambda pair: _excess(pair[0]),
         default=(None, None),
     )
@@ -357,7 +357,7 @@ def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
         fault.reaction,
         fault.required,
         len(runs),
-        len(failed),
+        len(failures),
         "" if example is None else f"{check} ({example.name})",
         example,
         # A fault is as bad as its worst run.
@@ -463,10 +463,10 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
 
 
 def _check_clean(run: Run, payload: float) -> None:
-    tripped = np.flatnonzero(run.mode > RUN)
-    if tripped.size or not run.finished:
+    trips = np.flatnonzero(run.mode > RUN)
+    if trips.size or not run.finished:
         mode, reason = end_of(run)
-        time = run.time[tripped[0] if tripped.size else -1]
+        time = run.time[trips[0] if trips.size else -1]
         raise FieldError(
             "bench",
             f"{mode} ({reason}) at {time:.3f} s",

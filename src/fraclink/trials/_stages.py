@@ -205,8 +205,8 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
     # over a range would be impossible. The assumption is recorded, because a wrong
     # payload shifts every frequency by its square root.
     nominal = rig.payloads.nominal
-    assumed = f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated"
-    return rig, replace(link, payload=nominal), (assumed,)
+    assumption = f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated"
+    return rig, replace(link, payload=nominal), (assumption,)
 
 
 def designed(study: Study, **wanted: Any) -> Study:
@@ -215,10 +215,10 @@ def designed(study: Study, **wanted: Any) -> Study:
     The law is None if no law represents the controller, which is a finding of the
     design.
     """
-    rig, model, assumed = subject(study)
+    rig, model, first = subject(study)
     design, more = design_for(rig, model, **wanted)
     design = design.doubted(study.fit.findings if study.fit else ()).with_law()
-    assumptions = (*study.assumptions, *assumed, *more)
+    assumptions = (*study.assumptions, *first, *more)
     return replace(
         study,
         design=design,

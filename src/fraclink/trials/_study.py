@@ -141,9 +141,9 @@ class Study:
         if self.design is None:
             return self.missing.get("design", self.verdict.sentence)
         parts = self.design.sentence.split("; ")
-        settled = [run.metrics.settling_time for run in self.runs]
-        if settled:
-            longest = max(settled)
+        times = [run.metrics.settling_time for run in self.runs]
+        if times:
+            longest = max(times)
             parts.insert(
                 1,
                 f"settles within {number(longest, 3)} s"
@@ -176,8 +176,8 @@ class Study:
             )
         if self.arms is not None:
             failure = self.arms.failure
-            passed = f"{failure.runs - failure.count} of {failure.runs} passed"
-            rows.append(Row("", "Varied arms", passed))
+            count = f"{failure.runs - failure.count} of {failure.runs} passed"
+            rows.append(Row("", "Varied arms", count))
         if self.faults is not None:
             rows.append(Row("", "Faults on the twin", self.faults.sentence))
         return tuple(rows)
@@ -222,14 +222,14 @@ class Study:
         )
 
     def _broken_promises(self) -> list[str]:
-        missed = [
+        misses = [
             f"{item.name}: {quantity(item.achieved, item.unit)} instead of {quantity(item.wanted, item.unit)}"
             for item in (self.design.requirements if self.design else ())
             if not item.passed
         ]
         design, proof = map(self.missing.get, ("design", "certificate"))
         unproved = [f"not certified: {proof}"] if proof else []
-        return ([design] if design else []) + missed + unproved
+        return ([design] if design else []) + misses + unproved
 
     def _twin(self, doubts: list[str]) -> Scope:
         ran = self.arms is not None or self.faults is not None
@@ -243,7 +243,7 @@ class Study:
         return replace(scope, reasons=(*scope.reasons, *untried))
 
     def _failures(self) -> list[str]:
-        failed = []
+        sentences = []
         if self.arms is not None and self.arms.failure.count:
             count, runs = self.arms.failure.count, self.arms.failure.runs
             settling = next(
@@ -254,15 +254,15 @@ class Study:
             causes = " and ".join(
                 name.replace("_", " ") for name, _ in settling.drivers[:2]
             )
-            failed.append(
+            sentences.append(
                 f"{count} of {runs} arms fail ({100 * count / runs:.1f} %); most depends on {causes}"
             )
         if self.faults is not None and not self.faults.passed:
             rows = self.faults.rows()
-            failed.append(
+            sentences.append(
                 f"{sum(not row.passed for row in rows)} of {len(rows)} faults miss their requirement"
             )
-        return failed
+        return sentences
 
 
 def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:

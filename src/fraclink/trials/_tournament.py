@@ -156,25 +156,25 @@ class Tournament:
                     f"{figure.words}: {first.name} is best ({own}){with_others}"
                 )
             else:
-                reached = min(
+                best_value = min(
                     getattr(each, name) for each in self.standings if each.passed
                 )
                 sentences.append(
                     f"{figure.words}: better than {first.name}: {', '.join(best)} "
-                    f"({figure.row(name, reached).cell} against {own})"
+                    f"({figure.row(name, best_value).cell} against {own})"
                 )
         return tuple(sentences)
 
     def overview(self) -> Overview:
         """Where fraclink is best and where a rival is better, and all figures."""
         first, winners = self.standings[0], self.winners()
-        won = sum(first.name in names for names in winners.values())
+        wins = sum(first.name in names for names in winners.values())
         rows = (Row("verdicts", "", self.verdicts()), Row("winners", "", winners))
         rules = tuple(
             f"{each.name}: {each.rule} ({each.knob})" for each in self.standings
         )
         return Overview(
-            f"{first.name} is best in {won} of {len(FIGURES)} figures",
+            f"{first.name} is best in {wins} of {len(FIGURES)} figures",
             state_of(first.passed),
             rows,
             (Table.of("standings", (standing.rows for standing in self.standings)),),
