@@ -1,10 +1,10 @@
-"""Give memory back: `make test` fits into a gigabyte. One thread of linear algebra a
-worker: two workers share two cores, and with more threads last bits depend on the
-machine.
+"""Release memory, so that `make test` fits into a gigabyte. Linear algebra has one
+thread per worker: two workers share two cores, and with more threads the last bits
+depend on the machine.
 
-What a file of tests leaves in its caches is needed by no other, and free memory goes
-back to the system only where the C library is told to: without either, a worker grows
-to twice what it starts with.
+Cached results of one test file are not needed by any other, and free memory is returned
+to the system only if the C library is told to. Without these two measures a worker
+grows to twice its initial size.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
-# Read when numpy is loaded, which no plugin does before this file.
+# Read when numpy is loaded; no plugin loads it before this file.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# One worker runs all tests that start pools of processes, so that no two pools live at
-# once.
+# One worker runs all tests that start process pools, so that no two pools exist at the
+# same time.
 _POOLS = {f"tests/test_campaign{name}.py" for name in ("", "_resume", "_summary")}
 _POOLS |= {"tests/test_integrity.py"}
 
@@ -44,8 +44,8 @@ def pytest_xdist_make_scheduler(
 
 
 def _forget(module: ModuleType) -> None:
-    """Empty the caches of the functions that a module has or uses; the package's own
-    are bounded.
+    """Empty the caches of the functions that a module defines or uses; the caches of
+    the package are bounded.
     """
     for value in vars(module).values():
         if hasattr(value, "cache_clear") and not str(value.__module__).startswith(
@@ -57,9 +57,9 @@ def _forget(module: ModuleType) -> None:
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
 if hasattr(_LIBC, "mallopt"):
-    # An array of some megabytes goes back when it is freed. Left alone, the GNU C
-    # library raises this limit to the largest block freed so far, up to 32 MB: smaller
-    # ones then stay in the worker, below what lives.
+    # Arrays of several megabytes are returned when they are freed. By default the GNU C
+    # library raises this limit to the largest block freed so far, up to 32 MB; smaller
+    # blocks then stay in the worker, below memory in use.
     _LIBC.mallopt(_MMAP_THRESHOLD, 4 * 2**20)
 
 
@@ -73,7 +73,7 @@ def pytest_collection_finish() -> None:
     """Leave modules and collected tests out of every later search for garbage: they
     stay.
     """
-    linecache.clearcache()  # every source in which an example was looked for
+    linecache.clearcache()  # all sources that were searched for examples
     _give_back()
     gc.freeze()
 

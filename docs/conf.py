@@ -1,4 +1,6 @@
-"""Sphinx: MyST pages whose code runs while they are built; no page needs the network."""
+"""Sphinx: MyST pages whose code is executed during the build; no page needs network
+access.
+"""
 
 import sys
 from pathlib import Path
@@ -30,13 +32,15 @@ myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
-nb_execution_in_temp = True  # pages may write files; none of them into the sources
+nb_execution_in_temp = True  # pages may write files, but not into the sources
 nb_merge_streams = True
-nb_render_markdown_format = "myst"  # a table made by a cell is a table on the page
+# a table returned by a cell becomes a table of the page
+nb_render_markdown_format = "myst"
 
-# Formulas are written in Unicode: the usual renderer would fetch a script from
-# elsewhere.
-exclude_patterns = ["_build", "**/_*.md"]  # parts of pages begin with an underscore
+# Formulas are written in Unicode: the usual renderer would load a script from the
+# network.
+# names of partial pages begin with an underscore
+exclude_patterns = ["_build", "**/_*.md"]
 html_theme = "furo"
 html_title = f"fraclink {version}"
 html_static_path = ["_static"]
@@ -48,20 +52,18 @@ html_copy_source = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
-# Spelled out, numpy's own type fills three lines of a signature.
+# Written out, numpy's own type takes up three lines of a signature.
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
 # The types in docstrings are words with shapes and units; the links are in the
 # signature.
 napoleon_use_param = False
 napoleon_use_rtype = False
-napoleon_custom_sections = [
-    ("Attributes", "params_style")
-]  # like parameters: several names share a line
+# as in parameters: several names share a line
+napoleon_custom_sections = [("Attributes", "params_style")]
 
-# "What is this name" must have an answer: an undefined symbol is a failed build (make
-# docs adds -W).
+# Every reference must resolve: an undefined symbol fails the build (make docs adds -W).
 nitpicky = True
-# Other projects' types: their inventories lie on the network, which a build does not
+# Types of other projects: their inventories are on the network, which a build does not
 # need.
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|np|control|matplotlib|pathlib|fractions|collections\.abc)\..+"),
@@ -69,10 +71,9 @@ nitpick_ignore_regex = [
     (
         r"py:.*",
         r".*typing\.(Annotated|Literal)\[.*",
-    ),  # a range or a choice in a signature, cut at its comma
+    ),  # a range or a choice in a signature, split at its comma
     (r"py:class", r"tuple\[float|fracsys\.checks\.ranges\.Array"),  # likewise
-    # Private types in the signatures of public functions: what they mean stands in the
-    # text.
+    # Private types in signatures of public functions: the text explains their meaning.
     (
         r"py:class",
         r"fraclink\._law\.discretization\._Designed|fraclink\.trials\._fault_trial\.Trial",

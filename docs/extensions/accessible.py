@@ -1,9 +1,8 @@
-"""What the theme's markup leaves out for readers of screens, put in when the pages are
-written.
+"""Adds markup for screen readers that the theme leaves out, when the pages are written.
 
-axe finds in every page of furo: captions that are headings of no level, two landmarks
-without a name, and in pages with folded cells summaries whose label is not what they
-say.
+In every page of furo, axe finds captions that are headings without a level and two
+landmarks without a name, and in pages with folded cells, summaries whose label differs
+from their text.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""A page for every command, written before a build from the command's own help: what it
-does, an example with its output as the tests hold it, its options, a picture, and the
-page that explains more.
+"""A page for every command, written before a build from the help of the command: what
+it does, an example with the output recorded for the tests, its options, a picture, and
+a link to a page with more explanation.
 
-The pages lie in `reference/commands`, where only this writes.
+The pages are in `reference/commands`, which no other module writes to.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from fraclink._cli.app import application
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTPUTS = ROOT / "tests" / "golden" / "commands"
-_LONGEST = 45  # lines of an output: more hides the options below it
+_LONGEST = 45  # lines of an output: more would push the options out of sight
 
-# Command -> picture, and the page that explains more.
+# Command -> picture and page with more explanation.
 SHOWN: dict[str, tuple[str, str]] = {
     "start": ("detail", "tutorial/your-own-csv"),
     "run": ("moves", "tutorial/from-log-to-board"),
@@ -91,7 +91,7 @@ def page(name: str, command: Any) -> str:
 
 
 def _output(name: str) -> list[str]:
-    """What the command printed when its output was recorded for the tests."""
+    """Return the output of the command as recorded for the tests."""
     place = OUTPUTS / f"{file_name(name)}.txt"
     if not place.is_file():
         return []

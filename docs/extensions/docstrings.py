@@ -1,8 +1,9 @@
-"""Docstrings as they are written in the source, made ready for Sphinx.
+"""Prepares the docstrings of the source for Sphinx.
 
-They are plain text with formulas, for `help()` first. Three things would be misread: a
-paragraph after the last section of numpy's style, a colon in the first line of a
-property, a bar or a star in a formula. All of it is mended before napoleon reads them.
+They are plain text with formulas, written mainly for `help()`. Sphinx would misread a
+paragraph after the last section in numpy style, a colon in the first line of a
+property, and a bar or an asterisk in a formula. All three are corrected before napoleon
+reads the docstrings.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import is_typeddict
 
 from sphinx.application import Sphinx
 
-# napoleon's own handler stands at Sphinx's default of 500.
+# The handler of napoleon has Sphinx's default priority of 500.
 BEFORE_NAPOLEON = 400
 SECTION = re.compile(r"(Parameters|Returns|Raises|Attributes)$")
 ARRAY = re.compile(
@@ -30,10 +31,9 @@ def end_sections(
     them for its entries.
     """
     if what in ("property", "attribute", "data"):
-        lines[:0] = [
-            "..",
-            "",
-        ]  # an empty comment: the words before a colon in the first line would be a type
+        # an empty comment: the words before a colon in the first line would be taken as
+        # a type
+        lines[:0] = ["..", ""]
         return
     inside = False
     ready: list[str] = []

@@ -1,10 +1,10 @@
-"""Names of fraclink in running text become links, and one that does not exist fails the
-build.
+"""Turns names of fraclink in running text into links; a name that does not exist fails
+the build.
 
-`fl.design`, `fraclink.extend.Beam(…)` and `Design.sampled_at` between backticks are looked up.
-What begins with `fl.` or `fraclink.` must stand in the reference: else Sphinx's
-nitpicky mode reports an undefined symbol. A bare name is linked where the package has
-it at its root, and left alone otherwise.
+`fl.design`, `fraclink.extend.Beam(…)` and `Design.sampled_at` between backticks are
+looked up. Names that begin with `fl.` or `fraclink.` must be in the reference:
+otherwise Sphinx's nitpicky mode reports an undefined symbol. A bare name is linked if
+it is at the root of the package, and left unchanged otherwise.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def entry_of(path: str) -> str:
         and last in fraclink.__all__
         and is_module(f"fraclink.{head}")
     ):
-        return f"fraclink.{last}"  # its home is private, its name is public
+        return f"fraclink.{last}"  # its module is private, its name is public
     if last in fields_of(getattr(fraclink, head, None)):
         return f"fraclink.{head}"
     return f"fraclink.{path}"

@@ -80,7 +80,7 @@ def _down(x: float, y: float, to: float) -> str:
 
 
 def _head(x: float, y: float, right: int, down: int) -> str:
-    """The head of an arrow that points right, down or up."""
+    """An arrowhead that points right, down or up."""
     a, b = (
         (x - 7 * right - 4 * down, y - 7 * down - 4 * right),
         (x - 7 * right + 4 * down, y - 7 * down + 4 * right),

@@ -1,7 +1,7 @@
-"""The arm that moves, beside the pages that point at it: `_static/arm.html`, written by
-the package as it is.
+"""The interactive arm for the pages that link to it: `_static/arm.html`, written by the
+current version of the package.
 
-It is made anew in every build, so that no page shows the law of another version.
+It is generated in every build, so that no page shows the law of another version.
 """
 
 from __future__ import annotations

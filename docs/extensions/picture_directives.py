@@ -1,5 +1,5 @@
-"""`{picture} name`, `{gallery}` and `{cards}`: drawings of `pictures` as parts of a
-page, in its colours.
+"""`{picture} name`, `{gallery}` and `{cards}`: drawings from `pictures` as parts of a
+page, in the colours of the page.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ def write_styles(app: Sphinx, error: Exception | None) -> None:
     """The package's colours and drawings, for every page."""
     if error is None and app.builder.format == "html":
         place = Path(app.outdir) / "_static"
-        # A cell's drawing brings its own style; on these pages the page's colours
-        # count.
+        # The drawing of a cell has a style of its own; on these pages the colours of
+        # the page take precedence.
         figure = re.sub(
             r"(^|[,}]\s*|\n)\.fl\b", r"\1body .fl", template_text("figure.css")
         )

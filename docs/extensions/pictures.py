@@ -1,5 +1,5 @@
-"""Pictures of the pages, drawn by the package in every build: title, page that explains
-it, drawing.
+"""The pictures of the pages, drawn by the package in every build: title, page that
+explains it, drawing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The kernels that run the pages say nothing of their own: what `make docs` prints is
-about the pages.
+"""Silences the kernels that execute the pages, so that the output of `make docs` is
+only about the pages.
 
-Each kernel would warn that it talks over TCP without encryption, which on the loopback
-of the machine that builds is as it should be, and each page would be announced.
+Each kernel would warn of TCP without encryption, which is in order on the loopback
+interface of the build machine, and each page would be announced.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from tempfile import TemporaryDirectory
 from sphinx.application import Sphinx
 
 ERRORS_ONLY = "c.IPKernelApp.log_level = 40\n"
-folder = TemporaryDirectory(prefix="docs-kernels-")  # lives as long as the build
+# kept for the duration of the build
+folder = TemporaryDirectory(prefix="docs-kernels-")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
