@@ -281,12 +281,13 @@ def feasibility_map(
             )
             if found is None:
                 search = Search(cell, cell.first_links, cell.filter_orders[-1])
-                starts = search.starts
+                start = search.first()
             # start from the previous cell, and from all links that were worst there
             else:
-                search, starts = replace(found.search, request=cell), found.x[:, None]
-            found = search.over_links(starts)
+                search, start = replace(found.search, request=cell), found.x
+            found = search.over_links(start[:, None])
             if found.slack > 0.0:
                 break  # a larger margin is infeasible as well
+            found = found.quieter()
             noise[row, column] = found.noise_gain
     return FeasibilityMap(crossovers, angles, noise)

@@ -175,7 +175,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     """The design of a request; InfeasibleError if there is none, with the nearest
     feasible request.
     """
-    made, solution = _best(request, goal, law)
+    made, solution = _best(request, goal, law, patient=True)
     if not made.missed and made.box is None:
         return made
     if not made.missed:
@@ -188,26 +188,30 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     raise InfeasibleError(condition, sentence, offer)
 
 
-def _best(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
+def _best(
+    request: Request, goal: Goal, law: bool, *, patient: bool
+) -> tuple[Design, Solution]:
     """The design of a request and the solution of its search: with a gain-stabilised
     second mode, or else with a phase-stabilised one.
     """
     # `loud` needs a known second mode that the user does not bound
     known = request.model.second_mode is not None and "mode_gain" not in request.spec
     if known:
-        made, solution = _reserved(request, goal, law)
+        made, solution = _reserved(request, goal, law, patient=False)
         if not made.missed:
             return made, solution
         request = replace(request, loud=True)
-    return _reserved(request, goal, law)
+    return _reserved(request, goal, law, patient=patient)
 
 
-def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
+def _reserved(
+    request: Request, goal: Goal, law: bool, *, patient: bool
+) -> tuple[Design, Solution]:
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
     for asked in _asked(request, goal):
-        solution = solved(asked)
+        solution = solved(asked, patient=patient)
         made = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.slack == 0.0 else 0):
             made = made.with_law()
@@ -230,7 +234,7 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
         return [request]
     key = "phase_margin" if goal == "margin" else "gain_crossover"
     most = math.pi if goal == "margin" else request.highest
-    best = solved(request.aiming(key, most))
+    best = solved(request.aiming(key, most), patient=True)
     reached, least = most * math.exp(-best.rows.easing), request.arms.resonance
     if goal == "margin":
         reached, least = math.degrees(most * (1.0 - best.rows.easing)), 0.0
@@ -332,7 +336,7 @@ def _offer(
                 values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        trial, _ = _best(request.asking(**values), goal, law)
+        trial, _ = _best(request.asking(**values), goal, law, patient=True)
         if not trial.missed:
             return values
     return {}

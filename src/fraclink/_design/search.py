@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fraclink._arm.controller import Controller
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.solver import KEPT, RADIUS, Rows, eased, lowest
+from fraclink._design.solver import KEPT, Rows, eased, lowest
 from fraclink._design.table import Figure, Outer, Table, Trial
 from fraclink._law.requirement import Requirement
 
@@ -23,22 +23,34 @@ __all__ = ["Search", "Solution", "solved"]
 
 Real = NDArray[np.float64]
 
+_ROUNDS = 8  # rounds in which links are added that turn out to be worse
+# δ times the crossover at the first start: a long filter with a steep Ĉ makes a quiet
+# loop
+_LAG = 1.2
+# The other starts: δ times the resonance, and β as a share of its limit; the feasible
+# set may be disconnected.
+_LAGS, _ORDERS = (0.1, 0.4, 1.5), (0.3, 0.5, 0.7, 0.85)
 # Bounds of ln δ [s]: ten periods of the slowest arm, and less than any control period.
 _LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
 _LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
-# Least gain in ln of the noise that justifies another descent: the third digit, which is
-# printed.
-_IDLE = 1e-3
+_WIDTH, _DEPTH = 0.3, 0.1  # first guess of a notch: ζ of its poles and of its zeros
+# Number of restarts of the descent of the noise, and the least gain in ln of the noise
+# that justifies another one.
+_TURNS, _IDLE = 4, 0.001
+# radius of a descent in each parameter; its gradients are useless farther away
+_REACH = 2.0
+# Share of the remaining distance that five steps must gain to continue the search:
+# towards the rows, and towards a row that is an aim.
+_FAR, _AIMING = 0.1, 0.003
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A request over some links of its table, with n, and possibly with a notch in an
-    interval [rad/s].
+    """A request over some links of its table, with n and with a notch in an interval
+    [rad/s], where there is one.
 
-    ``reserves`` are the additional margins of the rows, by key. ``ringing`` says
-    whether the damping of the vibration is evaluated, which costs as much as everything
-    else.
+    ``reserves`` is what is aimed at beyond a row, by its key. ``ringing`` says whether
+    the damping of the vibration is looked at: it costs as much as all the rest.
     """
 
     request: Request
@@ -51,7 +63,7 @@ class Search:
 
     @cached_property
     def table(self) -> Table:
-        """The loops without Ĉ of these links."""
+        """The loops beside Ĉ of these links."""
         return self.request.arms.table.rows(np.array(self.links))
 
     @cached_property
@@ -76,14 +88,14 @@ class Search:
         return low_ends, high_ends
 
     def outer(self, x: Real) -> Outer:
-        """Return Ĉ for parameters (P, K)."""
+        """Return Ĉ of parameters (P, K)."""
         return Outer(x, self.request.reference, self.filter_order)
 
     def trial(self, x: Real) -> Trial:
-        """Return these links with the Ĉ of each of the parameter sets (P, S), one after
-        the other.
+        """Return these links under Ĉ of each of some parameters (P, S), one after the
+        other.
 
-        The last result is cached, since a search evaluates its end point several times.
+        The last one is kept: a search asks for where it ended several times.
         """
         key = x.tobytes()
         if key not in self._last:
@@ -96,7 +108,7 @@ class Search:
         return self._last[key]
 
     def kept(self, trial: Trial) -> dict[str, Figure]:
-        """Return the margin of each row at the links to which it applies."""
+        """Return by how much each row is kept at the links it is asked of."""
         found = {}
         for row, wanted in self.request.wanted:
             if row.key == "damping" and not self.ringing:
@@ -107,7 +119,7 @@ class Search:
         return found
 
     def rows(self, x: Real) -> list[Rows]:
-        """Return the rows for each of the parameter sets (P, S)."""
+        """Return the rows of each of some parameters (P, S)."""
         kept = self.kept(self.trial(x))
         figures = kept.values()
         value = np.concatenate([figure.value for figure in figures])
@@ -121,16 +133,13 @@ class Search:
             for k in range(x.shape[1])
         ]
 
-    def noise(self, x: Real) -> Real:
-        """Return ln of the noise gain at the worst link for each of the parameter sets
-        (P, S).
-        """
-        value = self.trial(x).noise.value
-        return np.asarray(np.max(value.reshape(x.shape[1], -1), axis=1))
+    def noise(self, x: Real) -> float:
+        """Return ln of the noise gain at the worst link."""
+        return float(np.max(self.trial(x[:, None]).noise.value))
 
     def noise_and_rows(self, x: Real) -> tuple[Rows, Rows]:
-        """Return the noise of every link, and the rows with their smallest value at
-        every link, so that their number does not change when a loop gains a crossing.
+        """Return the noise of every link, and the rows: of each the least at every link,
+        so that their number stays when a loop gains a crossing.
         """
         trial = self.trial(x[:, None])
         count, noise = len(self.links), trial.noise
@@ -151,26 +160,38 @@ class Search:
 
     # ---- where a search begins
 
-    @property
-    def starts(self) -> Real:
-        """Starting parameters (P, S): at the heaviest payload |L| = 1 at ω_r, or at the
-        resonance of the lightest; β at the quarters of its range; and the corner of the
-        filter at the ends and in the middle of the band between the heaviest payload's
-        resonance and the highest allowed crossing.
+    def first(self) -> Real:
+        """Parameters to begin from: the closed form of the lightest link, whose phase is
+        met at the crossover, with a long filter.
         """
-        low, high = self.bounds
         request, loop = self.request, self.request.arms.loops[0]
-        slow, fast = request.arms.resonance, request.highest
-        corners = np.geomspace(slow, fast, 3) if low[2] < high[2] else [slow]
-        shares = 0.25, 0.5, 0.75
-        places = float(loop.peak(request.natural_frequencies[1])), request.reference
+        low, high = request.natural_frequencies
+        ratio = (high / low) ** (2.0 / request.model.order)
+        # a loop that crosses below the resonance does not affect the vibration
+        least = max(request.reference, 1.1 * request.arms.resonance)
+        w = min(least * ratio, 0.6 * request.highest)
+        delta = request.spec.get("filter_time", _LAG / w)
+        beta = request.phase_margin - math.pi - float(loop.log(w, high).imag)
+        beta += self.filter_order * math.atan(delta * w)
+        return self._through(least, 2.0 / math.pi * beta, delta)
+
+    def others(self) -> Real:
+        """More of them, (P, S)."""
+        request, limit = self.request, self.bounds[1][1]
+        places = 1.1 * request.arms.resonance, request.reference
         return np.stack(
             [
-                self._through(place, share * high[1], 1.0 / corner)
-                for corner, share, place in product(corners, shares, places)
+                self._through(place, order * limit, lag / request.arms.resonance)
+                for lag, order, place in product(_LAGS, _ORDERS, places)
             ],
             axis=1,
         )
+
+    def elsewhere(self) -> Real:
+        """The one with the shortest filter and the steepest Ĉ."""
+        request, steepest = self.request, _ORDERS[-1] * self.bounds[1][1]
+        lag = _LAGS[0] / request.arms.resonance
+        return self._through(request.reference, steepest, lag)
 
     def _through(self, w: float, beta: float, delta: float) -> Real:
         """Parameters with |L| = 1 at `w` at the heaviest payload."""
@@ -184,55 +205,53 @@ class Search:
         x = [gain, beta, math.log(max(delta, 1e-12))]
         if self.notch is not None:
             centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
-            x += [centre, 0.5 * (low[4] + high[4]), 0.5 * (low[5] + high[5])]
+            x += [centre, math.log(_WIDTH), math.log(_DEPTH)]
         return np.array(x)
 
     # ---- the search
 
     def over_links(self, starts: Real) -> Solution:
-        """Return the end of a search from some starts (P, S), adding the worst links as
-        they turn up.
+        """Return where a search ends from some starts (P, S), the links that are worst
+        taken in as they turn up.
         """
-        search, near, feasible = self, starts, False
-        while True:
-            ends, rows = eased(search.rows, near, *search.bounds)
-            if feasible and rows[0].slack > KEPT:
-                # the added links leave nothing feasible near the last end
-                near = np.column_stack([near, starts])
-                ends, rows = eased(search.rows, near, *search.bounds)
-            x, feasible = ends[:, 0], rows[0].slack <= KEPT
-            if feasible:
-                # the noise has several minima: descend from the quietest end
-                x = search.quieter(ends[:, int(np.argmin(search.noise(ends)))])
+        search = self
+        for _ in range(_ROUNDS):
+            idle = _FAR if self.request.aim is None else _AIMING
+            x, rows = eased(search.rows, starts, *search.bounds, idle=idle)
+            if rows.slack <= KEPT:
+                x = search.quieter(x)
             solution = Solution(search, x)
             wider = solution.wider()
             if wider is None:
-                return solution
-            search, near = wider, x[:, None]
+                break
+            search, starts = wider, x[:, None]
+        return solution
 
     def quieter(self, x: Real) -> Real:
-        """Return parameters with less noise that meet every row, by descents within the
-        radius of a step, as long as they reduce it.
+        """Return parameters with less noise that keep every row.
 
-        A descent that violates the rows at a kink is led back to them.
+        A descent that lost its way at a kink is led back to the rows, and goes on from
+        there as long as that is less noise.
         """
-        before = self.noise(x[:, None])[0]
+        before, radius = self.noise(x), _REACH
         low, high = self.bounds
-        ended = False
-        while not ended:
-            near = np.maximum(low, x - RADIUS), np.minimum(high, x + RADIUS)
+        for _ in range(_TURNS):
+            near = np.maximum(low, x - radius), np.minimum(high, x + radius)
             lower, ended = lowest(self.noise_and_rows, x, *near)
-            ends, (rows, *_) = eased(self.rows, lower[:, None], low, high)
-            noise = self.noise(ends)[0]
-            if rows.slack > KEPT or noise > before - _IDLE:
+            lower, rows = eased(self.rows, lower[:, None], low, high)
+            noise = self.noise(lower)
+            if rows.slack <= KEPT and noise <= before - _IDLE:
+                x, before = lower, noise
+            elif not ended:
+                radius *= 0.25
+            if ended:
                 break
-            x, before = ends[:, 0], noise
         return x
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The end of a search."""
+    """Where a search ended."""
 
     search: Search
     x: Real
@@ -244,26 +263,26 @@ class Solution:
 
     @property
     def slack(self) -> float:
-        """0 if every row is met with half of its reserve."""
+        """0 where every row is kept, with half of what is kept in reserve."""
         missed = -float(np.min(self.rows.value, initial=0.0))
         return 0.0 if missed <= 0.5 * RESERVE else self.rows.slack
 
     @property
     def crossovers(self) -> tuple[float, float]:
-        """Crossovers of the heaviest and of the lightest payload [rad/s]."""
+        """Of the heaviest and of the lightest payload [rad/s]."""
         heavy, _, light, _ = self.search.request.first_links
         reached = np.exp(self._trial.crossover.value)
         return float(reached[heavy]), float(reached[light])
 
     @property
     def eases(self) -> bool:
-        """Whether all missed rows may be eased."""
+        """Whether all that is missed may be eased."""
         return self.rows.missed <= 0.5 * RESERVE
 
     @property
     def noise_gain(self) -> float:
         """The noise gain at the worst link of the search."""
-        return math.exp(self.search.noise(self.x[:, None])[0])
+        return math.exp(self.search.noise(self.x))
 
     @cached_property
     def controller(self) -> Controller:
@@ -289,8 +308,8 @@ class Solution:
 
     @cached_property
     def worst(self) -> dict[str, tuple[float, int]]:
-        """(margin, link) at which each row is worst; the damping at the links that are
-        worst in another row, and at those of the search.
+        """(by how much it is kept, the link) where each row is kept least; the damping
+        at the links that are worst in another row, and at those of the search.
         """
         found = {}
         kept = replace(self.search, ringing=False).kept(self._trial)
@@ -307,8 +326,8 @@ class Solution:
         return found
 
     def wider(self) -> Search | None:
-        """Return the search extended by the links that are worse than its own; None if
-        there are none.
+        """Return the search with the links that are worse than its own; None where there
+        are none.
         """
         search, easing = self.search, self.rows.easing
         soft = search.request.soft
@@ -325,7 +344,7 @@ class Solution:
 
     @cached_property
     def measured(self) -> tuple[tuple[Row, Requirement], ...]:
-        """Every row, and the achieved value where it is worst."""
+        """Every row, and what is achieved where it is worst."""
         request, found = self.search.request, []
         for row, wanted in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
@@ -337,22 +356,56 @@ class Solution:
             found += [(row, item) for item in items]
         return tuple(found)
 
+    def quieter(self) -> Solution:
+        """Return this one or another with less noise: the noise has several valleys, and
+        a second descent begins elsewhere.
+
+        At more links there is only more noise, so that they are looked at last.
+        """
+        search = self.search
+        low, high = search.bounds
+        if low[2] == high[2]:
+            return self  # with δ given there is a single minimum
+        x, rows = eased(search.rows, search.elsewhere()[:, None], low, high)
+        if rows.slack > KEPT:
+            return self
+        x = search.quieter(x)
+        if search.noise(x) > math.log(self.noise_gain) - _IDLE:
+            return self
+        other = search.over_links(x[:, None])
+        quieter = other.slack == 0.0 and other.noise_gain < self.noise_gain
+        return other if quieter else self
+
     def tightened(self, reserves: dict[str, float]) -> Solution:
-        """Return the solution with larger reserves for some rows."""
+        """Return the solution with more in reserve for some rows."""
         own = self.search.reserves
         more = {key: own.get(key, 0.0) + value for key, value in reserves.items()}
         search = replace(self.search, reserves={**own, **more})
         return search.over_links(self.x[:, None])
 
 
-def solved(request: Request) -> Solution:
-    """Return the best controller of a request, or the one nearest to it: with every n
-    without a notch, and if none of these keeps every row, with one.
+def solved(request: Request, *, patient: bool) -> Solution:
+    """Return the best controller of a request, or the one nearest to it.
+
+    Every n without a notch, then with one; and only where none of these keeps every
+    row, and the caller is patient, the same from other starts. What aims at a row out
+    of reach begins from all of them.
     """
+    searches = [
+        Search(request, request.first_links, order, notch)
+        for notch, order in product(request.notches, request.filter_orders)
+    ]
     found: list[Solution] = []
-    for notch, order in product(request.notches, request.filter_orders):
-        search = Search(request, request.first_links, order, notch)
-        found.append(search.over_links(search.starts))
+    for search in searches:
+        starts = search.first()[:, None]
+        if request.aim is not None:
+            starts = np.column_stack([starts, search.others()])
+        found.append(search.over_links(starts))
         if found[-1].slack == 0.0:
-            break
+            return found[-1].quieter()
+    for one in tuple(found) if patient and request.aim is None else ():
+        others = np.column_stack([one.x, one.search.others()])
+        found.append(one.search.over_links(others))
+        if found[-1].slack == 0.0:
+            return found[-1].quieter()
     return min(found, key=lambda one: one.slack)

@@ -12,29 +12,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
-__all__ = ["KEPT", "RADIUS", "Rows", "eased", "least_distance", "lowest"]
+__all__ = ["KEPT", "Rows", "eased", "least_distance", "lowest"]
 
 Real = NDArray[np.float64]
 
 KEPT = 2e-5  # relative violation that counts as met: a tenth of the reserve of the rows
 # Weights in a step of the rows that may not be eased, relative to those that may.
 _FIRST, _DEAR, _NEAR = 1e6, 1e3, 10.0
-# Ten to twenty steps suffice from a start; a search that takes more is at a kink. After
-# every four of them the worse half of the starts is dropped.
-_STEPS, _TURNS = 40, 4
+# Ten to twenty steps suffice from a start; a search that takes more is at a kink.
+_STEPS = 40
 _ASIDE = 0.03  # relative violation that a step may cause in a row that was met
 # Weight of the easing against the length of the step: little more easing than in an
 # equally good step within its bounds.
 _EASED = 100.0
 # Largest step in each parameter (all are logarithms or orders, in which the rows are
 # smooth up to about one), and the step at which a search ends.
-RADIUS, _STILL = 1.0, 1e-4
+_RADIUS, _STILL = 1.0, 1e-4
+_FINE = 1e-4  # absolute decrease of the cost at which a descent ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,30 +47,30 @@ class Rows:
     gradient: Real
     soft: NDArray[np.bool_]
 
-    @cached_property
+    @property
     def easing(self) -> float:
-        """The amount by which the soft rows have to be eased."""
+        """By how much the soft rows have to be eased."""
         return -float(np.min(self.value[self.soft], initial=0.0))
 
-    @cached_property
+    @property
     def missed(self) -> float:
-        """The amount by which a row that may not be eased is missed."""
+        """By how much a row is missed that may not be eased."""
         return max(-float(np.min(self.value[~self.soft], initial=0.0)) - KEPT, 0.0)
 
-    @cached_property
+    @property
     def slack(self) -> float:
-        """Both as one number, zero if every row is met; rows that may not be eased
-        dominate.
+        """Both as one number, zero where every row is kept; what may not be eased comes
+        first.
         """
         return self.easing + _FIRST * self.missed
 
     @property
     def near(self) -> float:
-        """Both, with the weights by which a step is judged."""
+        """Both, as a step weighs them that is judged by them."""
         return self.easing + _NEAR * self.missed
 
     def beside(self, other: Rows) -> bool:
-        """Whether these rows are better than others in one of the two amounts."""
+        """Whether these rows are better than others in one of the two."""
         less = other.easing - 0.1 * self.missed
         return self.missed < 0.99 * other.missed or self.easing < less
 
@@ -106,25 +106,30 @@ def least_distance(rows: Real, least: Real) -> Real:
 
 
 def eased(
-    rows_at: Callable[[Real], list[Rows]], starts: Real, low: Real, high: Real
-) -> tuple[Real, list[Rows]]:
-    """Return the parameters (P, K) reached from some starts (P, S) that meet every row,
-    or those with the least slack; and their rows.
+    rows_at: Callable[[Real], list[Rows]],
+    starts: Real,
+    low: Real,
+    high: Real,
+    *,
+    idle: float = 0.1,
+) -> tuple[Real, Rows]:
+    """Return the parameters where the slack is least, and their rows: from some starts
+    (P, S) at once, the first that keep every row.
 
-    After every four steps the worse half of the starts is dropped; the search ends when
-    one of them meets every row.
+    Every four steps the worse half of the starts is left. The search ends where five
+    steps gain less than the share `idle` of what is left.
     """
     x = np.clip(starts, low[:, None], high[:, None])
-    rows = rows_at(x)
-    radius = np.array([0.0 if one.slack <= KEPT else RADIUS for one in rows])
+    rows, radius = rows_at(x), np.full(x.shape[1], _RADIUS)
     left: list[list[Rows]] = [[] for _ in rows]
     best = min(zip(rows, x.T.copy(), strict=True), key=lambda pair: pair[0].slack)
+    near = [best[0].near]
     for turn in range(_STEPS):
         going = np.flatnonzero(radius > _STILL)
         ranks = np.argsort([rows[start].slack for start in going], kind="stable")
-        going = going[ranks][: max(len(rows) >> (turn // _TURNS), 1)]
-        done = turn > 0 and best[0].slack <= KEPT and turn % _TURNS == 0
-        if not going.size or done:
+        going = going[ranks][: max(len(rows) >> (turn // 4), 1)]
+        idling = turn > 5 and near[-6] - near[-1] < idle * near[-1]
+        if not going.size or best[0].slack <= KEPT or idling:
             break
         trial, hoped = x[:, going], np.zeros(going.size)
         for k, start in enumerate(going):
@@ -141,16 +146,14 @@ def eased(
             if fine and new.missed <= max(old.missed, _ASIDE):
                 left[start].append(old)
                 more = 2.0 if old.near - new.near > 0.5 * hoped[k] else 1.0
-                radius[start] = min(more * radius[start], RADIUS)
+                radius[start] = min(more * radius[start], _RADIUS)
                 x[:, start], rows[start] = trial[:, k], new
             else:
                 radius[start] = 0.25 * float(np.max(np.abs(trial[:, k] - x[:, start])))
-            if hoped[k] < KEPT or new.slack <= KEPT:
+            if hoped[k] < KEPT:
                 radius[start] = 0.0
-    kept = [start for start, one in enumerate(rows) if one.slack <= KEPT]
-    if kept:
-        return x[:, kept], [rows[start] for start in kept]
-    return best[1][:, None], [best[0]]
+        near.append(min(near[-1], *(rows[start].near for start in going)))
+    return best[1], best[0]
 
 
 def lowest(
@@ -159,11 +162,9 @@ def lowest(
     low: Real,
     high: Real,
 ) -> tuple[Real, bool]:
-    """Return the point at which the largest of some costs is smallest subject to the
-    rows, by sequential quadratic programming, and whether it was reached; the numbers
-    of costs and rows are fixed. The end point may miss rows. Since a cost is flat at
-    its minimum, a last step as short as in a search towards the rows changes it by the
-    square of the step.
+    """Return where the largest of some costs is least while rows are kept, by sequential
+    quadratic programming, and whether it got there; both keep their number. What it ends
+    at may miss rows.
     """
 
     @lru_cache(maxsize=1)
@@ -191,6 +192,6 @@ def lowest(
             method="SLSQP",
             bounds=[*zip(low, high, strict=True), (None, None)],
             constraints={"type": "ineq", "fun": kept, "jac": slopes},
-            options={"maxiter": _STEPS, "ftol": _STILL**2},
+            options={"maxiter": _STEPS, "ftol": _FINE},
         )
     return np.clip(end.x[:-1], low, high), bool(end.success)
