@@ -1,8 +1,8 @@
-"""Drive Chromium by its DevTools protocol: a page's script, mouse, keys, pictures, and
-what it asked for.
+"""Drives Chromium through its DevTools protocol: scripts, mouse, keys, screenshots, and
+the requests of a page.
 
-The socket's client is the one that the studio itself needs; no driver has to be
-installed beside the browser.
+The client of the socket is the one that the studio needs anyway, so no driver has to be
+installed in addition to the browser.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from needed_tools import chromium
 
-# [s]. Nothing is measured by it, and a busy machine must not look like a broken page:
-# at a load of 20 twelve seconds of processor time last longer than a minute.
+# [s]. Nothing is measured with it, and a busy machine must not be mistaken for a broken
+# page: at a load of 20, twelve seconds of processor time take longer than a minute.
 _PATIENCE = 600.0
 _KEYS = {
     "ArrowRight": 39,
@@ -201,8 +201,8 @@ class Page:
 
     def picture(self, path: Path, *, whole: bool = False) -> None:
         """Write a PNG of the window, or of the whole page."""
-        # a window as high as the page: what stands at the window's foot stands at the
-        # page's
+        # Make the window as high as the page, so that what is at the foot of the window
+        # is at the foot of the page.
         if whole:
             self.look(height=int(self.run("document.documentElement.scrollHeight")))
             time.sleep(0.3)
@@ -237,8 +237,8 @@ def command_line(place: Path, *more: str) -> list[str]:
 def browser(place: Path) -> Iterator[Page]:
     """A headless Chromium with its profile in `place`, and its one page."""
     command = [*command_line(place), "--remote-debugging-port=0", "about:blank"]
-    # Debian's chromium-headless-shell is a script that waits for the browser: only the
-    # group ends both.
+    # Debian's chromium-headless-shell is a script that waits for the browser:
+    # signalling the process group ends both.
     process = subprocess.Popen(  # noqa: S603
         command,
         stderr=subprocess.PIPE,

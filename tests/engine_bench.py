@@ -1,5 +1,5 @@
-"""The committed engine under wasmtime: the calls that the page's script makes, from
-Python.
+"""The committed engine under wasmtime, called from Python as the script of the page
+calls it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The frequencies of the twin's link from its transcendental equation: the check of the
+"""The frequencies of the twin's link from its transcendental equation, to check the
 finite elements.
 """
 

@@ -1,5 +1,5 @@
-"""What the tests of the FMU share: a long eventful run of the twin, and an FMU in
-FMPy's hands.
+"""Shared by the tests of the FMU: a long run of the twin with many events, and an FMU
+loaded by FMPy.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _moves(count: int) -> Trajectory:
 
 
 def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[Any]:
-    """Faults that the law rides through, and at last those that it does not: see
+    """Faults that the law rides through, followed by one that it does not: see
     `ending`.
     """
     period = law.period
@@ -57,7 +57,7 @@ def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[An
         (
             "gauge value",
             1e300,
-        ),  # beyond a float: a law in single precision must refuse it too
+        ),  # beyond the range of a float: a law in single precision must reject it too
         ("gauge offset", 0.05),
     )
     events: list[Any] = [
@@ -70,9 +70,9 @@ def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[An
         begin = 0.01 * end + 0.0175 * k * end
         lasting = 200 if kind == "gauge offset" else 3
         events.append(SensorFault(begin, begin + lasting * period, kind, value))
-    if (
-        ending == "degraded"
-    ):  # the gauge is lost; later, at angle 0, the encoder: the motor leaves its model
+    # the gauge is lost; later, at angle 0, the encoder: the motor deviates from its
+    # model
+    if ending == "degraded":
         events.append(SensorFault(0.8 * end, 0.81 * end, "gauge value", math.nan))
         late = 0.9 * end + period * np.arange(2000)
         at_zero = float(late[np.argmin(np.abs(reference.angle(late)))])

@@ -1,4 +1,4 @@
-"""What the guards share: the package's sources as syntax trees."""
+"""Shared by the guards: the sources of the package as syntax trees."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def imported_modules(source: Source, *, at_once: bool = False) -> tuple[str, ...
 
 def _imported_modules(source: Source, *, at_once: bool) -> Iterator[str]:
     names = {item.name for item in sources()}
-    tree = source.tree  # one for all three: nodes are told apart by their identity
+    tree = source.tree  # one tree for all three, because nodes are compared by identity
     hidden = _typing_only(tree) | (_inside_functions(tree) if at_once else set())
     for node in ast.walk(tree):
         if id(node) in hidden:

@@ -54,7 +54,7 @@ def late_cut(seed: int) -> Experiment:
     """
     levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 81)
     levels[0] = 0.0
-    # 12 ms of a servo: smooth enough for straight lines between the samples.
+    # A servo with 12 ms: smooth enough for linear interpolation between the samples.
     angle = time_response(
         1 / (0.012 * s + 1) ** 2, np.repeat(levels, 100)[: LATE + 500], PERIOD
     ).output

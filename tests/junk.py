@@ -1,4 +1,4 @@
-"""Values that scripts hand over by mistake, and right ones to put them beside."""
+"""Values that scripts pass by mistake, and correct ones to combine them with."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ JUNK: tuple[object, ...] = (
     *(np.array([]), np.array([1.0, math.nan]), np.ones((3, 3)), np.float64(math.nan)),
 )
 
-# A quarter of the BMP, signs that join or turn a line, and the ends of planes. Written
-# out: of an alphabet by categories hypothesis makes a table of all of Unicode, which
-# takes 200 MB where none is cached.
+# A quarter of the BMP, combining and direction characters, and the ends of planes. They
+# are listed because for an alphabet given by categories, hypothesis builds a table of
+# all of Unicode, which takes 200 MB if it is not cached.
 _ENDS = (
     (0, 0x3000),
     (0xE000, 0xE010),

@@ -1,4 +1,4 @@
-"""Seeded defects of law.c: a piece of its text and what a slip would make of it."""
+"""Seeded defects of law.c: a piece of its text and a faulty replacement."""
 
 MUTANTS: tuple[tuple[str, str], ...] = (
     ("if (value > limit) {", "if (value >= limit + limit) {"),

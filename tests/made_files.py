@@ -1,4 +1,4 @@
-"""Binary logs made for tests, one for each format, with the same numbers in each."""
+"""Binary logs written for tests, one per format, all with the same numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs made for tests: one mode with viscous damping, its faults put in on purpose."""
+"""Logs made for tests: one mode with viscous damping, with faults inserted on purpose."""
 
 from __future__ import annotations
 
@@ -131,9 +131,8 @@ def example_motor_log(
         friction = gain * coulomb_voltage * float(direction)
         final = (push - friction) / decay if speed or abs(push) > abs(friction) else 0.0
         moved = final + (speed - final) * fade
-        if (
-            speed * moved < 0
-        ):  # it stops within the step: friction turns round at the next one
+        # it stops within the step: friction changes sign in the next one
+        if speed * moved < 0:
             angle += 0.5 * inner * speed
             speed = 0.0
             continue

@@ -1,5 +1,5 @@
-"""Mutated files: what a reader must survive, whatever a disk, a cable or an enemy did
-to the bytes.
+"""Mutated files that a reader must survive, whether a disk, a cable or an attacker
+changed the bytes.
 """
 
 from __future__ import annotations
@@ -42,9 +42,8 @@ def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
     cut off.
     """
     data = bytearray(raw)
-    for _ in range(
-        int(rng.geometric(0.5))
-    ):  # half of them one change, which reaches deepest
+    # half of them have a single change, which penetrates deepest into the reader
+    for _ in range(int(rng.geometric(0.5))):
         at, size = int(rng.integers(0, max(1, len(data)))), int(rng.integers(1, 33))
         change = int(rng.integers(0, 7))
         if change == 0:

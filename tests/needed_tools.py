@@ -1,5 +1,5 @@
-"""Tools that some tests drive: absent on a user's machine they skip, under FRACLINK_CI
-they fail.
+"""Tools that some tests use: if they are missing, the tests are skipped on a user's
+machine and fail under FRACLINK_CI.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A bound on the processor time that a call may take: what it counts does not depend on
-who else computes.
+"""A bound on the processor time of a call, which does not depend on the load of the
+machine.
 """
 
 from __future__ import annotations

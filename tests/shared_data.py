@@ -1,4 +1,4 @@
-"""Where tests find the recorded data that lie beside the repository."""
+"""Where tests find the recorded data next to the repository."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The shipped law and a twin as state spaces: an independent look at their sampled
-loop.
+"""The shipped law and a twin in state space: an independent computation of their
+sampled loop.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def of_law(law: fl.Law) -> StateSpace:
     modes = law.correction
     size = 1 + len(modes.poles) + 2 * len(modes.pair_poles)
     a, b, c = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    # State 0 is the last error; every mode is driven by its change and read before its
-    # update.
+    # State 0 is the last error; every mode is driven by its change and is read before
+    # the update.
     b[0], c[0] = 1.0, -modes.direct
     reals = zip(modes.poles, modes.gains, strict=True)
     for i, (pole, gain) in enumerate(reals, start=1):
@@ -67,7 +67,7 @@ def of_plant(plant: Plant, row: Real, period: float, delay: int) -> StateSpace:
     a, b = np.zeros((n + delay, n + delay)), np.zeros(n + delay)
     a[:n, :n], b[-1] = exact[:n, :n], 1.0
     if delay:
-        # The oldest of a queue of inputs drives the plant.
+        # The plant is driven by the oldest input in the queue.
         a[:n, n] = exact[:n, n]
         a[n:, n:] = np.eye(delay, k=1)
     else:

@@ -1,7 +1,7 @@
 """ARCHITECTURE.md says how to add a structure, a rival, a fault, a reader and an
 export: each is added here.
 
-The page's blocks are inserted into a copy of the package, behind the line that each
+The blocks of the page are inserted into a copy of the package, after the line that each
 names, and then used.
 """
 
@@ -35,8 +35,8 @@ RECIPES = {
     )
 }
 
-# The finder of an editable install stands before the path, and would load the package
-# that did not grow.
+# The finder of an editable install comes before the path and would load the unextended
+# package.
 NO_EDITABLE_INSTALL = """
 import sys
 sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__name__.startswith("ScikitBuild")]
@@ -66,7 +66,7 @@ def insert(root: Path, path: str, anchor: str, code: str) -> None:
     )
     end = len(lines)
     if starts:
-        # A row ends where its brackets are closed.
+        # A row ends at its closing bracket.
         end, depth = starts[0], 1
         while depth:
             row = "".join(lines[starts[0] : end + 1])
@@ -85,7 +85,7 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Path:
             root / package.name,
             ignore=shutil.ignore_patterns("__pycache__", "*.so"),
         )
-    # An editable install keeps the compiled modules elsewhere.
+    # An editable install keeps the compiled modules in another place.
     shutil.copy(_kernels.__file__, root / "fraclink")
     shutil.copy(fracsys._kernels.__file__, root / "fracsys")
     (root / "sitecustomize.py").write_text(NO_EDITABLE_INSTALL, "utf-8")
@@ -151,9 +151,8 @@ print(*fl.compare_structures(log).fits)
     name, order, damping = first.split()
     assert name == "VD-FOM"
     assert abs(float(order) - 1.9) < 0.01
-    assert (
-        abs(float(damping) - 0.5) < 0.15
-    )  # order and damping explain one width between them
+    # order and damping together explain a single width
+    assert abs(float(damping) - 0.5) < 0.15
     assert second.split() == ["UD-IOM", "D-IOM", "UD-FOM", "D-FOM", "VD-FOM"]
 
 

@@ -1,5 +1,5 @@
-"""The arm's end for microcontrollers: compiled for two cores, spoken to byte by byte, and
-reached over a pseudo-terminal.
+"""The arm's firmware for microcontrollers: compiled for two cores, tested byte by byte,
+and connected over a pseudo-terminal.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Firmware:
     """The exported C behind its three functions."""
 
     def __init__(self, library: Any, seed: int = 1) -> None:
-        # The struct is the board's own affair: room for it is all that is needed.
+        # The struct is private to the board: only its size matters here.
         self.library, self.link = library, ctypes.create_string_buffer(512)
         library.arm_link_begin(self.link, 4000, seed)
 
@@ -93,7 +93,7 @@ def command(sequence: int, voltage: float, mode: int = RUN, visit: int = 0) -> b
 def visited(library: Any, seed: int = 1) -> tuple[Firmware, int]:
     """An arm that has been called, and the number of its run."""
     arm = Firmware(library, seed)
-    assert arm.period() == (0.0, None)  # nobody has called: nothing is said
+    assert arm.period() == (0.0, None)  # without a request there is no reply
     arm.take(command(1, 5.0, IDLE))
     voltage, sample = arm.period(0.25, -0.125)
     assert voltage == 0.0 and sample is not None
@@ -107,10 +107,10 @@ def test_the_voltage_of_a_command_of_this_run_acts_and_no_other(library: Any) ->
     assert visit != 0
     arm.take(command(2, 1.5, visit=visit))
     assert arm.period()[0] == 1.5
-    arm.take(command(2, 3.0, visit=visit))  # twice the same
-    arm.take(command(1, 3.0, visit=visit))  # one that comes late
-    arm.take(command(3, 3.0, visit=visit + 1))  # of another run
-    arm.take(command(3, 3.0))  # that knows no run
+    arm.take(command(2, 3.0, visit=visit))  # a repeated message
+    arm.take(command(1, 3.0, visit=visit))  # a late message
+    arm.take(command(3, 3.0, visit=visit + 1))  # a message of another run
+    arm.take(command(3, 3.0))  # a message that knows no run
     assert arm.period()[0] == 1.5
     arm.take(command(3, float("nan"), visit=visit))
     assert arm.period()[0] == 0.0
@@ -151,13 +151,14 @@ def test_no_damaged_message_is_obeyed_and_the_next_whole_one_is(library: Any) ->
         whole = bytearray(command(sequence, 9.0, visit=visit))
         for _ in range(chance.integers(1, 5)):
             whole[chance.integers(56)] ^= 1 << int(chance.integers(8))
-        # Whatever was flipped, bits that flip back leave the message whole.
+        # However many bits are flipped, a message whose bits are flipped back is
+        # intact.
         if bytes(whole) == command(sequence, 9.0, visit=visit):
             continue
         cut = int(chance.choice((56, chance.integers(56))))
         arm.take(bytes(whole[:cut]))
         assert arm.period()[0] != 9.0
-        # The rest of a cut message swallows one message, never two.
+        # The rest of a truncated message can spoil one message, never two.
         arm.take(command(sequence, 0.5, visit=visit))
         arm.take(command(sequence + 1, 1.0, visit=visit))
         sequence += 2
@@ -250,8 +251,8 @@ def test_a_law_runs_on_the_firmware_over_a_pseudo_terminal(library: Any) -> None
             priority=0,
             lock_memory=False,
         )
-    # A busy machine may lose samples, and the law switches off for it: what does come
-    # is what was measured, whatever noise is on the line.
+    # A busy machine may lose samples, for which the law switches off. What does arrive
+    # was measured, whatever noise is on the line.
     got = seen.motor_angle[np.isfinite(seen.motor_angle)]
     assert got.size > 0 and set(got.tolist()) <= sent
 

@@ -1,5 +1,5 @@
-"""The arm in a page: complete in itself, deaf to what names try, and in a browser bit
-for bit the package.
+"""The arm in a page: self-contained, safe against hostile names, and in a browser
+bitwise equal to the package.
 """
 
 from __future__ import annotations
@@ -223,8 +223,8 @@ def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, f
     assert ("open " in capsys.readouterr().err) == (not found)
 
 
-# What the page's address can say; together every slider, every fault and both
-# precisions.
+# Settings that the address of the page can hold; together they cover every slider,
+# every fault and both precisions.
 RUNS = (
     "",
     "payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80&blind=400",
@@ -262,9 +262,8 @@ def browsed(page: str, place: Path, settings: str) -> str:
         timeout=120,
         check=True,
     )
-    assert (
-        "CONSOLE" not in answer.stderr
-    )  # neither an error nor a request that the policy refused
+    # neither an error nor a request that the policy blocked
+    assert "CONSOLE" not in answer.stderr
     assert 'data-ready="true"' in answer.stdout
     return answer.stdout
 
@@ -342,7 +341,7 @@ def test_the_motor_loop_alone_moves_beside_the_law(study, page, tmp_path):
             assert rests > 1.5
             assert fates[0] == f"swings on for {half:.1f} s" != fates[1]
         else:
-            # There, and back: the page says the longer one of two moves with noise.
+            # Both directions: the page reports the longer of two moves with noise.
             said = float(re.fullmatch(r"at rest in ([\d.]+) s", fates[0])[1])
             assert said == pytest.approx(rests, abs=0.05)
 

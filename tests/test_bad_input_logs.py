@@ -1,4 +1,4 @@
-"""Bad logs: every entry of the catalogue that a reader meets, by its number."""
+"""Bad logs: every entry of the catalogue that concerns a reader, by its number."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_b51_b55_a_gigabyte_is_refused_without_being_read(
     path = tmp_path / "log.csv"
     with path.open("wb") as stream:
         stream.write(b"time_s,motor_angle_rad,torque_Nm\n")
-        stream.truncate(1_000_000_000)  # a sparse file: it takes no room on the disk
+        stream.truncate(1_000_000_000)  # a sparse file, which takes no space on disk
 
     def opened(*_: object, **__: object) -> None:
         raise AssertionError("the file was opened")

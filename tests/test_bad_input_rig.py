@@ -1,4 +1,4 @@
-"""Bad rig files: every fault has a test that names it; numbers are those of the
+"""Bad rig files: every fault has a test named after it, with its number in the
 catalogue of bad inputs.
 """
 
@@ -240,7 +240,8 @@ def test_a_link_without_any_stiffness_names_both_ways_to_state_one() -> None:
 
 
 def test_b61_long_files_lines_and_keys_are_refused_fast(tmp_path: Path) -> None:
-    # A refusal by size takes milliseconds; tomllib alone takes seconds for the keys.
+    # A rejection by size takes milliseconds; tomllib alone would take seconds for the
+    # keys.
     with processor_limit(2.0):
         with pytest.raises(FileFormatError, match="too large"):
             load("a" * 70_000, tmp_path)

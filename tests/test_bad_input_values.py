@@ -70,8 +70,8 @@ def test_b17_logs_of_different_periods_share_one_order() -> None:
 
 @pytest.mark.slow
 def test_b31_the_integer_orders_themselves() -> None:
-    # λ = 1: c (1 − e^{−ω₀² t} …), λ = 2: c cos ω₀t: exact cases, nothing special-cased
-    # by the caller.
+    # λ = 1: c (1 − e^{−ω₀² t} …), λ = 2: c cos ω₀t: exact cases that need no special
+    # treatment by the caller.
     time = np.array([0.1, 0.2, 0.7])
     for order, wanted in (
         (1.0, 1.56 * np.exp(-9 * time)),
@@ -193,7 +193,7 @@ def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
     )
     assert not run.verdict.passed
     assert abs(run.metrics.steady_state_error) > 1.0
-    # What is wrong is that the tip is not there; it does not swing, so nothing is
+    # The fault is that the tip is off target; it does not oscillate, so nothing is
     # called unstable.
     assert "unstable" not in run.verdict.reason
 
@@ -222,6 +222,5 @@ def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
 def test_b44_a_whole_number_that_no_float_holds(
     call: Callable[[], object], field: str
 ) -> None:
-    assert "0" * 30 not in str(
-        refused(call, field)
-    )  # its 400 digits are not printed either
+    # the 400 digits of the number are not printed either
+    assert "0" * 30 not in str(refused(call, field))

@@ -1,4 +1,4 @@
-"""The benchmark runner: a crash is an error, a missed figure is a result."""
+"""The benchmark runner: a crash is an error, a missed target is a result."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ spec = importlib.util.spec_from_file_location("benchmarks_run", RUNNER)
 assert spec is not None
 assert spec.loader is not None
 runner = importlib.util.module_from_spec(spec)
-sys.modules[spec.name] = runner  # dataclasses look their module up
+sys.modules[spec.name] = runner  # dataclasses look up their module
 spec.loader.exec_module(runner)
 
 

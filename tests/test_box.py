@@ -1,5 +1,5 @@
-"""The box of a certificate against an own search for the worst point, with every alias
-summed.
+"""The box of a certificate against an independent search for the worst point, with all
+aliases summed.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ def bench() -> ModuleType:
     spec = importlib.util.spec_from_file_location("bench_box", place)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
+    sys.modules[spec.name] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
 
-# An ideal motor loop; a sampled one with a second mode; direct placement.
+# An ideal motor loop, a sampled one with a second mode, and direct placement.
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [10, 15, 23])
 def test_no_point_of_a_box_is_closer_to_minus_one_than_its_certificate_claims(
@@ -57,8 +57,8 @@ def test_the_models_of_other_logs_widen_the_box(
     assert rig.model is not None
     design, _ = design_for(rig)
     order, gain = rig.model.order - 0.05, 1.08
-    # The other log is of 20 g: its ω₀ at the first one's payload is the first one's but
-    # for a tenth.
+    # The other log is of 20 g: converted to the payload of the first one, its ω₀ agrees
+    # to a tenth.
     light = rig.model.at_payload(0.020)
     other = replace(
         light,

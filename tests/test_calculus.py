@@ -1,4 +1,4 @@
-"""Derivatives and integrals of signals: against closed forms and mpmath."""
+"""Derivatives and integrals of signals against closed forms and mpmath."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = np.linspace(0.0, 1.0, 1001)
 def caputo(slope: Callable[[object], object], n: int, order: float, t: float) -> float:
     """(I^(n−a) y^(n))(t) by quadrature in mpmath; `slope` is y^(n)."""
     with mpmath.workdps(30):
-        # τ = t − x^(1/(n−a)) takes the singularity away.
+        # The substitution τ = t − x^(1/(n−a)) removes the singularity.
         a = mpmath.mpf(n) - mpmath.mpf(order)
         whole = mpmath.quad(lambda x: slope(t - x ** (1 / a)), [0, mpmath.mpf(t) ** a])
         return float(whole / mpmath.gamma(a + 1))
@@ -61,7 +61,7 @@ def test_a_jump_at_the_first_sample_is_what_the_definitions_differ_by() -> None:
     assert math.isinf(rest[0])
     exact = 2 / np.sqrt(np.pi * T[1:]) + 2 * np.sqrt(T[1:] / np.pi)
     assert rest[1:] == pytest.approx(exact)
-    # What s^0.5 does: the sums of Grünwald and Letnikov tend to it.
+    # Effect of s^0.5: the limit of the Grünwald–Letnikov sums.
     weights = np.cumprod([1.0, *(1.0 - 1.5 / np.arange(1.0, len(y)))])
     assert weights @ y[::-1] / T[1] ** 0.5 == pytest.approx(rest[-1], rel=1e-3)
 

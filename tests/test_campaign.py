@@ -1,5 +1,5 @@
-"""Monte Carlo campaigns: what is drawn, simulated and measured is what one run alone
-would be.
+"""Monte Carlo campaigns: draws, simulations and measurements are the same as in a
+single run.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def test_links_answer_powers_of_time_as_their_step_response_says(
     T, span = 0.004, 6.0
     ends = np.array([0, 1, 7, 80, 1499])
     nodes, sizes = np.polynomial.legendre.leggauss(40)
-    # 1 − x = u⁸, as S begins like a fractional power
+    # 1 − x = u⁸, because S begins like a fractional power
     u = 0.5 * (1.0 + nodes)
     x, sizes = 1.0 - u**8, 0.5 * sizes * 8.0 * u**7
     model = LinkModel(
@@ -197,7 +197,7 @@ def test_a_vibration_that_passes_through_the_band_has_not_settled():
     told = [replay_run(campaign, run).verdict.passed for run in range(200)]
     assert part["passed"].tolist() == told
     passing = np.isfinite(part["settling_time"]) & ~part["passed"] & (part["mode"] == 1)
-    assert passing.sum() > 5  # the rule had something to decide
+    assert passing.sum() > 5  # both outcomes of the rule occurred
 
 
 @pytest.mark.slow
@@ -222,8 +222,8 @@ def test_a_run_is_what_simulate_says_of_its_arm():
         apart.append(
             abs(run.metrics.peak_tip_error - float(part["peak_tip_error"][at]))
         )
-    # The links differ by 2e-7; where that turns a count of the encoder, a motor that
-    # sticks keeps it.
+    # The links differ by 2e-7; where this changes a count of the encoder, a motor with
+    # stiction keeps the change.
     assert np.median(apart) < 2e-5 and max(apart) < 2e-3
 
 
@@ -268,7 +268,7 @@ def test_many_runs_are_measured_as_one_is():
         False,
     )
     assert (many["mode"][4], many["reason"][4]) == (1, 0)
-    assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds were met
+    assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds occurred
 
 
 @pytest.mark.slow
@@ -284,8 +284,8 @@ def test_the_law_that_does_not_hold_is_counted():
 
 
 def _first_look(campaign: Campaign, run: int) -> float:
-    """Growth [1/s] of a replayed run as its own four seconds show it, without the
-    second look.
+    """Growth [1/s] of a replayed run from its own four seconds, without the second
+    look.
     """
     seen, (_, link, own) = replay_run(campaign, run), arm_of(campaign, run)
     assert link.payload is not None
@@ -346,7 +346,7 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
         link=rig.model,
     )
     law = equip(fl.discretize(printed, rig.period), rig, rig.model)
-    # neither friction nor its compensation: either would end the growth
+    # no friction and no compensation: either would end the growth
     law = replace(law, motor_loop=replace(law.motor_loop, coulomb_voltage=0.0))
     made = Campaign.of(rig, rig.model, law, runs=48)
     fixed = {
@@ -368,7 +368,7 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
     assert grown.sum() >= 24
     assert part["growth"][grown] == pytest.approx(0.126, abs=0.01)
     assert not part["passed"][grown].any()
-    # Nothing but the growth is against some of them: they settle, in normal operation.
+    # Some of them fail only because of the growth: they settle in normal operation.
     by_growth = np.flatnonzero(
         grown & (part["mode"] == 1) & (part["settling_time"] < 3.0)
     )
@@ -396,5 +396,6 @@ def test_a_part_has_the_gauges_delay_and_gain_and_the_second_mode():
         assert run.about["gauge_delay"] == part["gauge_delay"][at]
         assert part["peak_tip_error"][at] == run.metrics.peak_tip_error
     other = simulate_part(replace(plain, runs=19), 0)
-    assert (other["payload"] == part["payload"]).all()  # what a seed drew before stays
+    # the previous draws of a seed stay the same
+    assert (other["payload"] == part["payload"]).all()
     assert (other["peak_tip_error"] != part["peak_tip_error"]).all()

@@ -1,5 +1,5 @@
-"""A campaign on a real local cluster: scheduler and workers, each a process of its own,
-one killed.
+"""A campaign on a real local cluster: scheduler and workers are separate processes, and
+one of them is killed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def cluster(
         while not address:
             assert scheduler.poll() is None, "the scheduler does not start"
             time.sleep(0.05)
-            # while the file is being written it is no JSON
+            # while the file is being written it is not valid JSON
             with contextlib.suppress(OSError, json.JSONDecodeError):
                 address = json.loads(about.read_text())["address"]
         one = [

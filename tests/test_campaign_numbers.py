@@ -1,5 +1,5 @@
-"""A campaign's numbers: its draws, sizes, fingerprint and files, the words of its
-summary, a fault's row.
+"""The numbers of a campaign: draws, sizes, fingerprint and files, the words of the
+summary, a row of a fault.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def test_a_campaign_follows_the_reference_that_it_is_given() -> None:
     time = 0.004 * np.arange(1001)
     assert path[1, 0] == pytest.approx(fl.smooth_step(1.0, 0.75).angle(time))
     assert path[1, 1] == pytest.approx(fl.smooth_step(1.0, 0.75).acceleration(time))
-    # A second is left behind it, and no less.
+    # One second is left after the move, and no less.
     assert replace(own, reference=fl.smooth_step(1.0, 4.5)).duration == 5.5
     with pytest.raises(FieldError, match=r"reference: too long .* <= 4.5 s"):
         replace(own, reference=fl.smooth_step(1.0, 4.51))

@@ -1,5 +1,5 @@
-"""Campaigns that are killed, damaged or out of room: the same bytes in the end, nothing
-done twice.
+"""Campaigns that are killed, damaged or out of space: the same bytes in the end,
+nothing done twice.
 """
 
 from __future__ import annotations
@@ -144,9 +144,8 @@ def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
 def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
     kept = identities(copy)
     longer = replace(small(), runs=3000)
-    assert (
-        run_campaign(longer, copy).before == 2000
-    )  # the last part was half full: it is done again
+    # the last part was half full and is repeated
+    assert run_campaign(longer, copy).before == 2000
     assert {n: v for n, v in identities(copy).items() if n[5:12] < "0000002"} == {
         n: v for n, v in kept.items() if n[5:12] < "0000002"
     }
@@ -234,7 +233,7 @@ def test_a_pipe_in_the_place_of_a_part_holds_nobody(tmp_path):
     with ThreadPoolExecutor() as pool:
         reading = pool.submit(summarise, tmp_path)
         done, _ = wait((reading,), timeout=20)
-        if not done:  # let it go, or the test itself waits
+        if not done:  # release it, or the test itself waits
             os.close(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
         assert done and isinstance(reading.exception(), FieldError)
 
@@ -259,15 +258,16 @@ def test_every_flipped_byte_is_noticed(copy, whole):
     path = copy / "part-0000002.npz"
     good, wanted = path.read_bytes(), fl.load(path).columns
     rng = random.Random(5)  # noqa: S311
+    # as well as the footer
     places = rng.sample(range(len(good)), 60) + rng.sample(
         range(len(good) - 4000, len(good)), 200
-    )  # and the footer
+    )
     for at in places:
         data = bytearray(good)
         data[at] ^= 1 << rng.randrange(8)
         path.write_bytes(data)
-        # A byte that no value depends on (a comment of the writer, say) may pass; a
-        # number never.
+        # A byte that no value depends on (such as a comment of the writer) may be
+        # accepted; a changed number never.
         with contextlib.suppress(FileFormatError):
             found = fl.load(path).columns
             assert all((found[n] == wanted[n]).all() for n in wanted), at

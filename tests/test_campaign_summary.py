@@ -1,4 +1,4 @@
-"""What a campaign's runs say: intervals against exact values, ranks against scipy, and
+"""The summary of a campaign: intervals against exact values, ranks against scipy, and
 the command line.
 """
 
@@ -125,7 +125,7 @@ def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     assert (
         again["metrics"]["overshoot"] == pytest.approx(value, rel=1e-9) and out.exists()
     )
-    assert main(line) == 2  # never over a file that is there
+    assert main(line) == 2  # existing files are never overwritten
     holding = next(n for n in range(2500) if n not in told["failed"])
     assert (
         main(
@@ -182,9 +182,8 @@ def is_one_closed_page(text: str) -> None:
     assert html.escape(f"script-src 'sha256-{digest}';", quote=False) in html.unescape(
         text
     )
-    assert (
-        text.count("<script") == 1 and "<image" not in text
-    )  # the page's own policy would show no image
+    # the policy of the page would not show an image
+    assert text.count("<script") == 1 and "<image" not in text
     assert not re.search(r'(src|href)="(?!#)', text)
 
 
@@ -199,4 +198,4 @@ def test_a_campaigns_page_names_its_worst_runs(tmp_path, capsys):
     is_one_closed_page(text)
     assert summary.failure.sentence in text and text.count("data-x=") == 6 + 1
     assert f"--run {summary.metrics[0].worst[0][0]}" in text
-    assert main(line) == 2  # never over a file that is there
+    assert main(line) == 2  # existing files are never overwritten

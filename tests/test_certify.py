@@ -1,5 +1,5 @@
-"""Certificates: what is proved, what is refused, and that no forgery passes the
-independent checker.
+"""Certificates: what is proved, what is rejected, and that the independent checker
+accepts no forgery.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ def test_default_design_is_certified_and_checked_by_other_arithmetic(
 def test_sampled_motor_loop_is_certified_and_checked(
     placement: str, checker: ModuleType, tmp_path: Path
 ):
-    # The direct placement rings near Nyquist: over its box of a late gauge it comes to
-    # 0.04 of -1.
+    # Direct placement rings near Nyquist: over its box with a late gauge it comes to
+    # within 0.04 of −1.
     box = ParameterBox.at(RIG.model) if placement == "direct" else None
     found = certify(plan_for("sampled", placement), modulus_margin=0.35, box=box)
     assert found.passed, found.verdict
@@ -165,7 +165,7 @@ def test_single_precision_law_and_default_claim(law: Law):
 
 def test_checker_is_one_short_file_of_mpmath_only():
     text = CHECKER.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 280  # an evening of a stranger
+    assert len(text.splitlines()) <= 280  # short enough to be read in an evening
     assert "import fraclink" not in text and "numpy" not in text
 
 
@@ -220,15 +220,14 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     first = low + (high - low) * rng.random((count, len(AXES))) * 0.5
     second = np.minimum(first + (high - low) * 0.5 * width, high)
     first[:, 0] = np.exp(rng.uniform(-1, 6, count))
-    first[::3, 0] = rng.uniform(
-        320, 780, len(first[::3])
-    )  # there L holds aliases; Nyquist: 785 rad/s
+    # where the aliases matter for L; Nyquist: 785 rad/s
+    first[::3, 0] = rng.uniform(320, 780, len(first[::3]))
     second[:, 0] = np.minimum(first[:, 0] * (1 + width[:, 0]), high[0, 0])
     plain, inverse, _ = loop.forms(first, second)
     held = loop.held(first[:, 0])
     assert 27 <= np.count_nonzero(held) < 40
-    # Twenty points of every box, five at once (200 MB for all): corners and places
-    # inside.
+    # Twenty points of every box, five at a time (200 MB for all): corners and interior
+    # points.
     steps = 5
     for _ in range(4):
         corner = rng.random((steps, *first.shape))
@@ -351,7 +350,7 @@ def test_half_planes_hold_no_forbidden_point(modulus: float):
         assert np.abs(normal) == pytest.approx(1)
         along = (np.conj(normal)[:, None] * values).real
         assert np.all(along <= least[:, None] + 1e-9 * np.maximum(1, np.abs(values)))
-        # It touches what it misses: a plane farther off would leave true loops
+        # The plane touches what it separates: one farther off would leave true loops
         # unproved.
         assert np.all(along.max(axis=1) >= least - 0.01 * np.maximum(1, np.abs(least)))
 
@@ -384,7 +383,7 @@ def test_what_the_gauge_shows_is_in_the_proof(
     design = plan_for(motor_loop)
     law = patient(design.law().in_precision("double"))
     assert law.motor_loop is not None
-    # what compensates the coupling torque undoes the gauge's gain
+    # the compensation of the coupling torque undoes the gain of the gauge
     torque_voltage = law.motor_loop.torque_voltage / model.gauge_gain
     compensated = replace(law.motor_loop, torque_voltage=torque_voltage)
     law = replace(law, motor_loop=None if motor_loop == "ideal" else compensated)
@@ -394,7 +393,7 @@ def test_what_the_gauge_shows_is_in_the_proof(
     found.save(tmp_path / "c.json")
     checker.check(str(tmp_path / "c.json"), law.digest)
     w, claim = np.geomspace(1.0, 700.0, 400), found.statement
-    none = np.zeros(w.shape, dtype=bool)  # every alias has a tip angle of its own
+    none = np.zeros(w.shape, dtype=bool)  # every alias has its own tip angle
     link = model.at_payload(0.025)
     tip = link.tip()(1j * w)
     mode = 0.0 if model.second_mode is None else model.second_mode.response(1j * w)
@@ -502,16 +501,15 @@ def test_no_limit_acts_on_errors_within_the_linear_range(
     for change in np.diff(computed, prepend=0.0):
         expected.append(direct * change + np.dot(gains, states))
         states = poles * states + change
-    credible = (
-        out.flags & 2 == 0
-    )  # the guard of the gauge's step is a sensor's, not the command's
+    # the guard of the gauge's step concerns a sensor, not the command
+    credible = out.flags & 2 == 0
     assert credible.all() and (out.mode == 1).all()
     assert not np.any(out.flags & 32)
     assert out.motor_reference == pytest.approx(np.array(expected), abs=1e-12)
 
 
-# Forgeries, each by somebody who also mends the certificate's own hash, and its claim
-# where it can.
+# Forgeries, each with the hash of the certificate corrected, and the claim where
+# possible.
 
 
 def _number(
@@ -540,7 +538,7 @@ def _tree(edit: Callable[[str], str]) -> Callable[[dict[str, Any]], None]:
 
 
 def _mended(data: dict[str, Any], block: bytearray, *, mend: bool = True) -> None:
-    """Put the block in, with a fitting CRC and hash where it is to be mended."""
+    """Insert the block, with correct CRC and hash if requested."""
     if mend:
         struct.pack_into("<I", block, 12, zlib.crc32(block[16:]))
         data["statement"]["digest"] = hashlib.sha256(block).hexdigest()
@@ -760,8 +758,8 @@ def _rejected(checker: ModuleType, place: Path, board: str) -> bool:
 
 
 def _signed(data: dict[str, Any], *, claim: bool = True) -> None:
-    """Mend the hash; with `claim` also the sentence, as the checker itself would write
-    it.
+    """Correct the hash; with `claim` also the sentence, as the checker itself would
+    write it.
     """
     if claim:
         with contextlib.suppress(KeyError, ValueError, TypeError, struct.error):
@@ -919,7 +917,7 @@ def test_the_law_on_the_board_is_read_from_its_header(
         text.replace("compliance = 0x1.4", "compliance = 0x1.5"), encoding="utf-8"
     )
     assert not checker.on_board(str(header), shipped.block)
-    # what a compiler reads may stand beside what the checker looks for
+    # what a compiler reads may be next to what the checker looks for
     for other in (f"/*\n{text}*/\n{text}", text.replace("    .", "\t."), text + "\n"):
         header.write_text(other, encoding="utf-8")
         assert not checker.on_board(str(header), shipped.block)
@@ -1030,7 +1028,7 @@ def test_the_search_for_the_closest_loop_ends_below_random_points_of_the_box() -
     place["frequency"] = np.exp(
         g.uniform(math.log(1.0), math.log(math.pi / law.period), 2000)
     )
-    for name in low:  # a tenth of them beside the place that was found
+    for name in low:  # a tenth of them near the place that was found
         place[name][:200] = np.clip(
             at[name] * (1 + 1e-3 * g.normal(size=200)), low[name], high[name]
         )
@@ -1143,7 +1141,7 @@ def test_slopes_hold_every_difference_quotient_and_the_mean_value_theorem_its_va
     held(closer, f(x, y))
     assert np.all(closer.r <= wide.r) and np.mean(closer.r) < 0.8 * np.mean(wide.r)
     assert closer.d is wide.d and not wide.plain.d
-    same = wide - wide  # it does not know that both are one, but the slopes cancel
+    same = wide - wide  # the two are not known to be identical, but the slopes cancel
     assert np.all(np.abs(same.d["x"].c) < 1e-9)
     places = np.zeros(60, dtype=bool)
     places[10:50] = True
@@ -1275,7 +1273,7 @@ def test_delays_up_to_what_the_proof_knows(law: Law):
         "payloads": (0.02, 0.04),
         "modulus_margin": 0.999,
     }
-    # of a servo that is that late
+    # for a servo with that delay
     wide = replace(law.limits, residual_angle=10.0, correction_limit=10.0)
     servo = replace(law, motor_loop=None, limits=wide)
     for made, most in ((law, law.period), (servo, 8 * law.period)):
@@ -1338,8 +1336,8 @@ def test_a_proof_that_runs_out_of_nodes_says_where(certificate: Certificate):
     assert not outcome.refuted and math.isnan(outcome.distance)
     place = np.array([outcome.place[name] for name in AXES])
     assert np.all((low[0] <= place) & (place <= high[0]))
-    # The middle of a half of the box: all but one of the parameters are in their own
-    # middle.
+    # The middle of a half of the box: all parameters but one are at the middle of their
+    # interval.
     assert (
         np.count_nonzero(
             np.abs(place - 0.5 * (low[0] + high[0])) > 1e-9 * np.abs(high[0])

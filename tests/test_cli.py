@@ -1,6 +1,4 @@
-"""The command line: whole output, exit codes, one line for every error, nothing half
-written.
-"""
+"""The command line: complete output, exit codes, one line per error, no partial files."""
 
 from __future__ import annotations
 
@@ -102,7 +100,7 @@ def test_the_first_page_is_one_screen_and_imports_no_command(fraclink: Command) 
 
 
 def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every command with the words that call it."""
+    """Every command with the words that invoke it."""
     top: Any = typer.main.get_command(application())
     context = typer.Context(top)
     for name in top.list_commands(context):
@@ -123,10 +121,11 @@ def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> 
         assert (
             example.startswith(" ".join(("fraclink", *words))) and "\n" not in example
         ), words
-        # Printed whole, so that it can be copied: the help is folded at 80 columns.
+        # Printed in one piece for copying: the help is wrapped at 80 columns.
         assert f"  $ {example}\n" in fraclink("help", *words).out
         given = shlex.split(example)[1 + len(words) :]
-        command.make_context(words[-1], given)  # raises for an option that there is not
+        # raises for an option that does not exist
+        command.make_context(words[-1], given)
         assert words[0] in listed
 
 
@@ -205,7 +204,7 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(
     )
     answer = fraclink(*arguments)
     assert answer.code == 1
-    # Which of the two rows stands in the way is the search's to say.
+    # Which of the two requirements is reported depends on the search.
     refusal = r"✗ failed: (gain crossover|phase margin): at \d+ g at most "
     assert re.match(refusal, answer.err)
     assert "nearest feasible: --gain-crossover" in answer.err
@@ -213,7 +212,7 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
     nearest = answer.err.partition("nearest feasible: ")[2].split()
     assert {"--phase-margin-deg", "--gain-crossover"} <= set(nearest)
-    again = fraclink("design", "--rig", "paper-2023", *nearest)  # to be pasted as it is
+    again = fraclink("design", "--rig", "paper-2023", *nearest)  # pasted as printed
     assert again.out.startswith("✓ passed: ")
     (tmp_path / "design.json").unlink()
     told = json.loads(fraclink(*arguments, "--json").out)

@@ -1,4 +1,4 @@
-"""`fraclink assess`: what a finished design is worth."""
+"""`fraclink assess`: the assessment of a finished design."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a terminal is shown and a pipe is not: links, colours, progress, folded remarks,
+"""What a terminal shows and a pipe does not: links, colours, progress, folded remarks,
 questions.
 """
 
@@ -194,9 +194,10 @@ def left_pipe(*, buffered: bool) -> TextIO:
 @pytest.mark.parametrize(
     ("words", "codes"),
     [
-        ("design --rig paper-2023", (0, 0)),  # the verdict that had been reached
+        ("design --rig paper-2023", (0, 0)),  # the verdict reached before
         ("design --rig paper-2023 --json", (0, 0)),
-        ("help all", (141, 0)),  # read or not: in the buffer all had been said
+        # whether it was read or not: everything was already in the buffer
+        ("help all", (141, 0)),
         ("help design", (141, 141)),
         ("design --rig nope --json", (2, 2)),
     ],
@@ -220,8 +221,8 @@ def test_the_exit_code_outlives_the_reader_of_a_pipe(
         if both:
             patch.setattr(sys, "stderr", stream)
         assert main(words.split()) == codes[buffered]
-        assert sys.stdout is stream  # typer's wrapping is undone
-    # as the interpreter does at its end: nothing is left that nobody takes
+        assert sys.stdout is stream  # the wrapping by typer is undone
+    # as the interpreter does at exit: no output is left unread
     stream.close()
 
 
@@ -252,7 +253,8 @@ def test_without_typer_the_extra_is_named(
             told.startswith(f"error: {gone.missing} is not installed; ")
             and "fraclink[cli]" in told
         )
-    gone.missing = "scipy"  # a broken installation, and not an extra that was left out
+    # a broken installation instead of an extra that is not installed
+    gone.missing = "scipy"
     with pytest.raises(ModuleNotFoundError):
         main([])
 
@@ -281,7 +283,7 @@ def test_an_arm_moves_after_a_yes_only(
     monkeypatch.setattr(sys, "stdin", Terminal(said + "\n"))
     code = main([*TUNE.split(), "--angle-deg", "90"])
     assert "Go ahead? [no] > " in terminal.getvalue()
-    # After a yes the line is opened, which is not there.
+    # After a yes the serial line is opened, which does not exist.
     assert code == (2 if go else 1)
     assert ("nowhere" in terminal.getvalue().partition("Go ahead?")[2]) is go
     assert ("nothing was moved" in capsys.readouterr().out) is not go

@@ -1,4 +1,4 @@
-"""The verbs of identification on the command line."""
+"""The commands of identification."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ def test_identify_motor_makes_the_load_of_a_deflection(
     angle = 0.4 * np.sin(3 * time) - 0.15 * np.sin(8 * time)
     bent = made_output(angle, stiffness=1.0)
     stiffness = Rig.named("paper-2023").link.stiffness
-    held = (
-        time + 0.002
-    )  # an amplifier holds its voltage: that of the middle of each sample
+    # an amplifier holds its voltage: the one in the middle of each sample
+    held = time + 0.002
     speed = 1.2 * np.cos(3 * held) - 1.2 * np.cos(8 * held)
     driven = -3.6 * np.sin(3 * held) + 9.6 * np.sin(8 * held) + 15.15 * speed
     voltage = (driven + stiffness / 0.05 * np.interp(held, time, bent)) / 61.1
@@ -70,7 +69,7 @@ def test_a_ring_down_is_fitted_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     time = 0.004 * np.arange(2000)
-    # Let go at rest: of anything else the smooth rest would be an error (W310).
+    # Released at rest: with any other start the smooth rest would be an error (W310).
     swing = np.cos(10 * time) + 0.03 * np.sin(10 * time)
     ring = 0.3 + 0.1 * swing * np.exp(-0.3 * time)
     held = np.concatenate((np.full(80, 0.4), ring))[:2000]

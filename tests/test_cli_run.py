@@ -1,4 +1,4 @@
-"""`fraclink run` and its stages, from a log to a report, as a user calls them."""
+"""`fraclink run` and its stages, from a log to a report, called as by a user."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
     """
     place = tmp_path_factory.mktemp("run")
     out, err = io.StringIO(), io.StringIO()
-    # The log shows a second mode: with the 12 rad/s and 50° of the rig file no filter
-    # keeps its gain within 0.5.
+    # The log shows a second mode: for the 12 rad/s and 50° of the rig file no filter
+    # keeps its gain below 0.5.
     command = [
         "run",
         "--rig",
@@ -64,7 +64,7 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
-        assert main(command) == 1  # no arm that differs was run
+        assert main(command) == 1  # no varied arm was run
     return Told(place / "results", out.getvalue(), err.getvalue())
 
 
@@ -99,7 +99,8 @@ def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
 
 @pytest.mark.slow
 def test_the_model_is_the_one_that_made_the_bundled_log(results: Path) -> None:
-    # The twin's link follows the power law of λ = 1.92 (the log's own header says so).
+    # The link of the twin follows the power law of λ = 1.92 (as the header of the log
+    # says).
     fit = Fit.load(results / "model.json")
     assert fit.structure == "UD-FOM"
     assert abs(fit.model.order - 1.92) < 3 * fit.standard_errors["order"]
@@ -127,17 +128,16 @@ def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
 
 @pytest.mark.slow
 def test_every_scope_of_the_demo_passes() -> None:
-    # What `make demo` runs. Of the same arms about 120 fail without the gear; with it
-    # none, seeds 0 to 2.
+    # The commands of `make demo`. Of the same arms about 120 fail without the gear;
+    # with it none, for seeds 0 to 2.
     rig = Rig.named("paper-2023-geared")
     study = run(
         rig, read_log(bundled_log("prbs_30g"), rig=rig), certified=True, arms=1000
     )
     assert study.verdict.reasons == ()
     assert study.verdict.state == "passed"
-    assert (
-        study.assumptions == rig.assumptions
-    )  # nothing of the request had to be given up
+    # no part of the request had to be given up
+    assert study.assumptions == rig.assumptions
     assert study.arms is not None
     assert study.arms.failure.count == 0
 
@@ -146,9 +146,9 @@ def test_every_scope_of_the_demo_passes() -> None:
 def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    # The gearless motor of the paper's rig has less than a hundredth of the
-    # arm's inertia: with the coupling torque compensated when the gauge shows it, its
-    # loop is unstable.
+    # The gearless motor of the paper's rig has less than a hundredth of the arm's
+    # inertia: if the coupling torque is compensated as the gauge shows it, the loop is
+    # unstable.
     place = tmp_path / "out"
     command = [
         "run",
@@ -202,7 +202,7 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
         str(tmp_path / "out"),
     ]
     assert main([*command, "--gain-crossover", "60"]) == 1
-    # what stopped it stands first
+    # the reason for the stop comes first
     assert "✗ failed: gain crossover: at 40 g at most" in capsys.readouterr().out
     study = load_study(tmp_path / "out")
     assert study.fit is not None and study.comparison is not None
@@ -410,7 +410,7 @@ def test_the_stages_chain_through_files(
         assert main(command.split()) == 0, capsys.readouterr().err
     text = Path("report.html").read_text("utf-8")
     # models, Bode, Nyquist, margins, moves: the log itself is not in the folder; two
-    # again for paper only
+    # more for print only
     assert text.count("<figure><svg") == 9 + 2 and text.count('class="armbox"') == 1
     assert Run.load("results/run.npz").payload == 0.020
 
@@ -433,8 +433,8 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
 
 
 def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
-    # 0.05 rad of the tip estimate is 0.05·c on the gauge; the figure of the default
-    # design.
+    # An error of 0.05 rad in the tip estimate is 0.05·c on the gauge; the figure is
+    # that of the default design.
     rig = Rig.named("paper-2023")
     design, _ = design_for(rig, filter_time=0.0)
     offset = 0.05 * rig.link.stiffness
@@ -460,8 +460,8 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     ("rig", "log", "limit", "doubt"),
     [
         ("merced.toml", ("quanser_rfl_merced", "merced_rfl.csv"), 0.0130, None),
-        # Its strain signal is no deflection in radians, whatever their script prints:
-        # the gain is 0.22.
+        # Whatever their script prints, the strain signal is not a deflection in
+        # radians: the gain is 0.22.
         (
             "ist.toml",
             ("ist_flexbar", "2_lab_a15_f10.csv"),
@@ -488,13 +488,14 @@ def test_real_logs_run_end_to_end(
         ]
     )
     study = load_study(tmp_path / "out")
-    assert code == 1  # at best: no arm that differs was run
+    assert code == 1  # at best: no varied arm was run
     assert study.fit is not None
     assert study.fit.heldout_nmse is not None
     assert study.fit.heldout_nmse <= limit
     if doubt is not None:
         assert any(doubt in reason for reason in study.verdict.reasons)
-    # A second mode of 40 to 65 g of link, hardly damped, is in no law's way.
+    # A second mode of a link of 40 to 65 g with hardly any damping does not limit any
+    # law.
     assert study.design is not None
     assert all(item.passed for item in study.design.requirements)
 
@@ -521,7 +522,7 @@ def test_a_hostile_file_name_is_harmless(
                 *EASY,
             ]
         )
-        == 1  # no arm that differs was run
+        == 1  # no varied arm was run
     )
     told = capsys.readouterr()
     assert "\x1b" not in told.out + told.err
@@ -574,8 +575,8 @@ def test_a_damaged_result_is_named(
 
 
 def _until_closed(handle: int) -> bytes:
-    """Everything a pseudo-terminal shows until its other end is closed, which reads as
-    an I/O error.
+    """Return everything a pseudo-terminal shows until its other end is closed, which
+    raises an I/O error.
     """
     shown = b""
     with contextlib.suppress(OSError):
@@ -605,8 +606,8 @@ def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(
         *EASY,
     ]
     with ThreadPoolExecutor(1) as pool:
-        # A terminal holds 4 kB: unread, it fills on a slow machine, and the command
-        # waits for ever.
+        # A terminal buffers 4 kB: if it is not read, it fills on a slow machine, and
+        # the command waits forever.
         reading = pool.submit(_until_closed, upper)
         try:
             answer = subprocess.run(  # noqa: S603
@@ -614,7 +615,7 @@ def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(
                 stdout=subprocess.PIPE,
                 stderr=lower,
             )
-        finally:  # or the reader waits for ever
+        finally:  # otherwise the reader waits forever
             os.close(lower)
         shown = reading.result().decode(errors="replace")
     assert "identifying" in shown

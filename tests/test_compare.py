@@ -1,5 +1,5 @@
-"""Rivals on equal terms: every rule of tuning is kept, every controller is what it
-says, and the table says where one of them is better.
+"""Rivals on equal terms: every tuning rule is kept, every controller is what it claims
+to be, and the table states where one of them is better.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def test_tuned_to_the_same_ms(design: fl.Design, name: str) -> None:
     target = 1.0 / design.sampled_at(0.030).modulus_margin
     assert 0.95 * target < rival.peak <= target
     knob = float(rival.knob.split()[1])
-    # more of it would break the rule
+    # any more would break the rule
     link = design.model.at_payload(0.030)
     more = (
         pd_correction(link, 1.3 * knob, RIG.period)
@@ -104,7 +104,8 @@ def test_a_second_mode_that_is_known_is_notched(design: fl.Design) -> None:
     link = replace(design.model, second_mode=mode)
     plain = pd_correction(design.model, 0.1, RIG.period)
     notched = pd_correction(link, 0.1, RIG.period)
-    w = 2.0 / RIG.period * math.atan(180.0 * RIG.period / 2.0)  # Tustin bends the axis
+    # Tustin's rule warps the axis
+    w = 2.0 / RIG.period * math.atan(180.0 * RIG.period / 2.0)
     one, other = (abs(answer(design, each, w)) for each in (notched, plain))
     assert one == pytest.approx(0.02 / 0.7 * other, rel=1e-3)
     first, second = (answer(design, each, 2.0) for each in (notched, plain))

@@ -1,5 +1,5 @@
-"""What the command line prints: both streams, exit code and files written, as one text
-for each command.
+"""The output of the command line: both streams, exit code and files written, as one
+text per command.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from made_logs import example_motor_log
 
 HERE = Path(__file__).resolve().parent
 TEXTS = HERE / "commands"
-WIDTH = "100"  # columns: what a help page is folded to must not depend on the terminal
+WIDTH = "100"  # columns: the width of help pages must not depend on the terminal
 
 RIG = "--rig paper-2023"
-# The motor of motor.csv bends no link: its deflection is left out.
+# No link is bent by the motor of motor.csv: its deflection is left out.
 DRIVE = "--column time=time_s[s] --column motor_angle=motor_angle_rad[rad] --column voltage=voltage_V[V]"
 ARM = f"{RIG} --gear 50 --link-mass 0.00735"
 BUNDLED = ("prbs_20g", "prbs_30g", "prbs_40g", "pulse_30g")
 THREE = "prbs_20g.csv prbs_30g.csv prbs_40g.csv"
 
-# Name of the text: the command. They run in one folder; `NEEDS` says which must have
-# run before. Left out is what takes long or prints times: run-realtime, serve-arm,
-# export c --prove.
+# Name of the text: the command. All run in one folder; `NEEDS` lists the commands that
+# must run before. Commands that take long or print times are left out: run-realtime,
+# serve-arm, export c --prove.
 COMMANDS: dict[str, str] = {
     "version": "--version",
     "help": "--help",
@@ -50,8 +50,8 @@ COMMANDS: dict[str, str] = {
     "identify-payloads": f"identify {THREE} {RIG}",
     "identify-payloads-tied": f"identify {THREE} {RIG} --tied",
     "identify-motor": f"identify motor.csv --structure motor {RIG} {DRIVE}",
-    # With both orders given nothing is left to a search, whose last digit is the
-    # machine's.
+    # With both orders given there is no search, whose last digit would depend on the
+    # machine.
     "tune-pid": "tune-pid 1/(0.8*s**2.2+0.5*s**0.9+1) --gain-crossover 2 --integral-order 1.2 "
     "--derivative-order 0.95 --out pid.json",
     "identify-structure": "identify response.csv --structure k*s**a/(s**a+w) --out structure.json",
@@ -92,7 +92,7 @@ COMMANDS: dict[str, str] = {
 }
 
 
-# Which command writes what a command reads.
+# The commands whose output a command reads.
 NEEDS: dict[str, str] = {
     "design-geared": "identify",
     "design-there": "design",
@@ -156,7 +156,7 @@ def normalised(text: str, folder: Path) -> str:
     ):
         text = text.replace(place, word)
     text = text.replace(fl.__version__, "VERSION")
-    # Only JSON prints as many digits; a rounding error at the end of them is no change
+    # Only JSON prints this many digits; a rounding error in the last ones is no change
     # of behaviour.
     return re.sub(r"-?\d+\.\d{9,}(?:e[-+]?\d+)?|-?\d\.\d+e-\d+", _rounded, text)
 

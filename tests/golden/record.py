@@ -1,5 +1,5 @@
-"""Golden figures: what the package computes today, recorded so that a rebuilding can be
-compared with it.
+"""Golden figures: what the package computes today, recorded for comparison after a
+refactoring.
 
     python -m tests.golden.record runs designs    # record these topics again
     python -m tests.golden.record commands        # the texts of the command line
@@ -38,11 +38,11 @@ from numpy.typing import ArrayLike, NDArray
 
 import fraclink as fl
 
-# As a script it finds what the tests find by pytest's `pythonpath`.
+# Run as a script, it needs the paths that pytest's `pythonpath` gives to the tests.
 sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
-# The names that are not at the root: all of them here, so that a move of modules is one
-# edit.
+# All names that are not at the root are imported here, so that a move of modules needs
+# one edit.
 from fraclink import (  # noqa: E402
     Certificate,
     export_fmu,
@@ -142,8 +142,8 @@ def probe() -> str:
         matrix @ matrix.T,
     )
     roots = np.linalg.eigvals(matrix)
-    # From some size on BLAS shares a product among its threads: their number decides
-    # where it rounds.
+    # Above a certain size BLAS distributes a product over its threads, whose number
+    # affects the rounding.
     count = np.arange(1.0, 301.0)
     shared = np.cos(np.outer(count, count))
     return digest(
@@ -193,7 +193,7 @@ PRINTED = fl.Controller(
     link=LINK,
 )
 
-# How the laws are fitted today. Recorded once; the runs read the files.
+# How the laws are fitted today. They are recorded once; the runs read the files.
 LAWS: dict[str, Callable[[], fl.Law]] = {
     "default": default_law,
     "order-4": lambda: design_of(RIG, filter_time=0.0).law(order=4),
@@ -448,7 +448,7 @@ FAULTS: tuple[tuple[str, int, str], ...] = (
     ("F14", 2, "rest"),
     ("F23", 2, "mid"),
 )
-# Every fault with every severity, which costs 20 ms each.
+# Every fault with every severity; each costs 20 ms.
 FAULTS += tuple(
     (fault.number, severity, "mid")
     for fault in fl.trials.CATALOGUE
@@ -579,8 +579,8 @@ def plan_figures(plan: fl.Design) -> Plain:
             "phase_margins": [found.phase_margin for found in ends],
             "gain_margins": [found.gain_margin for found in ends],
             "requirements": {
-                # Not the slack: the difference of the first two, and of an active bound
-                # nothing but rounding.
+                # Without the slack: it is the difference of the first two, and nothing
+                # but rounding for an active bound.
                 item.name: [item.wanted, item.achieved, item.at_payload, item.passed]
                 for item in plan.requirements
             },
@@ -823,7 +823,7 @@ def _files(folder: Path) -> Plain:
 def _members(path: Path) -> Plain:
     with zipfile.ZipFile(io.BytesIO(path.read_bytes())) as archive:
         contents = {name: archive.read(name) for name in sorted(archive.namelist())}
-    # The token is a hash over the sources with their comments.
+    # The token is a hash of the sources including their comments.
     token = TOKEN.search(contents["sources/all.c"])
     assert token is not None
     return {
@@ -890,7 +890,7 @@ TOPICS: dict[
     "runs": (runs, 1e-9),
     "paper": (paper, 1e-9),
     "certificates": (certificates, 1e-9),
-    # A search ends where its own tolerance lets it; the equations before it are exact.
+    # A search ends within its own tolerance; the equations before it are exact.
     "designs": (designs, 1e-5),
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
@@ -926,7 +926,8 @@ def differences(
     numbers = all(
         isinstance(x, int | float) and not isinstance(x, bool) for x in (told, found)
     )
-    # What should be zero is a rounding error: it is not held to relative digits.
+    # A value that should be zero is a rounding error and is not compared to relative
+    # digits.
     if numbers and math.isclose(told, found, rel_tol=rel, abs_tol=1e-3 * rel):
         return []
     return (

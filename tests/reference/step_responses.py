@@ -118,8 +118,8 @@ def by_residues(terms: list[tuple[mp.mpf, mp.mpf]], time: mp.mpf) -> mp.mpf:
     def integrand(x: acb, _analytic: bool) -> acb:
         above = sum((c * (a * x).exp() for c, a in turns), acb(0))
         below = sum((c.conjugate() * (a * x).exp() for c, a in turns), acb(0))
-        # Im G on the cut, as a function analytic in x: half the difference of the two
-        # sides.
+        # Im G on the cut as an analytic function of x: half the difference between the
+        # two sides.
         return (
             balls[-1][0]
             * (1 / above - 1 / below)
