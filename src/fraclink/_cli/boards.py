@@ -422,7 +422,7 @@ def serve_arm(
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * design.rig.period:g} ms")
-    with signals_held() as signals:
+    with signals_held() as obeyed:
         if out is not None:
             check_ending(lab.ServedArm, output_path(out, force=True))
         served = lab.serve_arm(
@@ -436,7 +436,7 @@ def serve_arm(
         )
         # Every signal requests the end, which has come: a further signal only has to
         # wait for the file.
-        signals.set()
+        obeyed.set()
         files = () if out is None else (saved(served, out),)
     return Answer(
         served,

@@ -150,16 +150,16 @@ def margin_curve(
     """
     whole, masses = design.full_loop, axis_of("payloads", payloads, Payload)
     if kind == "sampled":
-        found = [design.sampled_at(float(m)) for m in masses]
+        margins = [design.sampled_at(float(m)) for m in masses]
         # An unstable loop may have a large margin at a crossing; it is drawn below
         # zero.
-        sign = np.where([bool(f.stable) for f in found], 1.0, -1.0)
+        sign = np.where([bool(f.stable) for f in margins], 1.0, -1.0)
         return MarginCurve(
             kind,
             masses,
-            np.array([f.gain_crossover for f in found]),
-            sign * np.array([min(abs(f.phase_margin), math.pi) for f in found]),
-            np.array([f.modulus_margin for f in found]),
+            np.array([f.gain_crossover for f in margins]),
+            sign * np.array([min(abs(f.phase_margin), math.pi) for f in margins]),
+            np.array([f.modulus_margin for f in margins]),
         )
     loops = {
         # Up to the Nyquist frequency like the others: no controller realises a crossing
@@ -176,9 +176,13 @@ def margin_curve(
         "loop": whole,
     }
     w0 = np.array([design.natural_frequency(float(m)) for m in masses])
-    got = loops[kind].achieved(w0, design.rig.period)
+    figures = loops[kind].achieved(w0, design.rig.period)
     return MarginCurve(
-        kind, masses, got.gain_crossover, got.phase_margin, 1.0 / got.sensitivity_peak
+        kind,
+        masses,
+        figures.gain_crossover,
+        figures.phase_margin,
+        1.0 / figures.sensitivity_peak,
     )
 
 
@@ -274,20 +278,20 @@ def feasibility_map(
     request = request_of(link_of(model, rig), rig, specification(wanted), False)
     noise = np.full((angles.size, crossovers.size), np.nan)
     for column, crossover in enumerate(crossovers):
-        found: Solution | None = None
+        solution: Solution | None = None
         for row in np.argsort(angles):
             cell = request.asking(
                 gain_crossover=float(crossover), phase_margin=float(angles[row])
             )
-            if found is None:
+            if solution is None:
                 search = Search(cell, cell.first_links, cell.filter_orders[-1])
                 start = search.first()
             # start from the previous cell, and from all links that were worst there
             else:
-                search, start = replace(found.search, request=cell), found.x
-            found = search.over_links(start[:, None])
-            if found.slack > 0.0:
+                search, start = replace(solution.search, request=cell), solution.x
+            solution = search.over_links(start[:, None])
+            if solution.slack > 0.0:
                 break  # a larger margin is infeasible as well
-            found = found.quieter()
-            noise[row, column] = found.noise_gain
+            solution = solution.quieter()
+            noise[row, column] = solution.noise_gain
     return FeasibilityMap(crossovers, angles, noise)

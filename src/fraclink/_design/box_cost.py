@@ -48,10 +48,10 @@ def cost_of_box(design: Design) -> Finding:
     for name in _WORDS:
         low, high = getattr(box, name)
         if low < high:
-            known, frequencies = arm.knowing(name, exact), box.natural_frequency
+            variant, frequencies = arm.knowing(name, exact), box.natural_frequency
             if name == "natural_frequency":
                 frequencies = exact.natural_frequency
-            gains[name] = margin(known, frequencies) - worst
+            gains[name] = margin(variant, frequencies) - worst
     evidence = {"nominal_rad": nominal, "worst_rad": worst}
     evidence |= {f"{name}_rad": gain for name, gain in gains.items()}
     if not gains:

@@ -51,14 +51,14 @@ def design_for(
             "identify a log first, then give --model model.json",
         )
         raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
-    asked = {name: value for name, value in wanted.items() if value is not None}
+    request = {name: value for name, value in wanted.items() if value is not None}
     for name, instead in _COMPLETED.items():
-        stated = None if rig.design is None else getattr(rig.design, name)
-        if stated is not None and not {name, *instead} & set(asked):
-            asked[name] = stated
-    known = with_payload(link, rig)
-    made = design(known, rig, **{"law": False, **asked})
-    return made, (*_assumed_payload(link, known), *_assumed(asked, made))
+        default = None if rig.design is None else getattr(rig.design, name)
+        if default is not None and not {name, *instead} & set(request):
+            request[name] = default
+    own_model = with_payload(link, rig)
+    result = design(own_model, rig, **{"law": False, **request})
+    return result, (*_assumed_payload(link, own_model), *_assumed(request, result))
 
 
 def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
@@ -75,12 +75,12 @@ def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
 def _assumed(asked: dict[str, Any], made: Design) -> tuple[str, ...]:
     """The assumptions that replace a crossover and a margin."""
     nobody = "as neither the rig nor the request states one"
-    found = []
+    sentences = []
     if not {"gain_crossover", "settling_time"} & set(asked):
-        found.append(
+        sentences.append(
             f"gain crossover {made.gain_crossover:.3g} rad/s: nine tenths of the highest "
             f"that keeps every requirement, {nobody}"
         )
     if not {"phase_margin", "max_sensitivity"} & set(asked):
-        found.append(f"sensitivity peak of {SENSITIVITY:g} at most, {nobody}")
-    return tuple(found)
+        sentences.append(f"sensitivity peak of {SENSITIVITY:g} at most, {nobody}")
+    return tuple(sentences)

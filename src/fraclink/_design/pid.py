@@ -143,15 +143,17 @@ def tune_pid(
         derivative_order=derivative_order,
         filter_time=filter_time,
     )
-    found = searched(problem)
-    if not found.count:
+    candidates = searched(problem)
+    if not candidates.count:
         raise _infeasible(problem)
     # One horizon for all candidates: with 40/ω_c of each candidate, a slow loop would
     # get more time to accumulate error, and its ITAE would not be comparable with that
     # of a fast loop.
-    length = HORIZON / float(np.max(found.crossover)) if horizon is None else horizon
-    best = best_of(problem, found, length)
-    made = PidTuning(
+    length = (
+        HORIZON / float(np.max(candidates.crossover)) if horizon is None else horizon
+    )
+    best = best_of(problem, candidates, length)
+    tuning = PidTuning(
         plant=own,
         controller=best.controller(0),
         phase_margin=phase_margin,
@@ -169,9 +171,9 @@ def tune_pid(
         findings=_lasting(problem, best.controller(0)),
     )
     return (
-        made
+        tuning
         if period is None
-        else replace(made, findings=(*made.findings, *_of_law(made)))
+        else replace(tuning, findings=(*tuning.findings, *_of_law(tuning)))
     )
 
 
@@ -189,15 +191,15 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
         )
     # The limits do not affect the linear loop: any finite values will do, since the
     # caller need not have given them.
-    found = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
+    margins = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
     # The nearest crossing of a stable loop may lie on either side of -1; its distance
     # counts.
-    kept = abs(found.phase_margin)
+    margin = abs(margins.phase_margin)
     evidence = {
         "asked, °": math.degrees(made.phase_margin),
-        "kept, °": math.degrees(kept),
+        "kept, °": math.degrees(margin),
     }
-    if not found.stable:
+    if not margins.stable:
         return (
             Finding(
                 "W404",
@@ -207,14 +209,14 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "ask for a slower gain crossover, or take a shorter period",
             ),
         )
-    if made.phase_margin - kept <= LAW_LOSS:
+    if made.phase_margin - margin <= LAW_LOSS:
         return ()
     return (
         Finding(
             "W404",
             # With less than half of the margin it is a different loop: gauge, motor and
             # damping are known to 5 % each at best.
-            "error" if kept < 0.5 * made.phase_margin else "warning",
+            "error" if margin < 0.5 * made.phase_margin else "warning",
             "the shipped law keeps less phase margin than was asked for",
             evidence,
             "take a shorter period, or ask for a slower gain crossover",
@@ -230,13 +232,13 @@ def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, .
         return ()
     top, bottom = problem.plant.numerator[-1], problem.plant.denominator[-1]
     gain = top.coefficient / bottom.coefficient if top.order == bottom.order else 0.0
-    left = 100.0 / (1.0 + controller.proportional * gain)
+    error = 100.0 / (1.0 + controller.proportional * gain)
     return (
         Finding(
             "W421",
             "warning",
             "without an integral a step of the reference is never reached",
-            {"lasting error, %": left},
+            {"lasting error, %": error},
             "ask for a PID, or let the reference be larger by as much",
         ),
     )
@@ -388,13 +390,13 @@ def _crossovers(
 
 def _infeasible(problem: PidProblem) -> InfeasibleError:
     """The error, with the nearest phase margin for which there is a controller."""
-    asked = problem.phase_margin
+    margin = problem.phase_margin
     more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
     # Nearest first, so that the first feasible one is the offer. Steps of 2.5° and
     # every fourth crossover, because each trial is a search of its own and people
     # specify whole degrees.
     steps = sorted(
-        np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked)
+        np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - margin)
     )
     for angle in steps:
         if searched(replace(problem, phase_margin=float(angle)), every=4).count:

@@ -164,21 +164,21 @@ class PidProblem:
         # d/d ln ω of the three parts
         slopes = np.stack([0.0 * w, -lam, mu - np.ceil(mu) * turn], axis=1) * parts
         at, rise = _plant_at(self.plant, w)
-        wanted = np.exp(1j * (self.phase_margin - math.pi)) / at
-        rows = [parts.real, parts.imag, (slopes / wanted[:, None]).imag]
-        right = np.stack([wanted.real, wanted.imag, slope - rise], axis=1)
-        used = [True, self.integral, self.derivative]
-        count = sum(used)
-        matrix = np.stack(rows, axis=1)[:, :count, used]
+        target = np.exp(1j * (self.phase_margin - math.pi)) / at
+        rows = [parts.real, parts.imag, (slopes / target[:, None]).imag]
+        right = np.stack([target.real, target.imag, slope - rise], axis=1)
+        columns = [True, self.integral, self.derivative]
+        count = sum(columns)
+        matrix = np.stack(rows, axis=1)[:, :count, columns]
         gains = np.zeros((len(w), 3))
-        gains[:, used] = (np.linalg.pinv(matrix) @ right[:, :count, None])[..., 0]
+        gains[:, columns] = (np.linalg.pinv(matrix) @ right[:, :count, None])[..., 0]
         # λ = μ, or an order that makes two parts parallel at ω_c: the system has no
         # solution.
-        off = np.abs((gains * parts).sum(axis=1) - wanted) > 1e-9 * np.abs(wanted)
+        off = np.abs((gains * parts).sum(axis=1) - target) > 1e-9 * np.abs(target)
         gains[off] = math.nan
-        own = ((gains * slopes).sum(axis=1) / wanted).imag + rise
-        found = np.column_stack([lam, mu, own, places[:, 3]])
-        return Candidates(gains, found, lag)
+        own = ((gains * slopes).sum(axis=1) / target).imag + rise
+        parameters = np.column_stack([lam, mu, own, places[:, 3]])
+        return Candidates(gains, parameters, lag)
 
     def admitted(self, found: Candidates) -> Candidates:
         """The candidates without negative gains whose closed loop is stable and meets
@@ -239,13 +239,13 @@ def _stable(loop: Complex, origin: Real) -> NDArray[np.bool_]:
     Near the origin 1 + L ~ s^(-q) has the phase −qπ/2; from there to ω → ∞ it must turn
     back to that of 1 + L(∞), on the principal sheet.
     """
-    turned = 1.0 + loop
+    locus = 1.0 + loop
     first = -0.5 * math.pi * origin
-    start = first + np.angle(turned[:, 0] * np.exp(-1j * first))
-    end = start + np.angle(turned[:, 1:] / turned[:, :-1]).sum(axis=1)
+    start = first + np.angle(locus[:, 0] * np.exp(-1j * first))
+    end = start + np.angle(locus[:, 1:] / locus[:, :-1]).sum(axis=1)
     # Turns differ by 2π; a limit of one radian separates them, whatever the scan misses
     # between two points.
-    return np.asarray(np.abs(end - np.angle(turned[:, -1])) < 1.0)
+    return np.asarray(np.abs(end - np.angle(locus[:, -1])) < 1.0)
 
 
 def _least_margin(loop: Complex) -> Real:

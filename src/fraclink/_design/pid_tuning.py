@@ -126,8 +126,10 @@ class PidTuning(Saved):
         """Whether the closed loop is stable."""
         # The Nyquist count returns None for a plant whose open-loop poles it cannot
         # count; the closed-loop poles are computed instead.
-        found = self.margins.stable
-        return bool(is_stable(self.open_loop.feedback())) if found is None else found
+        verdict = self.margins.stable
+        return (
+            bool(is_stable(self.open_loop.feedback())) if verdict is None else verdict
+        )
 
     @property
     def phase_slope(self) -> float:
@@ -145,30 +147,38 @@ class PidTuning(Saved):
     @property
     def requirements(self) -> tuple[Requirement, ...]:
         """Each requirement with what was achieved."""
-        found, gain = self.margins, self.margins.gain_margin
+        loop_margins, gain = self.margins, self.margins.gain_margin
         at_least = {
-            "phase margin": ("rad", self.phase_margin, found.phase_margin),
-            "gain crossover": ("rad/s", self.gain_crossover, found.gain_crossover),
+            "phase margin": ("rad", self.phase_margin, loop_margins.phase_margin),
+            "gain crossover": (
+                "rad/s",
+                self.gain_crossover,
+                loop_margins.gain_crossover,
+            ),
             # A loop that becomes unstable with less gain has a gain margin below 1; the
             # requirement is a factor in either direction.
             "gain margin": ("", self.gain_margin, max(gain, 1.0 / gain)),
         }
         slope = _FLAT if self.flat_phase else None
         at_most = {
-            "sensitivity peak": ("", self.max_sensitivity, found.sensitivity_peak),
+            "sensitivity peak": (
+                "",
+                self.max_sensitivity,
+                loop_margins.sensitivity_peak,
+            ),
             "slope of the phase": ("rad", slope, abs(self.phase_slope)),
         }
         return tuple(
             Requirement(
                 name,
-                wanted,
+                limit,
                 achieved,
                 unit,
                 math.nan,
                 "at least" if name in at_least else "at most",
             )
-            for name, (unit, wanted, achieved) in (at_least | at_most).items()
-            if wanted is not None
+            for name, (unit, limit, achieved) in (at_least | at_most).items()
+            if limit is not None
         )
 
     @property
@@ -176,24 +186,24 @@ class PidTuning(Saved):
         """Whether the closed loop is stable and every requirement is kept, and no
         finding is an error.
         """
-        held = all(requirement.passed for requirement in self.requirements)
-        return self.stable and held and not errors_of(self.findings)
+        all_kept = all(requirement.passed for requirement in self.requirements)
+        return self.stable and all_kept and not errors_of(self.findings)
 
     def overview(self) -> Overview:
         """The controller, what was asked of it and achieved, and its step."""
-        found, c = self.margins, self.controller
+        loop_margins, c = self.margins, self.controller
         figures = {
-            "gain_crossover": found.gain_crossover,
-            "phase_margin": found.phase_margin,
-            "gain_margin": found.gain_margin,
-            "sensitivity_peak": found.sensitivity_peak,
+            "gain_crossover": loop_margins.gain_crossover,
+            "phase_margin": loop_margins.phase_margin,
+            "gain_margin": loop_margins.gain_margin,
+            "sensitivity_peak": loop_margins.sensitivity_peak,
         }
         rows = (
             Row("controller", "", c),
             Row("stable", "", self.stable),
             *(Row(name, "", value) for name, value in figures.items()),
-            Row("", "gain margin", found.gain_margin),
-            Row("", "sensitivity peak Ms", found.sensitivity_peak),
+            Row("", "gain margin", loop_margins.gain_margin),
+            Row("", "sensitivity peak Ms", loop_margins.sensitivity_peak),
             Row("itae", "ITAE", self.itae, "s²"),
             Row("horizon", "over", self.horizon, "s"),
         )
@@ -233,22 +243,22 @@ class PidTuning(Saved):
         What is left out is what the tuning was given; its filter is closest to C within
         two decades below the crossover and fifty times it.
         """
-        given = {
+        values = {
             "period": self.period if period is None else period,
             "output_limit": self.output_limit if output_limit is None else output_limit,
             "measurement_limit": self.measurement_limit
             if measurement_limit is None
             else measurement_limit,
         }
-        for name, value in given.items():
+        for name, value in values.items():
             if value is None:
                 option = "period-ms" if name == "period" else name.replace("_", "-")
                 remedy = f"give {name}= here or to tune_pid (--{option})"
                 raise FieldError(
                     name, None, "missing", allowed="a number > 0", remedy=remedy
                 )
-        chosen = Between(0.0, 1e3, "s", low_open=True).check("period", given["period"])
-        crossover, high = self.margins.gain_crossover, 0.5 * math.pi / chosen
+        step = Between(0.0, 1e3, "s", low_open=True).check("period", values["period"])
+        crossover, high = self.margins.gain_crossover, 0.5 * math.pi / step
         band = None
         # If the crossover lies in the last fifth of the band, a band up to fifty times
         # the crossover does not exist, and the default band is used.
@@ -259,9 +269,9 @@ class PidTuning(Saved):
             )
         return discretize_pid(
             self.controller,
-            chosen,
-            output_limit=given["output_limit"],  # type: ignore[arg-type]
-            measurement_limit=given["measurement_limit"],  # type: ignore[arg-type]
+            step,
+            output_limit=values["output_limit"],  # type: ignore[arg-type]
+            measurement_limit=values["measurement_limit"],  # type: ignore[arg-type]
             order=order,
             precision=precision,
             band=band,
@@ -306,13 +316,14 @@ class PidTuning(Saved):
         # A thousand points are more than a plot shows; for a loop without delay each of
         # them is exact.
         time = np.linspace(0.0, length, 1001)
-        loop, pressed = self.open_loop, np.full(time.size, size)
-        closed, outer = (
+        loop, setpoint = self.open_loop, np.full(time.size, size)
+        feedback, outer = (
             loop.feedback(),
             self.controller.transfer().feedback(self.plant.delayed(self.delay)),
         )
         answers = [
-            time_response(system, pressed, time[1]).output for system in (closed, outer)
+            time_response(system, setpoint, time[1]).output
+            for system in (feedback, outer)
         ]
         return PidStep(time, *answers)
 
@@ -328,17 +339,17 @@ def _run(
     # state along would require another implementation of the modes of a delayed plant,
     # and N is a few thousand.
     weights = modes.respond(np.eye(1, count)[0])
-    state, given = law.initial_state(), np.zeros(count)
+    state, outputs = law.initial_state(), np.zeros(count)
     measured = np.zeros(count)
     for k in range(count):
-        measured[k] = given[: k + 1] @ weights[k::-1]
+        measured[k] = outputs[: k + 1] @ weights[k::-1]
         state, answer = law.step(
             state, LawInputs(size, 0.0, measured[k], 0.0), tick=k + 1
         )
         if k + 1 < count:
-            given[k + 1] = answer.voltage
+            outputs[k + 1] = answer.voltage
     return PidStep(
         np.asarray(law.period * np.arange(count), dtype=np.float64),
         measured,
-        np.append(given[1:], given[-1]),
+        np.append(outputs[1:], outputs[-1]),
     )

@@ -133,12 +133,12 @@ def design(
     link = link_of(model, rig)
     try:
         if procedure == "published":
-            made = published(link, rig, spec, box)
-            made = made.with_law() if law else made
+            result = published(link, rig, spec, box)
+            result = result.with_law() if law else result
         else:
             request = request_of(link, rig, spec, box)
             speed = request.speed is not None
-            made = _solved(
+            result = _solved(
                 request, goal or ("noise" if speed else "settling"), law, nearest
             )
     except InfeasibleError as error:
@@ -149,7 +149,7 @@ def design(
             raise
         sentence = f"{'; '.join(doubts)}; and so {error.explanation}"
         raise InfeasibleError(error.condition, sentence, error.nearest) from error
-    return made.doubted(getattr(model, "findings", ()))
+    return result.doubted(getattr(model, "findings", ()))
 
 
 def request_of(
@@ -161,26 +161,26 @@ def request_of(
     """Return the request to the solver with all numbers resolved; FieldError for values
     that contradict the arm.
     """
-    known = with_payload(link, rig)
-    asked = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
-    if box is None and not asked & set(spec):
+    payload_model = with_payload(link, rig)
+    goals = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
+    if box is None and not goals & set(spec):
         box = True  # nothing requested: also cover the uncertainty of fit and rig
-    arms = ParameterBox.of(known, rig) if box is True else None
+    arms = ParameterBox.of(payload_model, rig) if box is True else None
     if box and arms is None:
         arms = checked_noun("box", box, ParameterBox, remedy=_BOX)
-    return Request.of(known, rig, spec, arms)
+    return Request.of(payload_model, rig, spec, arms)
 
 
 def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     """The design of a request; InfeasibleError if there is none, with the nearest
     feasible request.
     """
-    made, solution = _best(request, goal, law, patient=True)
-    if not made.missed and made.box is None:
-        return made
-    if not made.missed:
-        return replace(made, findings=(*made.findings, cost_of_box(made)))
-    condition, sentence = _in_the_way(solution, made)
+    result, solution = _best(request, goal, law, patient=True)
+    if not result.missed and result.box is None:
+        return result
+    if not result.missed:
+        return replace(result, findings=(*result.findings, cost_of_box(result)))
+    condition, sentence = _in_the_way(solution, result)
     # if a requirement is missed that the user did not state, no other request is known
     # to pass
     near = nearest and solution.eases
@@ -195,11 +195,11 @@ def _best(
     second mode, or else with a phase-stabilised one.
     """
     # `loud` needs a known second mode that the user does not bound
-    known = request.model.second_mode is not None and "mode_gain" not in request.spec
-    if known:
-        made, solution = _reserved(request, goal, law, patient=False)
-        if not made.missed:
-            return made, solution
+    has_mode = request.model.second_mode is not None and "mode_gain" not in request.spec
+    if has_mode:
+        result, solution = _reserved(request, goal, law, patient=False)
+        if not result.missed:
+            return result, solution
         request = replace(request, loud=True)
     return _reserved(request, goal, law, patient=patient)
 
@@ -210,19 +210,19 @@ def _reserved(
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
-    for asked in _asked(request, goal):
-        solution = solved(asked, patient=patient)
-        made = _design_of(solution)
+    for attempt in _asked(request, goal):
+        solution = solved(attempt, patient=patient)
+        result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.slack == 0.0 else 0):
-            made = made.with_law()
-            reserves = _lost_by_law(made)
+            result = result.with_law()
+            reserves = _lost_by_law(result)
             tighter = solution.tightened(reserves) if reserves else solution
             if not reserves or tighter.slack > 0.0:
                 break
-            solution, made = tighter, _design_of(tighter)
-        if not made.missed:
+            solution, result = tighter, _design_of(tighter)
+        if not result.missed:
             break
-    return made, solution
+    return result, solution
 
 
 def _asked(request: Request, goal: Goal) -> list[Request]:
@@ -235,12 +235,12 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
     key = "phase_margin" if goal == "margin" else "gain_crossover"
     most = math.pi if goal == "margin" else request.highest
     best = solved(request.aiming(key, most), patient=True)
-    reached, least = most * math.exp(-best.rows.easing), request.arms.resonance
+    highest, least = most * math.exp(-best.rows.easing), request.arms.resonance
     if goal == "margin":
-        reached, least = math.degrees(most * (1.0 - best.rows.easing)), 0.0
-    if not best.eases or reached <= least:
+        highest, least = math.degrees(most * (1.0 - best.rows.easing)), 0.0
+    if not best.eases or highest <= least:
         return [request]
-    values = [_floored(share * reached) for share in _SHARES]
+    values = [_floored(share * highest) for share in _SHARES]
     if goal == "margin":
         values = [math.radians(value) for value in values]
     return [request.asking(**{key: value}) for value in values]
@@ -249,21 +249,23 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
 def _lost_by_law(made: Design) -> dict[str, float]:
     """The relative reserve to add to each row that the law misses."""
     margin, modulus = made.requirements[-2:]
-    lost: dict[str, float] = {}
+    reserves: dict[str, float] = {}
     if not margin.passed:
-        lost["phase_margin"] = 1.05 * abs(margin.slack / made.phase_margin) + RESERVE
+        reserves["phase_margin"] = (
+            1.05 * abs(margin.slack / made.phase_margin) + RESERVE
+        )
     if not modulus.passed and modulus.achieved > 0.0:
         more = 1.5 * math.log(modulus.wanted / modulus.achieved)
-        lost["max_sensitivity"] = more + RESERVE
-    return lost
+        reserves["max_sensitivity"] = more + RESERVE
+    return reserves
 
 
 def _design_of(solution: Solution) -> Design:
     """The design of a solution, with every row."""
     request, controller = solution.search.request, solution.controller
     low, high = request.natural_frequencies
-    reached, upper = solution.crossovers
-    asked = request.speed or _floored(reached)
+    lowest, upper = solution.crossovers
+    crossover = request.speed or _floored(lowest)
     return Design(
         model=request.model,
         rig=request.rig,
@@ -272,9 +274,9 @@ def _design_of(solution: Solution) -> Design:
         margins_kind="loop",
         payloads=request.payloads,
         natural_frequencies=(low, high),
-        gain_crossover=asked,
+        gain_crossover=crossover,
         phase_margin=request.phase_margin,
-        chi=controller.derivative_gain * asked**controller.derivative_order,
+        chi=controller.derivative_gain * crossover**controller.derivative_order,
         gain_crossover_upper=upper,
         findings=doubts_of(request.rig, request.model, request.payloads),
         box=request.box,
@@ -290,31 +292,31 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
     worst = max(
         made.missed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3)
     )
-    wanted, achieved = worst.shown
+    goal, achieved = worst.shown
     resonance = solution.search.request.arms.resonance
     more, most = "more", "at most"
     if worst.bound == "at most":
         more, most = "less", "at least"
-    said = f"{most} {achieved}"
+    sentence = f"{most} {achieved}"
     if worst.name == "gain crossover" and not worst.achieved:
-        said = f"no loop was found that crosses beyond the resonance ({resonance:.3g} rad/s at the heaviest)"
+        sentence = f"no loop was found that crosses beyond the resonance ({resonance:.3g} rad/s at the heaviest)"
     elif not solution.eases:
-        said = f"no controller was found with {more} than {achieved}"
-    given = [
+        sentence = f"no controller was found with {more} than {achieved}"
+    others = [
         f"{item.name} of {item.shown[1]} instead of {item.shown[0]}"
         for item in made.missed
         if item is not worst and item.name != "gain margin" and solution.eases
     ]
-    even = f", even with a {' and a '.join(given)}" if given else ""
+    even = f", even with a {' and a '.join(others)}" if others else ""
     late, crossing = made.model.gauge_delay, made.gain_crossover_upper or resonance
-    lost = math.degrees(late * crossing)
+    cost = math.degrees(late * crossing)
     why = (
-        f": the gauge is {1e3 * late:.3g} ms late, which costs {lost:.0f}° at {crossing:.3g} rad/s"
-        if lost > 5.0
+        f": the gauge is {1e3 * late:.3g} ms late, which costs {cost:.0f}° at {crossing:.3g} rad/s"
+        if cost > 5.0
         else ""
     )
     return worst.name, (
-        f"at {1e3 * worst.at_payload:.3g} g {said} where {wanted} is asked for{even}{why}"
+        f"at {1e3 * worst.at_payload:.3g} g {sentence} where {goal} is asked for{even}{why}"
     )
 
 
@@ -372,13 +374,13 @@ def link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     """The link of a model or a fit, with the gauge as part of the control loop."""
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     # A fit knows its own doubts; any other model is trusted.
-    found = (
+    content = (
         model.loop_model(rig)
         if hasattr(model, "loop_model")
         else getattr(model, "model", model)
     )
     link = checked_noun(
-        "model", found, LinkModel, remedy="give a fit, fit.model, or rig.model"
+        "model", content, LinkModel, remedy="give a fit, fit.model, or rig.model"
     )
     order = Between(
         1.0, 2.0, "(λ)", low_open=True, remedy="λ is 2 for a classical link"

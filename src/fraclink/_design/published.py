@@ -118,7 +118,7 @@ def published(
     )
     (crossover, slow), (margin, close) = worst_margins(loop, low, high)
     payload_at = request.model.payload_at
-    asked = spec["gain_crossover"], spec["phase_margin"]
+    goals = spec["gain_crossover"], spec["phase_margin"]
     return Design(
         model=model,
         rig=rig,
@@ -126,21 +126,21 @@ def published(
         requirements=(
             Requirement(
                 "gain crossover",
-                asked[0],
+                goals[0],
                 crossover,
                 "rad/s",
                 payload_at(slow),
                 "at least",
             ),
             Requirement(
-                "phase margin", asked[1], margin, "rad", payload_at(close), "at least"
+                "phase margin", goals[1], margin, "rad", payload_at(close), "at least"
             ),
         ),
         margins_kind="ideal",
         payloads=request.payloads,
         natural_frequencies=(low, high),
-        gain_crossover=asked[0],
-        phase_margin=asked[1],
+        gain_crossover=goals[0],
+        phase_margin=goals[1],
         chi=solution.chi,
         gain_crossover_upper=solution.upper,
         findings=(
@@ -162,12 +162,12 @@ def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding
     ]
     search = Search(request, request.first_links, controller.filter_order)
     measured = Solution(search, np.array(x)).measured
-    missed = "; ".join(str(item) for _, item in measured if not item.passed)
-    if missed:
+    misses = "; ".join(str(item) for _, item in measured if not item.passed)
+    if misses:
         yield Finding(
             "W405",
             "warning",
-            f"the loop that runs misses what the published procedure does not look at: {missed}",
+            f"the loop that runs misses what the published procedure does not look at: {misses}",
             {},
             'leave out procedure="published"',
         )
@@ -215,12 +215,12 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
 def _admissible(request: Request) -> tuple[ClosedForm, int]:
     """The admissible solution and its n; InfeasibleError if there is none."""
     low, high = request.natural_frequencies
-    asked = request.spec["gain_crossover"], request.spec["phase_margin"]
-    own, found = request.spec.get("filter_order"), []
+    goals = request.spec["gain_crossover"], request.spec["phase_margin"]
+    own, candidates = request.spec.get("filter_order"), []
     for order in (own,) if own else (1, 2):
         for solution in _solutions(request, order):
             violated = solution.violated(request.model.order)
-            found.append((solution, violated))
+            candidates.append((solution, violated))
             # With n = 1 and β ≥ 1 the noise gain of Ĉ would be unbounded: the next n is
             # used instead.
             if violated or (own is None and order == 1 and solution.order >= 1.0):
@@ -230,20 +230,20 @@ def _admissible(request: Request) -> tuple[ClosedForm, int]:
             )
             reached = [value for value, _ in worst_margins(loop, low, high)]
             # A solution meets its own equations up to rounding.
-            if all(x >= y * (1.0 - 1e-9) for x, y in zip(reached, asked, strict=True)):
+            if all(x >= y * (1.0 - 1e-9) for x, y in zip(reached, goals, strict=True)):
                 return solution, order
-    if not found:
+    if not candidates:
         sentence = "no ω̄_c solves equation (55) for this phase margin"
         raise InfeasibleError("phase margin unreachable", sentence, {})
     # Of several solutions, the one nearest to the middle of 0 < β < 2 is the closest to
     # being admissible.
-    best, violated = min(found, key=lambda pair: abs(pair[0].order - 1.0))
+    best, violated = min(candidates, key=lambda pair: abs(pair[0].order - 1.0))
     if violated is None:
         violated = "phase margin at the other gain crossing"
-    needed = Loop.ideal(request.model).sufficient(low)
+    bound = Loop.ideal(request.model).sufficient(low)
     sentence = (
         f"equation (55) asks for β = {best.order:.6g}; condition (39) asks for a crossover of more than "
-        f"{needed:.6g} rad/s"
+        f"{bound:.6g} rad/s"
     )
     raise InfeasibleError(f"phase margin unreachable ({violated})", sentence, {})
 
@@ -257,15 +257,15 @@ def _filter_afterwards(request: Request, loop: Loop, n: int, upper: float) -> fl
     after it).
     """
     high = request.natural_frequencies[1]
-    kept = (1.0 - _SHARE) * request.spec["phase_margin"]
+    margin = (1.0 - _SHARE) * request.spec["phase_margin"]
 
     def lag(frequency: Real) -> Real:
-        return np.asarray(loop.log(frequency, high).imag + math.pi - kept)
+        return np.asarray(loop.log(frequency, high).imag + math.pi - margin)
 
     def level(frequency: Real) -> Real:
         # Clipped: beyond a quarter turn per pole no filter can provide that lag.
-        turned = np.clip(lag(frequency) / n, 0.0, 0.45 * math.pi)
-        return np.asarray(loop.log(frequency, high).real + n * np.log(np.cos(turned)))
+        angle = np.clip(lag(frequency) / n, 0.0, 0.45 * math.pi)
+        return np.asarray(loop.log(frequency, high).real + n * np.log(np.cos(angle)))
 
     # Below ω̄_c the unfiltered loop has less lag and more gain: go down until the
     # filter can provide the lag. Steps of 1 %, down to 13 % of ω̄_c; no filter that

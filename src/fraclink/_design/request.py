@@ -193,8 +193,8 @@ class Request:
 
     def check(self) -> None:
         """Raise FieldError for values that contradict the arm."""
-        known = self.rig.link.mass > 0.0 or self.model.second_mode is not None
-        if not known and "mode_gain" in self.spec:
+        has_mode = self.rig.link.mass > 0.0 or self.model.second_mode is not None
+        if not has_mode and "mode_gain" in self.spec:
             raise FieldError(
                 "mode_gain",
                 self.spec["mode_gain"],
@@ -263,19 +263,19 @@ class Request:
     @property
     def phase_margin(self) -> float:
         """The least phase margin [rad]: the one implied by Ms if none is requested."""
-        asked = self.spec.get("phase_margin")
+        margin = self.spec.get("phase_margin")
         most = self.spec.get("max_sensitivity") or SENSITIVITY
-        return asked or 2.0 * math.asin(0.5 / most)
+        return margin or 2.0 * math.asin(0.5 / most)
 
     @property
     def max_sensitivity(self) -> float:
         """The bound on Ms: the customary one if no margin is requested, and with a
         margin the distance from -1 that the law has to keep.
         """
-        asked = self.spec.get("max_sensitivity")
-        if asked is None and "phase_margin" in self.spec:
+        limit = self.spec.get("max_sensitivity")
+        if limit is None and "phase_margin" in self.spec:
             return 1.0 / least_modulus(self.phase_margin)
-        return asked or SENSITIVITY
+        return limit or SENSITIVITY
 
     @property
     def mode_gain(self) -> float | None:
@@ -289,16 +289,16 @@ class Request:
         """Every row of the table with its wanted value."""
         aims = dict([self.aim] if self.aim else [])
         pairs = [(row, aims.get(row.key, row.wanted(self))) for row in ROWS]
-        return [(row, wanted) for row, wanted in pairs if wanted is not None]
+        return [(row, goal) for row, goal in pairs if goal is not None]
 
     # ---- the loops that are looked at
 
     @cached_property
     def payloads(self) -> tuple[float, float]:
         """(lightest, heaviest) [kg]."""
-        stated = self.spec.get("natural_frequencies")
-        if stated is not None:
-            return self.model.payload_at(stated[1]), self.model.payload_at(stated[0])
+        w0 = self.spec.get("natural_frequencies")
+        if w0 is not None:
+            return self.model.payload_at(w0[1]), self.model.payload_at(w0[0])
         own = self.rig.payloads
         return self.spec.get("payloads") or (own.low, own.high)
 
@@ -363,9 +363,9 @@ class Request:
         """The intervals of a notch to try: none first, then about the second mode, up
         to half way to the first, if it is below the Nyquist frequency.
         """
-        known = self.model.second_mode
-        if known is not None:
-            mode = known.frequency
+        second = self.model.second_mode
+        if second is not None:
+            mode = second.frequency
         elif self.mode_gain is not None:
             modes = self.arms.modes(0)
             assert modes is not None  # noqa: S101

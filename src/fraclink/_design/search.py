@@ -109,22 +109,22 @@ class Search:
 
     def kept(self, trial: Trial) -> dict[str, Figure]:
         """Return by how much each row is kept at the links it is asked of."""
-        found = {}
-        for row, wanted in self.request.wanted:
+        figures = {}
+        for row, goal in self.request.wanted:
             if row.key == "damping" and not self.ringing:
                 continue
-            figure = row.asked(trial, row.kept(trial, self.request, wanted))
+            figure = row.asked(trial, row.kept(trial, self.request, goal))
             reserve = row.reserve + self.reserves.get(row.key, 0.0)
-            found[row.key] = figure.scaled(1.0, -reserve)
-        return found
+            figures[row.key] = figure.scaled(1.0, -reserve)
+        return figures
 
     def rows(self, x: Real) -> list[Rows]:
         """Return the rows of each of some parameters (P, S)."""
-        kept = self.kept(self.trial(x))
-        figures = kept.values()
+        margins = self.kept(self.trial(x))
+        figures = margins.values()
         value = np.concatenate([figure.value for figure in figures])
         gradient = np.concatenate([figure.gradient for figure in figures], axis=1)
-        may_ease = [key in self.request.soft for key in kept]
+        may_ease = [key in self.request.soft for key in margins]
         soft = np.repeat(may_ease, [figure.value.size for figure in figures])
         link = np.concatenate([figure.link for figure in figures])
         start = link // len(self.links)
@@ -145,12 +145,12 @@ class Search:
         count, noise = len(self.links), trial.noise
         value, gradient = [], []
         for figure in self.kept(trial).values():
-            least, moved = np.ones(count), np.zeros((x.size, count))
+            least, slopes = np.ones(count), np.zeros((x.size, count))
             for entry in np.argsort(-figure.value):
                 least[figure.link[entry]] = figure.value[entry]
-                moved[:, figure.link[entry]] = figure.gradient[:, entry]
+                slopes[:, figure.link[entry]] = figure.gradient[:, entry]
             value.append(least)
-            gradient.append(moved)
+            gradient.append(slopes)
         joined = np.concatenate(value)
         soft = np.zeros(joined.size, dtype=bool)
         return (
@@ -264,15 +264,15 @@ class Solution:
     @property
     def slack(self) -> float:
         """0 where every row is kept, with half of what is kept in reserve."""
-        missed = -float(np.min(self.rows.value, initial=0.0))
-        return 0.0 if missed <= 0.5 * RESERVE else self.rows.slack
+        miss = -float(np.min(self.rows.value, initial=0.0))
+        return 0.0 if miss <= 0.5 * RESERVE else self.rows.slack
 
     @property
     def crossovers(self) -> tuple[float, float]:
         """Of the heaviest and of the lightest payload [rad/s]."""
         heavy, _, light, _ = self.search.request.first_links
-        reached = np.exp(self._trial.crossover.value)
-        return float(reached[heavy]), float(reached[light])
+        frequencies = np.exp(self._trial.crossover.value)
+        return float(frequencies[heavy]), float(frequencies[light])
 
     @property
     def eases(self) -> bool:
@@ -311,19 +311,19 @@ class Solution:
         """(by how much it is kept, the link) where each row is kept least; the damping
         at the links that are worst in another row, and at those of the search.
         """
-        found = {}
-        kept = replace(self.search, ringing=False).kept(self._trial)
-        for key, figure in kept.items():
+        worst = {}
+        margins = replace(self.search, ringing=False).kept(self._trial)
+        for key, figure in margins.items():
             if figure.value.size:
                 k = int(np.argmin(figure.value))
-                found[key] = float(figure.value[k]), int(figure.link[k])
-        links = {*self.search.links, *(link for _, link in found.values())}
+                worst[key] = float(figure.value[k]), int(figure.link[k])
+        links = {*self.search.links, *(link for _, link in worst.values())}
         ringing = replace(self.search, links=tuple(sorted(links)), ringing=True)
         figure = ringing.kept(ringing.trial(self.x[:, None]))["damping"]
         if figure.value.size:
             k = int(np.argmin(figure.value))
-            found["damping"] = float(figure.value[k]), ringing.links[figure.link[k]]
-        return found
+            worst["damping"] = float(figure.value[k]), ringing.links[figure.link[k]]
+        return worst
 
     def wider(self) -> Search | None:
         """Return the search with the links that are worse than its own; None where there
@@ -331,13 +331,13 @@ class Solution:
         """
         search, easing = self.search, self.rows.easing
         soft = search.request.soft
-        missed = {
+        misses = {
             key: link
             for key, (value, link) in self.worst.items()
             if value + (easing if key in soft else 0.0) < -2.0 * KEPT
         }
-        links = set(missed.values()) - set(search.links)
-        ringing = search.ringing or "damping" in missed
+        links = set(misses.values()) - set(search.links)
+        ringing = search.ringing or "damping" in misses
         if not links and ringing == search.ringing:
             return None
         return replace(search, links=(*search.links, *sorted(links)), ringing=ringing)
@@ -345,16 +345,16 @@ class Solution:
     @cached_property
     def measured(self) -> tuple[tuple[Row, Requirement], ...]:
         """Every row, and what is achieved where it is worst."""
-        request, found = self.search.request, []
-        for row, wanted in request.wanted:
+        request, pairs = self.search.request, []
+        for row, goal in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
             if row.key == "damping":
                 _, link = self.worst.get("damping", (0.0, 0))
                 alone = replace(self.search, links=(link,))
                 trial, payloads = alone.trial(self.x[:, None]), payloads[[link]]
-            items = row.measured(trial, request, wanted, payloads)
-            found += [(row, item) for item in items]
-        return tuple(found)
+            items = row.measured(trial, request, goal, payloads)
+            pairs += [(row, item) for item in items]
+        return tuple(pairs)
 
     def quieter(self) -> Solution:
         """Return this one or another with less noise: the noise has several valleys, and
@@ -395,17 +395,17 @@ def solved(request: Request, *, patient: bool) -> Solution:
         Search(request, request.first_links, order, notch)
         for notch, order in product(request.notches, request.filter_orders)
     ]
-    found: list[Solution] = []
+    solutions: list[Solution] = []
     for search in searches:
         starts = search.first()[:, None]
         if request.aim is not None:
             starts = np.column_stack([starts, search.others()])
-        found.append(search.over_links(starts))
-        if found[-1].slack == 0.0:
-            return found[-1].quieter()
-    for one in tuple(found) if patient and request.aim is None else ():
+        solutions.append(search.over_links(starts))
+        if solutions[-1].slack == 0.0:
+            return solutions[-1].quieter()
+    for one in tuple(solutions) if patient and request.aim is None else ():
         others = np.column_stack([one.x, one.search.others()])
-        found.append(one.search.over_links(others))
-        if found[-1].slack == 0.0:
-            return found[-1].quieter()
-    return min(found, key=lambda one: one.slack)
+        solutions.append(one.search.over_links(others))
+        if solutions[-1].slack == 0.0:
+            return solutions[-1].quieter()
+    return min(solutions, key=lambda one: one.slack)

@@ -87,8 +87,8 @@ class Rows:
         least = np.concatenate([-self.value, low, -high, [0.0, 0.0]])
         answer = least_distance(system, least)
         step = answer[:size]
-        easing, missed = answer[size:] / _EASED
-        slack = float(easing + _NEAR * missed / _DEAR)
+        easing, miss = answer[size:] / _EASED
+        slack = float(easing + _NEAR * miss / _DEAR)
         return np.clip(step, low, high), slack
 
 
@@ -121,7 +121,7 @@ def eased(
     """
     x = np.clip(starts, low[:, None], high[:, None])
     rows, radius = rows_at(x), np.full(x.shape[1], _RADIUS)
-    left: list[list[Rows]] = [[] for _ in rows]
+    trail: list[list[Rows]] = [[] for _ in rows]
     best = min(zip(rows, x.T.copy(), strict=True), key=lambda pair: pair[0].slack)
     near = [best[0].near]
     for turn in range(_STEPS):
@@ -131,26 +131,26 @@ def eased(
         idling = turn > 5 and near[-6] - near[-1] < idle * near[-1]
         if not going.size or best[0].slack <= KEPT or idling:
             break
-        trial, hoped = x[:, going], np.zeros(going.size)
+        trial, gain = x[:, going], np.zeros(going.size)
         for k, start in enumerate(going):
             at, old = x[:, start], rows[start]
             reach = radius[start]
             step, least = old.step(
                 np.maximum(low - at, -reach), np.minimum(high - at, reach)
             )
-            trial[:, k], hoped[k] = at + step, old.near - least
+            trial[:, k], gain[k] = at + step, old.near - least
         for k, (start, new) in enumerate(zip(going, rows_at(trial), strict=True)):
             old = rows[start]
             best = min(best, (new, trial[:, k]), key=lambda pair: pair[0].slack)
-            fine = all(new.beside(other) for other in (*left[start], old))
+            fine = all(new.beside(other) for other in (*trail[start], old))
             if fine and new.missed <= max(old.missed, _ASIDE):
-                left[start].append(old)
-                more = 2.0 if old.near - new.near > 0.5 * hoped[k] else 1.0
+                trail[start].append(old)
+                more = 2.0 if old.near - new.near > 0.5 * gain[k] else 1.0
                 radius[start] = min(more * radius[start], _RADIUS)
                 x[:, start], rows[start] = trial[:, k], new
             else:
                 radius[start] = 0.25 * float(np.max(np.abs(trial[:, k] - x[:, start])))
-            if hoped[k] < KEPT:
+            if gain[k] < KEPT:
                 radius[start] = 0.0
         near.append(min(near[-1], *(rows[start].near for start in going)))
     return best[1], best[0]
@@ -179,8 +179,8 @@ def lowest(
     def slopes(z: Real) -> Real:
         costs, rows = at(z[:-1].tobytes())
         largest = np.repeat([0.0, 1.0], [rows.value.size, costs.value.size])
-        moved = np.concatenate([rows.gradient, -costs.gradient], axis=1)
-        return np.column_stack([moved.T, largest])
+        gradient = np.concatenate([rows.gradient, -costs.gradient], axis=1)
+        return np.column_stack([gradient.T, largest])
 
     direction = np.append(np.zeros(start.size), 1.0)
     with np.errstate(all="ignore"):

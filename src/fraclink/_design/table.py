@@ -346,8 +346,8 @@ class Trial:
         """
         link, w, _, slope, _ = self._crossings
         g = self.outer.gradient(w, link)
-        turned = g.imag - g.real * slope.imag / _steep(slope.real)
-        gradient = -np.sign(self._offsets) * turned
+        rate = g.imag - g.real * slope.imag / _steep(slope.real)
+        gradient = -np.sign(self._offsets) * rate
         return Figure(math.pi - np.abs(self._offsets), gradient, link)
 
     @cached_property
@@ -355,8 +355,8 @@ class Trial:
         """The delay that takes the phase of each crossing to the lower edge [s]."""
         link, w, _, slope, _ = self._crossings
         g = self.outer.gradient(w, link)
-        room, moved = self._offsets + math.pi, -g.real / _steep(slope.real)
-        gradient = g.imag + moved * slope.imag - room * moved
+        room, shift = self._offsets + math.pi, -g.real / _steep(slope.real)
+        gradient = g.imag + shift * slope.imag - room * shift
         return Figure(room / w, gradient / w, link)
 
     @cached_property
@@ -399,11 +399,11 @@ class Trial:
         level = self.log.real[figure.link, table.mode_column]
         none = np.log(table.mode) + np.minimum(level, 0.0)
         value = np.maximum(figure.value, none) - math.log(frequency)
-        moved = self.outer.gradient(table.mode, figure.link).real
-        gradient = np.where(np.isinf(figure.value), moved, figure.gradient)
+        slope = self.outer.gradient(table.mode, figure.link).real
+        gradient = np.where(np.isinf(figure.value), slope, figure.gradient)
         return Figure(
             np.concatenate([value, level]),
-            np.concatenate([gradient, moved], axis=1),
+            np.concatenate([gradient, slope], axis=1),
             np.concatenate([figure.link, figure.link]),
         )
 
@@ -448,14 +448,14 @@ class Trial:
             loop = np.exp(log)
             here = (np.conj(1.0 + loop) * loop * slope).real
             # regula falsi on the side that still contains the root
-            left = here < 0.0
-            a, b = np.where(left, t, 0.0), np.where(left, 1.0, t)
-            fa, fb = np.where(left, here, low), np.where(left, high, here)
+            falling = here < 0.0
+            a, b = np.where(falling, t, 0.0), np.where(falling, 1.0, t)
+            fa, fb = np.where(falling, here, low), np.where(falling, high, here)
             t = np.clip(a - fa * (b - a) / np.where(fb != fa, fb - fa, 1.0), 0.0, 1.0)
         w, log, _ = _at(cubics, t)
         loop = np.exp(log)
-        moved = (loop / (1.0 + loop) * self.outer.gradient(w, link)).real
-        return Figure(-np.log(np.abs(1.0 + loop) + 1e-300), -moved, link)
+        gradient = (loop / (1.0 + loop) * self.outer.gradient(w, link)).real
+        return Figure(-np.log(np.abs(1.0 + loop) + 1e-300), -gradient, link)
 
     @cached_property
     def gain_margin(self) -> Figure:
@@ -469,8 +469,8 @@ class Trial:
         quiet = log.real < 0.0
         link, w, log, slope = link[quiet], w[quiet], log[quiet], slope[quiet]
         g = self.outer.gradient(w, link)
-        moved = g.real - g.imag * slope.real / _steep(slope.imag)
-        return Figure(-log.real, -moved, link)
+        gradient = g.real - g.imag * slope.real / _steep(slope.imag)
+        return Figure(-log.real, -gradient, link)
 
     @cached_property
     def noise(self) -> Figure:
@@ -482,8 +482,8 @@ class Trial:
         """ln of the RMS of the voltage for white noise of RMS one of the gauge, as an
         angle [V/rad].
         """
-        links, density, moved = self._noise_density
-        return self._power((links, density * self.table.voltage[links] ** 2, moved))
+        links, density, slope = self._noise_density
+        return self._power((links, density * self.table.voltage[links] ** 2, slope))
 
     @cached_property
     def _noise_density(self) -> tuple[Index, Real, Real]:
@@ -499,10 +499,10 @@ class Trial:
 
     @staticmethod
     def _power(density: tuple[Index, Real, Real]) -> Figure:
-        links, power, moved = density
+        links, power, slope = density
         total = np.sum(power, axis=1)
         value = 0.5 * np.log(total + 1e-300)
-        return Figure(value, np.sum(power * moved, axis=2) / total, links)
+        return Figure(value, np.sum(power * slope, axis=2) / total, links)
 
     @cached_property
     def modes(self) -> Figure:
@@ -569,12 +569,12 @@ class Trial:
                 break
         size = np.abs(root)
         # a well damped loop has no root near its resonance
-        found = (np.abs(change) < 1e-6) & (size > 0.3 * mode) & (size < 4.0 * mode)
-        root, rate, size, link = root[found], rate[found], size[found], link[found]
+        valid = (np.abs(change) < 1e-6) & (size > 0.3 * mode) & (size < 4.0 * mode)
+        root, rate, size, link = root[valid], rate[valid], size[valid], link[valid]
         # 1 + 1/L = 0: dω = -∂(1/L)/∂x / (d(1/L)/dω), and 1/L = -1
-        moved = -self.outer.gradient(root, link) / rate
+        shift = -self.outer.gradient(root, link) / rate
         gradient = (
-            moved.imag / size - root.imag * (np.conj(root) * moved).real / size**3
+            shift.imag / size - root.imag * (np.conj(root) * shift).real / size**3
         )
         return root.imag / size, gradient, link
 

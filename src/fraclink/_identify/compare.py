@@ -100,12 +100,12 @@ class Comparison:
             Row("verdict", "", self.verdict),
             Row("fits", "", self.fits),
         )
-        found = dict.fromkeys(f for fit in self.fits.values() for f in fit.findings)
+        findings = dict.fromkeys(f for fit in self.fits.values() for f in fit.findings)
         return Overview(
             self.verdict,
             rows=rows,
             tables=(self.table,),
-            findings=tuple(found),
+            findings=tuple(findings),
             notes=coincidence(self.fits),
         )
 
@@ -186,8 +186,8 @@ def identify(
     ('UD-FOM', 1.92, 10.02, 1.56)
     """
     # A structure without the fixed parameter, such as λ, would ignore the given value.
-    held = {"order", "damping_order"} & set(fixed or {})
-    names = [row.name for row in STRUCTURES.values() if held <= set(row.free)]
+    fixed_names = {"order", "damping_order"} & set(fixed or {})
+    names = [row.name for row in STRUCTURES.values() if fixed_names <= set(row.free)]
     if structure is not None and structure not in STRUCTURES and "/" in structure:
         raise FieldError(
             "structure",
@@ -343,11 +343,11 @@ class Choice:
     @classmethod
     def of(cls, search: Search, log: Experiment) -> Choice:
         """The choice for the log of a search."""
-        criteria, known = criteria_of(search)
+        criteria, covariances = criteria_of(search)
         vetoed = vetoed_structures(search, criteria, log)
         preferred = preferred_structure(criteria, vetoed)
         undecided = _undecided(search, criteria, preferred, vetoed)
-        return cls(criteria, known, preferred, undecided, vetoed)
+        return cls(criteria, covariances, preferred, undecided, vetoed)
 
     def gap(self, name: str) -> float:
         """The amount by which both criteria of a structure lie above those of the one
@@ -363,12 +363,12 @@ class Choice:
 def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Known]]:
     """Both criteria of every structure, and the uncertainty of each fit."""
     search.reconcile()
-    known = {
+    covariances = {
         name: link_covariance(search, search.solve(name), coloured=True)
         for name in STRUCTURES
     }
-    effective = {name: found.effective for name, (found, _) in known.items()}
-    return structure_criteria(search, effective), known
+    effective = {name: own.effective for name, (own, _) in covariances.items()}
+    return structure_criteria(search, effective), covariances
 
 
 def _near(criteria: Criteria) -> list[str]:
@@ -464,24 +464,24 @@ def _sentence(fits: Mapping[str, Fit], choice: Choice) -> str:
     contradict itself.
     """
     preferred, best = choice.preferred, fits[choice.preferred]
-    held = (
+    heldout = (
         "" if best.heldout_nmse is None else f"; held-out NMSE {best.heldout_nmse:.4g}"
     )
     if choice.undecided:
         others = " and ".join(choice.undecided)
         reason = "the fewest parameters, then the lowest AIC"
-        return f"This log cannot tell {preferred} from {others}; {preferred} is used ({reason}){held}."
+        return f"This log cannot tell {preferred} from {others}; {preferred} is used ({reason}){heldout}."
     rivals = [
         name for name, fit in fits.items() if abs(fit.mse - best.mse) > 1e-9 * best.mse
     ]
     if not rivals:
-        return f"{preferred} is preferred: every other structure ended as the same model{held}."
+        return f"{preferred} is preferred: every other structure ended as the same model{heldout}."
     criterion = "AIC, corrected for the residual's colour,"
     other = min(rivals, key=choice.gap)
     gap = choice.gap(other)
     if gap <= 0:
-        return f"{preferred} is preferred: no other structure has a clearly lower {criterion}{held}."
-    return f"{preferred} is preferred: its {criterion} is {gap:.1f} below that of {other}{held}."
+        return f"{preferred} is preferred: no other structure has a clearly lower {criterion}{heldout}."
+    return f"{preferred} is preferred: its {criterion} is {gap:.1f} below that of {other}{heldout}."
 
 
 def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str]:
@@ -493,11 +493,11 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
     at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
     # A delay below one sample may come from the noise of the angle, which interpolation
     # averages.
-    shown = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
+    resolution = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
     if (
         at_once_wins
         and viscous.aic <= fractional.aic + 2
-        and abs(viscous.delay) > shown
+        and abs(viscous.delay) > resolution
     ):
         return [
             f"λ is explained by the delay: without it {FRACTIONAL} wins "

@@ -230,16 +230,16 @@ def identify_driven_link(
     """
     if band is not None:
         return _fitted(measured.between(*band), output, weighting, details)
-    found = _fitted(measured, output, weighting, details)
-    if found.passed:
-        return found
+    fit = _fitted(measured, output, weighting, details)
+    if fit.passed:
+        return fit
     for part in _narrower(measured.band):
         if _holds(measured, part, output, weighting):
             narrowed = _fitted(measured.between(*part), output, weighting, details)
             if narrowed.passed:
-                said = _of_the_rest(part, measured.band)
-                return replace(narrowed, findings=(said, *narrowed.findings))
-    return found
+                warning = _of_the_rest(part, measured.band)
+                return replace(narrowed, findings=(warning, *narrowed.findings))
+    return fit
 
 
 def _narrower(band: Band) -> Iterator[Band]:
@@ -251,9 +251,9 @@ def _narrower(band: Band) -> Iterator[Band]:
     """
     low, high = band
     octaves = int(math.log2(high / low)) - _LEAST_OCTAVES
-    for lost in range(1, octaves + 1):
-        for above in range(lost, -1, -1):
-            yield low * 2.0 ** (lost - above), high / 2.0**above
+    for octave in range(1, octaves + 1):
+        for above in range(octave, -1, -1):
+            yield low * 2.0 ** (octave - above), high / 2.0**above
 
 
 def _holds(
@@ -347,9 +347,9 @@ def _of_the_band(
     """
     z = fit.parameters["z"]
     if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:
-        held = output == "torque"
+        torque = output == "torque"
         yield _missed(
-            "frequency of the link with the motor held" if held else "anti-resonance",
+            "frequency of the link with the motor held" if torque else "anti-resonance",
             z,
             measured,
         )

@@ -143,26 +143,26 @@ def design_experiment(
     duration = Between(_LEAST_SAMPLES * period, longest, "s").check(
         "duration", duration
     )
-    wanted = standard_error
+    target = standard_error
     units = [
         _unit(model, share, noise, period, duration, motor, motor_loop_pole)
         for share in _BANDS
     ]
-    found = [_scaled(unit, wanted, deflection_limit, motor) for unit in units]
-    allowed = [design for design, reached in found if reached]
+    designs = [_scaled(unit, target, deflection_limit, motor) for unit in units]
+    allowed = [design for design, reached in designs if reached]
     if allowed:
         # The smallest sufficient motion: it wears the arm least and keeps the link
         # closest to its linear range.
         return min(allowed, key=lambda design: design.amplitude)
     best = min(
-        (design for design, _ in found), key=lambda design: design.standard_error
+        (design for design, _ in designs), key=lambda design: design.standard_error
     )
     # The error of an estimate falls with the square root of the number of samples.
-    enough = duration * (best.standard_error / wanted) ** 2
+    enough = duration * (best.standard_error / target) ** 2
     longer = f"; a log of {math.ceil(enough)} s may do" if enough <= longest else ""
     raise InfeasibleError(
         f"{best.limit} limit",
-        f"standard error {wanted:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
+        f"standard error {target:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
         # Slightly more than the value reached; otherwise rounding could make this offer
         # infeasible.
         {"standard_error": best.standard_error * (1 + 1e-6)},
@@ -204,10 +204,10 @@ def _unit(
         [COORDINATE[name] for name in ("order", "natural_frequency", "delay")]
     )
     columns = columns_of(kernel, shape_of(fractional), mask)
-    scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
-    scaled[0] /= model.stiffness  # derivative with respect to the gain
+    rows = np.vstack([model.stiffness * columns, np.ones(motion.size)])
+    rows[0] /= model.stiffness  # derivative with respect to the gain
     # Row 0 belongs to the gain, row 1 to λ.
-    inverse = inverted(scaled @ scaled.T)[0]
+    inverse = inverted(rows @ rows.T)[0]
     voltage = None
     if motor is not None:
         # Differences of the motion after the motor loop, whose double pole makes θm''
@@ -241,15 +241,15 @@ def _scaled(
         most["voltage"] = motor.voltage_limit / unit.peak_voltage
     # The limit that is reached first is reported.
     limit = min(most, key=lambda name: most[name])
-    needed = unit.standard_error / wanted
-    reached = needed <= most[limit]
-    amplitude = min(needed, most[limit])
+    least = unit.standard_error / wanted
+    feasible = least <= most[limit]
+    amplitude = min(least, most[limit])
     return replace(
         unit,
         amplitude=amplitude,
         standard_error=unit.standard_error / amplitude,
         peak_deflection=amplitude * unit.peak_deflection,
         peak_voltage=unit.peak_voltage and amplitude * unit.peak_voltage,
-        limit="none" if reached else limit,
+        limit="none" if feasible else limit,
         motor_angle=amplitude * unit.motor_angle,
-    ), reached
+    ), feasible

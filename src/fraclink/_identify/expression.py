@@ -93,11 +93,13 @@ class Expression:
             s, s.power, _delayed, {name: float(value) for name, value in values.items()}
         )
         try:
-            made = walk(self.tree, leaves)
+            result = walk(self.tree, leaves)
         except ArithmeticError as error:
             raise _not_a_number(self.text, error) from error
         return (
-            made if isinstance(made, FractionalTransferFunction) else float(made) * s**0
+            result
+            if isinstance(result, FractionalTransferFunction)
+            else float(result) * s**0
         )
 
 
@@ -259,23 +261,23 @@ def parse_expression(text: str) -> Expression:
     tree = _Distributed().visit(tree)
     # again, since a factor of a term may now be a root of a negative number
     _check(tree, 0)
-    made = Expression(" ".join(text.split()), roles, tree)
-    _check_exponentials(made)
-    return made
+    expression = Expression(" ".join(text.split()), roles, tree)
+    _check_exponentials(expression)
+    return expression
 
 
 def _names(tree: ast.AST) -> list[str]:
     """Names in the order of the text, those of functions left out."""
     # The parser treats exp as a name, but it is not a parameter.
-    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    found = [
+    functions = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    nodes = [
         node
         for node in ast.walk(tree)
-        if isinstance(node, ast.Name) and id(node) not in called
+        if isinstance(node, ast.Name) and id(node) not in functions
     ]
     return list(
         dict.fromkeys(
-            node.id for node in sorted(found, key=lambda n: (n.lineno, n.col_offset))
+            node.id for node in sorted(nodes, key=lambda n: (n.lineno, n.col_offset))
         )
     )
 

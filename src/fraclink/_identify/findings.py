@@ -63,8 +63,8 @@ def findings_of(
     parameters undetermined, `motion` the held-out shares of motion and vibration.
     """
     # Sign and delay of noise mean nothing.
-    heard = signal_of(fit) >= SIGNAL_LEAST
-    found = [
+    audible = signal_of(fit) >= SIGNAL_LEAST
+    findings = [
         *column_findings(log),
         *_of_the_vibration(fit, solution, sure[0], log),
         *_of_the_start(fit, log),
@@ -74,11 +74,11 @@ def findings_of(
         # Also for noise: `Fit.loop_model` takes the stiffness of the rig if this
         # finding says that the log does not determine it.
         *_of_the_stiffness(fit, stiffness),
-        *(_of_the_gain(fit) if heard else ()),
-        *(_of_the_delay(fit, solution) if heard else ()),
+        *(_of_the_gain(fit) if audible else ()),
+        *(_of_the_delay(fit, solution) if audible else ()),
         *_of_the_residual(fit),
     ]
-    return worst_first(found)
+    return worst_first(findings)
 
 
 def signal_of(fit: Fit) -> float:
@@ -98,13 +98,13 @@ def signal_of(fit: Fit) -> float:
 
 def _no_signal(signal: float, log: Experiment) -> Finding:
     """W313, with its cause if the output or the motor shows one."""
-    turned, hum = float(np.ptp(log.motor_angle)), mains_of(log)
-    evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": turned}
-    if turned < _TREMBLE:
+    travel, hum = float(np.ptp(log.motor_angle)), mains_of(log)
+    evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": travel}
+    if travel < _TREMBLE:
         return Finding(
             "W313",
             "error",
-            f"no signal: the motor hardly moves, it turns by {turned:.2g} rad",
+            f"no signal: the motor hardly moves, it turns by {travel:.2g} rad",
             evidence,
             "excite the arm: a pulse, a PRBS or a square wave, and check the unit of the motor angle",
         )
@@ -186,10 +186,10 @@ def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
 
 
 def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Finding]:
-    held, relative = fit.heldout_mse, fit.heldout_nmse
+    heldout, relative = fit.heldout_mse, fit.heldout_nmse
     if fit.fitted_samples == fit.samples:
         return
-    if held is None or relative is None or max(motion) < 0.01:
+    if heldout is None or relative is None or max(motion) < 0.01:
         yield Finding(
             "W317",
             "error",
@@ -201,7 +201,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         yield _not_predicted(fit, relative)
     # Both conditions: at a quiet end the relative error is large because of the small
     # power alone, at a loud end the mean square is.
-    elif relative > WORSE * fit.nmse and held > 2 * fit.mse:
+    elif relative > WORSE * fit.nmse and heldout > 2 * fit.mse:
         yield Finding(
             "W318",
             "warning",

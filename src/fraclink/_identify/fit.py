@@ -238,8 +238,10 @@ class Fit(Saved):
         value: float = getattr(self.model, name)
         absent = value == 0 or (name == "damping_order" and self.model.damping == 0)
         # ω₀ = 0 is a bound at which a damped fit may end, and not a frequency.
-        held = name not in structure(self.structure).free or name == "natural_frequency"
-        return None if absent and held else value
+        default = (
+            name not in structure(self.structure).free or name == "natural_frequency"
+        )
+        return None if absent and default else value
 
     def overview(self) -> Overview:
         """The link in words, its parameters, and how well they predict."""
@@ -297,8 +299,8 @@ class Fit(Saved):
         >>> fit.validate(fl.read_log(fl.bundled_log("pulse_30g")))
         Validation(✓ passed: the model predicts the other log: error 1.33 % (NMSE))
         """
-        found: Validation = self._validated(logs)
-        return found
+        validation: Validation = self._validated(logs)
+        return validation
 
 
 # --- a fit in words ---------------------------------------------------------------------------------------

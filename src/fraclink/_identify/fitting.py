@@ -334,7 +334,7 @@ def _figures(
     # model.
     motion = (log.output - residual - solution.offset) ** 2
     end = int(np.flatnonzero(motion >= mse).max(initial=-1)) + 1
-    held, held_power = (
+    heldout, held_power = (
         (float(np.mean(squares[count:end])), float(np.mean(powers[count:end])))
         if end > count
         else (None, 0.0)
@@ -345,9 +345,9 @@ def _figures(
         "nmse": mse / float(np.mean(powers[:count])),
         "aic": aic(mse, count, parameters),
         "bic": bic(mse, count, parameters),
-        "heldout_mse": held,
-        "heldout_nmse": held / held_power
-        if held is not None and held_power > 0
+        "heldout_mse": heldout,
+        "heldout_nmse": heldout / held_power
+        if heldout is not None and held_power > 0
         else None,
     }
 
@@ -424,10 +424,10 @@ def _intervals(
 
 def _bounds(solution: Solution) -> tuple[str, ...]:
     names = ("order", "natural_frequency", "damping", "damping_order", "delay")
-    found = [names[i] for i in solution.at_bound]
+    bounds = [names[i] for i in solution.at_bound]
     edge = (
         ["natural_frequency"]
-        if solution.on_edge and "natural_frequency" not in found
+        if solution.on_edge and "natural_frequency" not in bounds
         else []
     )
-    return (*found, *edge)
+    return (*bounds, *edge)

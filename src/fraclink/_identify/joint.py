@@ -229,12 +229,12 @@ class JointProblem(Problem):
 
     def minimise(self, theta: Vector) -> tuple[Vector, NDArray[np.float64]]:
         """The best θ and the normal matrix there."""
-        found = descend(self, theta[None, :])
-        if not math.isfinite(found.costs[0]):
+        descent = descend(self, theta[None, :])
+        if not math.isfinite(descent.costs[0]):
             raise NotConvergedError(
                 "the joint fit",
                 reached=math.inf,
                 wanted=0.0,
                 remedy="fit each log alone first, they may not belong together",
             )
-        return found.places[0], self.quadratic(found.places).normal[0]
+        return descent.places[0], self.quadratic(descent.places).normal[0]

@@ -40,11 +40,11 @@ def quadratic_of(
     moving = [k for k in range(5) if np.any(chain[:, k])]
     grams = kernel.grams(np.ascontiguousarray(shapes), mask_of(moving))
     limits = (-math.inf, math.inf) if math.isnan(gain) else (gain, gain)
-    found, part = reduced(grams, limits, offset), chain[:, moving]
+    quadratic, part = reduced(grams, limits, offset), chain[:, moving]
     return replace(
-        found,
-        slope=np.einsum("mkp,mk->mp", part, found.slope),
-        normal=part.transpose(0, 2, 1) @ found.normal @ part,
+        quadratic,
+        slope=np.einsum("mkp,mk->mp", part, quadratic.slope),
+        normal=part.transpose(0, 2, 1) @ quadratic.normal @ part,
     )
 
 

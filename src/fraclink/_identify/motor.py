@@ -395,7 +395,7 @@ def _search(
     # The bounds are the neighbours on the grid; its edges (no delay, no dead zone) are
     # included.
     bounds = np.stack([np.where(best > 0, best - free, best), best + free], axis=1)
-    found = minimize(
+    minimum = minimize(
         cost,
         best,
         method="Nelder-Mead",
@@ -406,7 +406,7 @@ def _search(
             "initial_simplex": best + np.array([[0, 0], [0.5, 0], [0, 0.5]]) * free,
         },
     )
-    place = best if cost(best) <= found.fun else found.x
+    place = best if cost(best) <= minimum.fun else minimum.x
     return float(place[0] * steps[0]), float(place[1] * steps[1])
 
 
@@ -458,12 +458,12 @@ def _channels(
     voltage: ArrayLike, motor_angle: ArrayLike, torque: ArrayLike | None
 ) -> tuple[Reals, Reals, Reals | None]:
     """The channels as moving columns of equal length; LogError otherwise."""
-    given = {"voltage": voltage, "motor_angle": motor_angle}
+    channels = {"voltage": voltage, "motor_angle": motor_angle}
     if torque is not None:
-        given["torque"] = torque
+        channels["torque"] = torque
     columns = {
         name: checked_series(name, values, error=LogError)
-        for name, values in given.items()
+        for name, values in channels.items()
     }
     samples = columns["motor_angle"].size
     for name, values in columns.items():

@@ -247,9 +247,9 @@ def _supported(searches: Sequence[Search]) -> str:
     """The structure supported by all logs together: their log-likelihoods, and thus the
     criteria, are added.
     """
-    found = [criteria_of(search)[0] for search in searches]
+    criteria = [criteria_of(search)[0] for search in searches]
     total = {
-        name: tuple(sum(log[name][i] for log in found) for i in (0, 1))
+        name: tuple(sum(log[name][i] for log in criteria) for i in (0, 1))
         for name in STRUCTURES
     }
     return preferred_structure(
@@ -408,10 +408,10 @@ def _verdict(
 ) -> str:
     if test.degrees == 0:
         return "Nothing is common: every log was fitted for itself."
-    shared = [_SYMBOLS[name] for name in common]
+    symbols = [_SYMBOLS[name] for name in common]
     if coordinates.payloads is not None:
-        shared.append("the stiffness of eq. (5)")
+        symbols.append("the stiffness of eq. (5)")
     # Below 1e-9 the tail of a normal distribution means nothing for a real log.
     chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
     may = "may" if test.common else "cannot"
-    return f"{' and '.join(shared)} {may} be common to these {coordinates.logs} logs ({chance})."
+    return f"{' and '.join(symbols)} {may} be common to these {coordinates.logs} logs ({chance})."

@@ -127,16 +127,16 @@ def reduced(
             mean = gram[:, 2] / count[:, None]
             inner = gram - mean[:, :, None] * gram[:, 2][:, None, :]
         level = 0.0 if free_offset else offset
-        left = inner[:, 0] - level * inner[:, 2]  # products with measured − offset
-        best = np.clip(left[:, 1] / inner[:, 1, 1], *gain)
-        held = (best <= gain[0]) | (best >= gain[1])
+        products = inner[:, 0] - level * inner[:, 2]  # products with measured − offset
+        best = np.clip(products[:, 1] / inner[:, 1, 1], *gain)
+        at_limit = (best <= gain[0]) | (best >= gain[1])
         best = np.where(np.isfinite(best), best, 0.0)
-        rest = left - best[:, None] * inner[:, 1]
+        rest = products - best[:, None] * inner[:, 1]
         cost = rest[:, 0] - level * rest[:, 2] - best * rest[:, 1]
         across = inner[:, 3:, 1]
         normal = (
             inner[:, 3:, 3:]
-            - np.where(held | known_gain, 0.0, 1.0)[:, None, None]
+            - np.where(at_limit | known_gain, 0.0, 1.0)[:, None, None]
             * across[:, :, None]
             * across[:, None, :]
             / np.maximum(inner[:, 1, 1], 1e-300)[:, None, None]
@@ -225,9 +225,9 @@ def descend(
             better, gain > 0.01 * least, ~settled[own] & (damping[own] < _STUCK)
         )
         damping[own] *= np.where(better, _FASTER, _SLOWER)
-        won = own[better]
-        places[won], costs[won] = trial[better], at.cost[better]
-        slope[won], normal[won] = at.slope[better], at.normal[better]
+        successes = own[better]
+        places[successes], costs[successes] = trial[better], at.cost[better]
+        slope[successes], normal[successes] = at.slope[better], at.normal[better]
     return Descent(places, costs, settled & np.isfinite(costs), evaluations)
 
 
@@ -267,11 +267,11 @@ def _damped_steps(
     """
     values, vectors, size = _axes(normal, held)
     along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
-    seen = values > _UNSEEN
-    gain = np.where(seen, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
+    visible = values > _UNSEEN
+    gain = np.where(visible, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
     # Along an undetermined direction any step is equally good, and rounding would
     # choose it.
-    step = np.where(seen, along / (values + damping[:, None]), 0.0)
+    step = np.where(visible, along / (values + damping[:, None]), 0.0)
     return np.einsum("mpk,mk->mp", vectors, step) / size, gain
 
 
@@ -281,12 +281,12 @@ def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
     """
     square = np.einsum("mpp->mp", normal)
     size = np.sqrt(np.where((square > 0) & np.isfinite(square), square, 1.0))
-    scaled = normal / size[:, :, None] / size[:, None, :]
-    scaled = np.where(np.isfinite(scaled), scaled, 0.0)
-    scaled[held] = 0.0
-    scaled.transpose(0, 2, 1)[held] = 0.0
-    scaled[:, range(held.shape[1]), range(held.shape[1])] += np.where(held, 1.0, 0.0)
-    values, vectors = np.linalg.eigh(scaled)
+    matrix = normal / size[:, :, None] / size[:, None, :]
+    matrix = np.where(np.isfinite(matrix), matrix, 0.0)
+    matrix[held] = 0.0
+    matrix.transpose(0, 2, 1)[held] = 0.0
+    matrix[:, range(held.shape[1]), range(held.shape[1])] += np.where(held, 1.0, 0.0)
+    values, vectors = np.linalg.eigh(matrix)
     return values, vectors, size
 
 
@@ -376,18 +376,18 @@ def interval_ends(
         far = ~(root < _FAR)
         still = np.abs(value - values[own]) <= 1e-3 * np.abs(value - centre[own])
         values[own] = np.where(far, values[own], value)
-        done = still & ((np.abs(root - 1.0) < _MET) | (blocked[own] & (root < 1.0)))
-        active[own] = ~done
+        ready = still & ((np.abs(root - 1.0) < _MET) | (blocked[own] & (root < 1.0)))
+        active[own] = ~ready
         # Beyond the range of the quadratic model: go back, and take a shorter step.
         share[own] = np.where(far, 0.3 * share[own], np.minimum(2.0 * share[own], 1.0))
         step, stopped = _outward(
             problem, at, gradient, sign[own], least * np.exp(height[own]), places[own]
         )
-        blocked[own] = np.where(done | far, blocked[own], stopped)
+        blocked[own] = np.where(ready | far, blocked[own], stopped)
         steps[own] = np.where(far[:, None], steps[own], step)
         before[own] = np.where(far[:, None], before[own], places[own])
         ahead = problem.clip(before[own] + share[own][:, None] * steps[own])
-        places[own] = np.where(done[:, None], places[own], ahead)
+        places[own] = np.where(ready[:, None], places[own], ahead)
     # Open at a limit that the likelihood does not exclude, and where no end was found.
     is_open = blocked | active
     return tuple(
@@ -412,24 +412,24 @@ def _outward(
     """The steps to the extreme value of a parameter on the target surface, with all
     others optimal, and flags where limits stop the parameter.
     """
-    held = np.zeros(places.shape, dtype=bool)
+    at_limit = np.zeros(places.shape, dtype=bool)
     # Twice: a coordinate stopped by a limit is held in the second pass.
     for _ in range(2):
-        values, vectors, size = _axes(at.normal, held)
+        values, vectors, size = _axes(at.normal, at_limit)
         # Along an undetermined direction any step would do.
         inverse = np.einsum(
             "mpk,mk,mqk->mpq", vectors, 1.0 / np.maximum(values, _UNSEEN), vectors
         ) / (size[:, :, None] * size[:, None, :])
-        g, slope = np.where(held, 0.0, gradient), np.where(held, 0.0, at.slope)
+        g, slope = np.where(at_limit, 0.0, gradient), np.where(at_limit, 0.0, at.slope)
         down, along = (np.einsum("mpq,mq->mp", inverse, x) for x in (slope, g))
         across = np.einsum("mp,mp->m", along, g)
         room = np.maximum(target - at.cost + np.einsum("mp,mp->m", down, slope), 0.0)
         # A candidate without a response has no model, and no step.
         with np.errstate(all="ignore"):
             reach = np.where(across > 0, sign * np.sqrt(room / across), 0.0)
-            step = np.where(held, 0.0, down + reach[:, None] * along)
+            step = np.where(at_limit, 0.0, down + reach[:, None] * along)
         step = np.where(np.isfinite(step), step, 0.0)
-        held = ((places <= problem.low) & (step < 0)) | (
+        at_limit = ((places <= problem.low) & (step < 0)) | (
             (places >= problem.high) & (step > 0)
         )
     return step, ~(across > 0)

@@ -142,13 +142,13 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
     scale = np.maximum(np.linalg.norm(regressors, axis=1), 1e-300)
     basis = np.linalg.qr((regressors / scale[:, None]).T)[0].T
     spectra = rfft(basis, size, axis=1)
-    found = autocovariance(residual)
-    coefficients, variance = _levinson(found)
+    covariance = autocovariance(residual)
+    coefficients, variance = _levinson(covariance)
     memory = _memory(count)
     model = irfft(_power(coefficients, variance, memory), memory)
     freedom = _freedom(model[:count])
     for _ in range(_ROUNDS):
-        again = _levinson(found + _taken(basis, spectra, model, size))
+        again = _levinson(covariance + _taken(basis, spectra, model, size))
         model = irfft(_power(*again, memory), memory)
         # Noise without four independent samples in a log is a drift or a misfit: its
         # strength cannot be estimated from a spectrum, and the correction diverges. For
@@ -179,8 +179,8 @@ def _taken(
     whole = np.einsum(
         "pf,pf->f", spectra.conj(), 2 * other - (basis @ spread.T) @ spectra
     )
-    lost = irfft(whole.real, size)[:count] / count
-    return np.asarray(lost + np.arange(count) / count * model[:count])
+    reduction = irfft(whole.real, size)[:count] / count
+    return np.asarray(reduction + np.arange(count) / count * model[:count])
 
 
 def _freedom(model: Vector) -> float:
@@ -307,11 +307,11 @@ def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
     both sides.
     """
     count = residual.size
-    moved = motion - motion.mean()
-    r = autocovariance(residual, moved)[:lags]
+    deviation = motion - motion.mean()
+    r = autocovariance(residual, deviation)[:lags]
     # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against
     # its own noise.
-    own, other = autocovariance(residual), autocovariance(moved)
+    own, other = autocovariance(residual), autocovariance(deviation)
     reach = count // 4
     taper = own[:reach] * (1 - np.arange(reach) / reach)
     two_sided = np.concatenate([taper[:0:-1], taper])
@@ -390,29 +390,29 @@ def find_second_mode(
     # gates below.
     for start in grid[np.argsort(costs)[:3]]:
         starts = np.array([row(start, ratio) for ratio in _RATIOS])
-        found = kernel.solve(
+        optimum = kernel.solve(
             starts, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100
         )[1]
-        at_limit = np.any(np.abs(found[1:3] - lower[1:3]) < 1e-6) or np.any(
-            np.abs(found[1:3] - upper[1:3]) < 1e-6
+        at_limit = np.any(np.abs(optimum[1:3] - lower[1:3]) < 1e-6) or np.any(
+            np.abs(optimum[1:3] - upper[1:3]) < 1e-6
         )
-        gain, error = _regressed(residual, response(found))
+        gain, error = _regressed(residual, response(optimum))
         share = gain / solution.gain
         # The second mode bends the link in the same direction at its base; the opposite
         # sign means a misfit of the first mode.
         certain = not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error
-        if certain and _shows_again(window, found, gain, motor_angle, whole):
-            return SecondMode(math.exp(found[1]), share, float(found[2])), None
+        if certain and _shows_again(window, optimum, gain, motor_angle, whole):
+            return SecondMode(math.exp(optimum[1]), share, float(optimum[2])), None
     noise = _noise(residual)
-    seen = None
+    highest = None
     for log_frequency in grid:
         # ζ = 0.02, typical of steel and aluminium arms; a more damped mode has a lower
         # peak and matters less.
         size = float(np.linalg.norm(response(row(log_frequency, 0.02))))
         if _SIGNIFICANT * noise > _SEEN * abs(solution.gain) * size:
             break
-        seen = math.exp(log_frequency)
-    return None, seen
+        highest = math.exp(log_frequency)
+    return None, highest
 
 
 def _shows_again(
@@ -439,11 +439,11 @@ def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
     """
     power = float(response @ response)
     gain = float(response @ residual) / power
-    left = residual - gain * response
-    scores: NDArray[np.float64] = (response * left)[None, :]
+    rest = residual - gain * response
+    scores: NDArray[np.float64] = (response * rest)[None, :]
     variance = max(
-        float(long_run_covariance(scores, correlated_lags(left))[0, 0]),
-        power * float(left @ left) / left.size,
+        float(long_run_covariance(scores, correlated_lags(rest))[0, 0]),
+        power * float(rest @ rest) / rest.size,
     )
     return gain, math.sqrt(variance) / power
 

@@ -208,15 +208,15 @@ class Search:
         )
         kernel = near.kernel(math.exp(low), longest_delay=abs(delay))
         bands, width = self._ringing()
-        found: list[Shape] = []
+        starts: list[Shape] = []
         for ratio in _SHARP:
             order = math.pi / math.acos(-ratio)
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
             rows = self._links(places[apart <= width], order, 0.0)
             valleys = lowest_valleys(self._costs(kernel, rows), _SHARP_VALLEYS)
-            found.extend(rows[valleys])
-        return found
+            starts.extend(rows[valleys])
+        return starts
 
     def _ringing(self) -> tuple[NDArray[np.float64], float]:
         """Frequencies (K,) [rad/s] of the vibration after a cut and their spacing:
@@ -235,8 +235,8 @@ class Search:
         for frequency in frequencies.tolist():
             shape = np.array([order, math.log(frequency), 0.0, 1.0, 0.0])
             state = np.exp((1j - ratio) * frequency * time)
-            moved = columns_of(kernel, shape)[0]
-            columns = np.stack([moved, state.real, state.imag, np.ones(time.size)])
+            response = columns_of(kernel, shape)[0]
+            columns = np.stack([response, state.real, state.imag, np.ones(time.size)])
             basis = np.linalg.qr(columns.T)[0]
             costs.append(own.output @ own.output - np.sum((own.output @ basis) ** 2))
         self._evaluations += len(costs)
@@ -267,14 +267,14 @@ class Search:
             if name == FRACTIONAL:
                 # The other structures start from it, in its valleys.
                 ends += self._from_elsewhere(self._lowest(ends))
-            found = self._lowest(ends)
-            rivals = self._rivals(found, ends)
+            solution = self._lowest(ends)
+            rivals = self._rivals(solution, ends)
             if "delay" not in self.fixed:
-                found = self._between_samples(found)
+                solution = self._between_samples(solution)
             # The best one need not be the last one; the work on later attempts counts
             # as well.
             self.solutions[name] = replace(
-                found, evaluations=self._evaluations, rivals=rivals
+                solution, evaluations=self._evaluations, rivals=rivals
             )
         return self.solutions[name]
 
@@ -285,12 +285,12 @@ class Search:
         # Two vibrations can be separated if they differ by half a turn over all the
         # motion of the link.
         turn = math.pi / (2 * self.window.angle.size * self.window.period)
-        kept = [found]
+        distinct = [found]
         for end in sorted(ends, key=lambda each: each.cost):
-            apart = (abs(end.resonance - other.resonance) > turn for other in kept)
+            apart = (abs(end.resonance - other.resonance) > turn for other in distinct)
             if end.cost <= _WORTH * found.cost and all(apart):
-                kept.append(end)
-        return tuple(kept[1:])
+                distinct.append(end)
+        return tuple(distinct[1:])
 
     def _lowest(self, ends: Sequence[Solution]) -> Solution:
         best = min(ends, key=lambda each: each.cost)
@@ -378,10 +378,10 @@ class Search:
         sample.
         """
         period, name = self.window.period, found.structure
-        held, ends = self.window.hold == "zero", [found]
-        if not held and not self.window.is_rough:
+        steps, ends = self.window.hold == "zero", [found]
+        if not steps and not self.window.is_rough:
             return found
-        shortest, longest = self._delays(found.shape, may_lead=held)
+        shortest, longest = self._delays(found.shape, may_lead=steps)
         first = math.floor(found.shape[4] / period)
         for k in range(first, first + 3):
             row = found.shape.copy()
@@ -391,8 +391,8 @@ class Search:
                 min(k * period, longest),
             )
             if inside[0] <= inside[1]:
-                ends.append(self._descended(name, row, inside if held else None))
-        if not held:
+                ends.append(self._descended(name, row, inside if steps else None))
+        if not steps:
             row = found.shape.copy()
             row[4] -= 2.5 * period
             early = self._descended(name, row, self._delays(row, may_lead=True))

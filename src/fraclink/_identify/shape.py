@@ -296,12 +296,12 @@ class Window:
         # Two of the kernel's blocks of eight beyond the longest delay, and as much
         # again for an overshoot.
         pad = math.ceil(longest_delay / self.period) + 32
-        held = int(self.hold == "first")
+        ramps = int(self.hold == "first")
         return FitProblem(
             self.increments(),
             self.output,
             self.period,
-            held,
+            ramps,
             start,
             _STEP,
             modes,

@@ -66,8 +66,8 @@ def certainty_of(
         name for name in every.names if _is_at_bound(every, name, best.values[name])
     )
     # A parameter at a limit is held there for the others.
-    known = {**every.fixed, **{name: best.values[name] for name in stuck}}
-    problem = replace(every, fixed=known)
+    fixed = {**every.fixed, **{name: best.values[name] for name in stuck}}
+    problem = replace(every, fixed=fixed)
     free, data = problem.names, problem.data
     if not free:
         return Certainty({}, {}, stuck, (), (), {})
@@ -96,22 +96,22 @@ def certainty_of(
     }
     # A profile cannot determine a parameter that is undetermined by its standard error,
     # and its valley takes long to follow.
-    wanted = [
+    indices = [
         k
         for k, name in enumerate(free)
         if name in intervals
         and _is_known(problem, name, best.values[name], intervals[name])
     ]
-    if details and best.converged and not perfect and wanted:
-        unit = np.eye(place.size)[wanted]
+    if details and best.converged and not perfect and indices:
+        unit = np.eye(place.size)[indices]
         ends = interval_ends(
             problem,
             place,
             best.cost,
-            lambda x: (x[:, wanted], np.repeat(unit[None], len(x), axis=0)),
-            np.array([covariance.inflation[free[k]] for k in wanted]),
+            lambda x: (x[:, indices], np.repeat(unit[None], len(x), axis=0)),
+            np.array([covariance.inflation[free[k]] for k in indices]),
         )
-        for k, end in zip(wanted, ends, strict=True):
+        for k, end in zip(indices, ends, strict=True):
             intervals[free[k]] = _in_values(problem, free[k], end, best.values[free[k]])
     errors = {
         name: covariance.errors[name]
@@ -147,12 +147,12 @@ def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
     """Parameters in the directions along which the measured output does not change."""
     size = np.sqrt(np.einsum("qr,qr->q", jacobian, jacobian))
     none = {name for name, own in zip(names, size, strict=False) if own == 0.0}
-    scaled = jacobian / np.where(size > 0, size, 1.0)[:, None]
-    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    rows = jacobian / np.where(size > 0, size, 1.0)[:, None]
+    values, vectors = np.linalg.eigh(rows @ rows.T)
     # Differences are accurate to 1e-6, which is squared in the normal matrix.
     unseen = vectors[:, values < 1e-11 * len(values)]
-    shared = np.abs(unseen).max(axis=1, initial=0.0) > _SHARE
-    return tuple(name for k, name in enumerate(names) if name in none or shared[k])
+    blind = np.abs(unseen).max(axis=1, initial=0.0) > _SHARE
+    return tuple(name for k, name in enumerate(names) if name in none or blind[k])
 
 
 def _is_known(

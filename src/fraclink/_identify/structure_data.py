@@ -116,8 +116,8 @@ def _of_many(
 ) -> Complexes:
     """G at points (K,) for parameters (M, 1), shape (M, K)."""
     count = max(np.shape(value)[0] for value in values.values())
-    found = structure.response(values, points)
-    return np.asarray(np.broadcast_to(found, (count, points.size)))
+    response = structure.response(values, points)
+    return np.asarray(np.broadcast_to(response, (count, points.size)))
 
 
 # points of the transform: in a band of three decades, three of them lie within a
@@ -159,12 +159,12 @@ class RecordStart:
         before = (
             np.zeros(0) if earlier is None else np.asarray(earlier, dtype=np.float64)
         )
-        kept = last_of(before, own.size, _HISTORY)
+        history = last_of(before, own.size, _HISTORY)
         # Not from the beginning of a longer history: the input would jump from there to
         # here, which no motor did. From here on the output differs at most by a
         # constant, and `offset` refers to a rest here.
-        rest = float(kept[0]) if kept.size else record.input_at_rest
-        whole = np.concatenate([kept, own])
+        rest = float(history[0]) if history.size else record.input_at_rest
+        whole = np.concatenate([history, own])
         # A constant input is a step at the first sample, which the next samples do not
         # distinguish from a straight line.
         steps = hold == "auto" and np.ptp(whole) == 0
@@ -173,7 +173,7 @@ class RecordStart:
             np.asarray(record.output)[:count],
             record.period,
             "zero" if steps else chosen_hold(whole, hold),
-            kept - rest,
+            history - rest,
         )
 
     @cached_property
@@ -247,15 +247,15 @@ class RecordStart:
         # Relative to the value at the cut; a record at rest after the cut rings as
         # after a step there.
         cut = self.earlier.size > 0 and np.ptp(self.input) > 0
-        moved = self.input - self.input[0] if cut else self.input
+        drive = self.input - self.input[0] if cut else self.input
         transforms = [
-            np.fft.rfft(damped * values)[lines] for values in (moved, self.output)
+            np.fft.rfft(damped * values)[lines] for values in (drive, self.output)
         ]
         width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
         # The real point stands for half the width of a line; its other half is the
         # mirror image at negative ω.
         width[0] = max(width[0] / 2, 0.5)
-        into = held_transform(transforms[0], points, period, self.hold, float(moved[0]))
+        into = held_transform(transforms[0], points, period, self.hold, float(drive[0]))
         out = held_transform(
             transforms[1], points, period, "first", float(self.output[0])
         )
@@ -269,10 +269,10 @@ class RecordStart:
         """Lowest and highest frequency [rad/s] at which the input has power."""
         # Of the differences: a step excites all frequencies equally, but would appear
         # to excite only the lowest.
-        moved = self.whole_input
-        power = np.abs(np.fft.rfft(np.diff(moved, prepend=0.0)))[1:]
+        signal = self.whole_input
+        power = np.abs(np.fft.rfft(np.diff(signal, prepend=0.0)))[1:]
         frequency = (
-            2 * math.pi * np.arange(1, power.size + 1) / (moved.size * self.period)
+            2 * math.pi * np.arange(1, power.size + 1) / (signal.size * self.period)
         )
         excited = frequency[power > _EXCITED * power.max()]
         return float(excited[0]), float(excited[-1])
@@ -330,8 +330,8 @@ class Blocks:
         """Points s, the transform of the held input there, referred to the middle of
         the first block, and the size of the inverse transform.
         """
-        own, moved = self.data, self.data.whole_input
-        span, period = moved.size, own.period
+        own, signal = self.data, self.data.whole_input
+        span, period = signal.size, own.period
         # Twice the samples, so that the response beyond the end does not wrap around to
         # the beginning.
         blocks = int(next_fast_len(-(-2 * span // self.width), real=True))
@@ -340,15 +340,15 @@ class Blocks:
         points = np.asarray(
             _BACK / (span * period) + 2j * math.pi / (size * period) * lines
         )
-        damped = moved * np.exp(-_BACK / span * np.arange(span))
+        damped = signal * np.exp(-_BACK / span * np.arange(span))
         into = held_transform(
-            rfft(damped, size), points, period, own.hold, float(moved[0])
+            rfft(damped, size), points, period, own.hold, float(signal[0])
         )
         # Divided by the period: the transform of the output's samples, except for the
         # factor G.
-        turned = into / period * np.exp(2j * math.pi * self._middle / size * lines)
-        kept = slice(blocks // 2)
-        return points[kept], np.asarray(turned[kept]), blocks
+        centre = into / period * np.exp(2j * math.pi * self._middle / size * lines)
+        half = slice(blocks // 2)
+        return points[half], np.asarray(centre[half]), blocks
 
     @property
     def _middle(self) -> float:
@@ -361,12 +361,12 @@ class Blocks:
         """
         points, into, blocks = self._lines
         with np.errstate(all="ignore"):
-            found = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
+            output = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
         # Undo the damping that made the transform converge.
         times = self._middle + self.width * np.arange(self.measured.size)
-        grown = np.exp(_BACK / self.data.whole_input.size * times)
+        growth = np.exp(_BACK / self.data.whole_input.size * times)
         return np.asarray(
-            found[:, : self.measured.size] * (grown / math.sqrt(self.width))
+            output[:, : self.measured.size] * (growth / math.sqrt(self.width))
         )
 
 

@@ -41,14 +41,14 @@ def structure_findings(
     data: RecordStart | Lines,
 ) -> tuple[Finding, ...]:
     """All findings of a structure's fit, worst first."""
-    found = [
+    findings = [
         *_of_the_parameters(fit, certain),
         *_of_the_error(fit),
         *_of_the_residual(fit, data),
         *_of_rivals(fit, certain, rivals, data),
     ]
-    found += _of_the_band(fit, data)
-    return worst_first(found)
+    findings += _of_the_band(fit, data)
+    return worst_first(findings)
 
 
 def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
@@ -115,13 +115,13 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
             {"nmse": fit.nmse, "most": HELDOUT_MOST},
             "check the channels and their units, or take another structure",
         )
-    held = fit.heldout_nmse
-    if held is not None and held > max(WORSE * fit.nmse, 1e-12):
+    heldout = fit.heldout_nmse
+    if heldout is not None and heldout > max(WORSE * fit.nmse, 1e-12):
         yield Finding(
             "W318",
-            "error" if held > HELDOUT_MOST else "warning",
+            "error" if heldout > HELDOUT_MOST else "warning",
             "the structure predicts the held-out data worse than the data it was fitted to",
-            {"heldout_nmse": held, "nmse": fit.nmse},
+            {"heldout_nmse": heldout, "nmse": fit.nmse},
             "look for drift, another operating point, or a structure with fewer parameters",
         )
 
@@ -133,8 +133,10 @@ def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[F
     residual = fit.measured - fit.predicted
     if isinstance(data, Lines):
         # A missed resonance shifts neighbouring lines in the same way; noise does not.
-        left = residual[: fit.fitted] + 1j * residual[fit.fitted :]
-        alike = float(np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real)
+        errors = residual[: fit.fitted] + 1j * residual[fit.fitted :]
+        alike = float(
+            np.vdot(errors[1:], errors[:-1]).real / np.vdot(errors, errors).real
+        )
         smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
     else:
         rest = residual[: fit.fitted]
@@ -170,7 +172,7 @@ def _of_rivals(
         ratio = rival.cost / max(_cost(fit, data), 1e-300)
         # n ln(cost/least) is the likelihood ratio for Gaussian noise, which also
         # defines the intervals.
-        told = data.measured.size * math.log(max(ratio, 1.0))
+        evidence = data.measured.size * math.log(max(ratio, 1.0))
         apart = [
             name
             for name, interval in fit.intervals.items()
@@ -179,7 +181,7 @@ def _of_rivals(
         ]
         # If the fit is perfect, every rival is perfect too: these are two parameter
         # sets for the same function.
-        if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
+        if evidence < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
             yield rival_finding({name: rival.values[name] for name in apart})
             return
 

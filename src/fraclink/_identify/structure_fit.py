@@ -171,13 +171,13 @@ class StructureFit(Saved):
         )
         values = ", ".join(f"{n} = {number(v)}" for n, v in self.parameters.items())
         # For data without noise the residual is rounding, which depends on the machine.
-        error, held = (
+        error, heldout = (
             None if share is None else quantity(round(share, 12), "%", 2)
             for share in (self.nmse, self.heldout_nmse)
         )
         return Overview(
             f"{self.expression}: {values}; error {error}, "
-            + (f"held-out error {held}" if held else "nothing held out"),
+            + (f"held-out error {heldout}" if heldout else "nothing held out"),
             "passed" if self.passed else "not shown",
             rows,
             (Table.of("", parameters),),

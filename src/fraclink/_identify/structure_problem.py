@@ -123,14 +123,14 @@ class StructureProblem(Problem):
 
     def middle(self) -> dict[str, Any]:
         """Values inside the limits, different enough that nothing cancels."""
-        found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
+        values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
         for k, name in enumerate(self.names):
             low, high = self.box_of(name)
             # 0.6, 0.77, 0.94 …: no two are equal, and no sum of two equals another.
             # Positive in any case, since a negative base has no real powers.
             place = float(np.clip(0.6 + 0.17 * k, low, high))
-            found[name] = np.array([[self.value(name, place)]])
-        return found
+            values[name] = np.array([[self.value(name, place)]])
+        return values
 
     def places_of(self, values: Mapping[str, Any]) -> Reals:
         """Places (M, p) of parameters (M,)."""
@@ -145,12 +145,12 @@ class StructureProblem(Problem):
     def values(self, places: Reals) -> dict[str, Any]:
         """Parameters (M, 1) at places (M, p); a projected gain is 1."""
         signs = dict(zip(self.signed, places.T[len(self.moving) :], strict=True))
-        found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
+        values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
         if self.projected and self.gain is not None:
-            found[self.gain] = np.ones((len(places), 1))
+            values[self.gain] = np.ones((len(places), 1))
         for name, column in zip(self.moving, places.T, strict=False):
-            found[name] = self.value(name, column, signs.get(name, 1.0))[:, None]
-        return found
+            values[name] = self.value(name, column, signs.get(name, 1.0))[:, None]
+        return values
 
     # --- as of `Problem`
 
@@ -203,11 +203,11 @@ class StructureProblem(Problem):
     def quadratic(self, places: Reals) -> Quadratic:
         """See `Problem`."""
         columns = self._columns(places)
-        found, residual = self._projected(columns)
+        quadratic, residual = self._projected(columns)
         # From the residual itself: with a Gram matrix a perfect fit would lose half of
         # its digits.
         slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
-        return replace(found, slope=found.gain[:, None] * np.nan_to_num(slope))
+        return replace(quadratic, slope=quadratic.gain[:, None] * np.nan_to_num(slope))
 
     def linearised(self, place: Reals) -> tuple[Reals, Reals]:
         """∂(measured)/∂(coordinates, then the offset if free), shape (q, R), and the
@@ -230,9 +230,9 @@ class StructureProblem(Problem):
         steps = [self._step(name, values[name]) for name in self.moving]
         slopes = self._differences(values, steps, base)
         # In the other direction where the domain ends.
-        if lost := [k for k, each in enumerate(slopes) if not np.isfinite(each).all()]:
+        if gaps := [k for k, each in enumerate(slopes) if not np.isfinite(each).all()]:
             back = self._differences(values, [-step for step in steps], base)
-            slopes[lost] = np.where(np.isfinite(slopes), slopes, back)[lost]
+            slopes[gaps] = np.where(np.isfinite(slopes), slopes, back)[gaps]
         for k, name in enumerate(self.moving):
             if self.is_logarithmic(name):
                 slopes[k] *= values[name]
@@ -287,12 +287,12 @@ class StructureProblem(Problem):
             limits = self.limits[self.gain]
         with np.errstate(all="ignore"):
             gram = rows @ rows.transpose(0, 2, 1)
-            found = reduced(gram, limits, self.offset)
+            quadratic = reduced(gram, limits, self.offset)
             residual = (
                 measured
-                - found.gain[:, None] * columns[:, 0]
-                - found.offset[:, None] * constant
+                - quadratic.gain[:, None] * columns[:, 0]
+                - quadratic.offset[:, None] * constant
             )
             cost = np.einsum("mr,mr->m", residual, residual)
         cost = np.where(np.isfinite(cost), cost, np.inf)
-        return replace(found, cost=cost), residual
+        return replace(quadratic, cost=cost), residual

@@ -53,7 +53,7 @@ def best_places(
     places = problem.clip(problem.places_of(drawn_starts(problem, data.spectrum)))
     screen = replace(problem, data=data.screen)
     costs = screen.costs(places)
-    evaluations, kept = len(places), []
+    evaluations, candidates = len(places), []
     # Positive coefficients separately: most functions with a negative one are unstable,
     # which a transform does not show, and they would crowd out the others.
     positive = np.all(places[:, len(problem.moving) :] > 0, axis=1)
@@ -65,15 +65,15 @@ def best_places(
         first = descend(screen, rows, iterations=_FIRST_STEPS)
         order = _distinct(problem, first)
         last = descend(screen, first.places[order[:_TRIED]])
-        kept += [*last.places, *first.places[order[_TRIED:]]]
+        candidates += [*last.places, *first.places[order[_TRIED:]]]
         evaluations += first.evaluations + last.evaluations
     if start is not None:
         # In addition to the others: a wrong start only costs one descent.
         begin = {name: start.get(name, 1.0) for name in problem.names}
-        kept += [*problem.clip(problem.places_of(begin))]
+        candidates += [*problem.clip(problem.places_of(begin))]
     # A transform does not distinguish unstable functions from stable ones; the samples
     # do.
-    rows = np.reshape(kept, (len(kept), len(problem.low)))
+    rows = np.reshape(candidates, (len(candidates), len(problem.low)))
     costs = problem.costs(rows)
     near = np.argsort(costs)[:_TRIED]
     near = near[np.isfinite(costs[near]) & (costs[near] <= _NEARLY * costs[near[0]])]
@@ -126,12 +126,12 @@ def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
     roles = problem.structure.roles
     orders = [k for k, name in enumerate(problem.moving) if roles[name] == "order"]
     rises = np.count_nonzero(np.diff(found.places[:, orders]) > 0, axis=1)
-    kept: list[int] = []
+    best: list[int] = []
     for k in np.argsort(found.costs).tolist():
         if not math.isfinite(found.costs[k]):
             break
-        if not kept or found.costs[k] > found.costs[kept[-1]] * (1 + _SAME):
-            kept.append(k)
-        elif rises[k] < rises[kept[-1]]:
-            kept[-1] = k
-    return kept
+        if not best or found.costs[k] > found.costs[best[-1]] * (1 + _SAME):
+            best.append(k)
+        elif rises[k] < rises[best[-1]]:
+            best[-1] = k
+    return best

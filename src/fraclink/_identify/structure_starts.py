@@ -49,12 +49,12 @@ def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Rea
     )
     # Least squares do not enforce stability: a negative result is also tried with the
     # opposite sign.
-    turned = least | {
+    mirror = least | {
         name: math.copysign(1.0, problem.limits[name][1]) * np.abs(least[name])
         for name in coefficients
     }
     return {
-        name: np.concatenate([least[name], turned[name], starts[name]])
+        name: np.concatenate([least[name], mirror[name], starts[name]])
         for name in names
     }
 
@@ -74,8 +74,8 @@ def _drawn(
         # Small delays matter most, and no delay at all is the most usual case.
         longest = min(high, 1.0 / slowest)
         shortest = longest * slowest / fastest
-        scaled = longest * (fastest / slowest) ** (uniform - 1.0) - shortest
-        return np.where(uniform < 0.25, low, np.maximum(scaled, low))
+        length = longest * (fastest / slowest) ** (uniform - 1.0) - shortest
+        return np.where(uniform < 0.25, low, np.maximum(length, low))
     if name == problem.gain:
         return np.ones(uniform.size)
     if low > 0.0:
@@ -153,7 +153,7 @@ def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
     columns are scaled.
     """
     real = np.concatenate([matrix.real, matrix.imag], axis=2)
-    wanted = np.nan_to_num(np.concatenate([right.real, right.imag], axis=1))
+    target = np.nan_to_num(np.concatenate([right.real, right.imag], axis=1))
     size = np.sqrt(np.einsum("mnk,mnk->mn", real, real))
     size = np.where((size > 0) & np.isfinite(size), size, 1.0)
     # QR instead of the normal matrix: columns of nearly equal orders are nearly
@@ -164,7 +164,7 @@ def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
     # start is merely a bad one.
     small = np.abs(diagonal) < 1e-10
     r[:, range(r.shape[1]), range(r.shape[1])] = np.where(small, 1e-10, diagonal)
-    across = np.einsum("mkn,mk->mn", q, wanted)
+    across = np.einsum("mkn,mk->mn", q, target)
     return np.asarray(np.linalg.solve(r, across[:, :, None])[:, :, 0] / size)
 
 

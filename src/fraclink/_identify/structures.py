@@ -115,10 +115,10 @@ def identify_structure(
     (1.92, 10.8)
     """
     structure = parse_expression(expression)
-    known = dict(fixed or {})
-    _check_used(data, known, hold, heldout, weighting)
-    _check_names(structure, known, bounds or {}, start or {})
-    offset = known.pop("offset", math.nan)
+    values = dict(fixed or {})
+    _check_used(data, values, hold, heldout, weighting)
+    _check_names(structure, values, bounds or {}, start or {})
+    offset = values.pop("offset", math.nan)
     if isinstance(data, FrequencyResponse):
         samples: RecordStart | Lines = _lines_of(data, weighting)
         # A constant in the output is not a line of a response.
@@ -134,7 +134,7 @@ def identify_structure(
         )
         longest = _LONGEST_DELAY * record.period * fitted
         _check_motion(samples)
-    problem = _problem(structure, samples, known, bounds or {}, longest, offset)
+    problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)
     places, evaluations = best_places(problem, samples, start)
     best, *rivals = (in_order(problem, place) for place in places)
@@ -209,18 +209,18 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
     """Lines in ascending order, with their weights."""
     order = np.argsort(measured.frequency, kind="stable")
     h = measured.response[order]
-    chosen = weighting or ("relative" if measured.coherence is None else "coherence")
-    known = {"coherence": measured.coherence, "magnitude": measured.magnitude}
-    column = known.get(chosen)
+    kind = weighting or ("relative" if measured.coherence is None else "coherence")
+    weights = {"coherence": measured.coherence, "magnitude": measured.magnitude}
+    column = weights.get(kind)
     if column is not None:
         weight = column[order]
-        weight = coherence_weights(h, weight) if chosen == "coherence" else weight
-    elif chosen in known:
+        weight = coherence_weights(h, weight) if kind == "coherence" else weight
+    elif kind in weights:
         raise FieldError(
             "weighting",
-            chosen,
-            f"without a {chosen}",
-            allowed=f"a response with {chosen}",
+            kind,
+            f"without a {kind}",
+            allowed=f"a response with {kind}",
             remedy="weigh errors as relative",
         )
     else:
@@ -234,7 +234,7 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
                 allowed="|H| > 0",
                 remedy="leave that line out",
             )
-        weight = 1.0 / np.abs(h) if chosen == "relative" else np.ones(h.size)
+        weight = 1.0 / np.abs(h) if kind == "relative" else np.ones(h.size)
     # Scaled to a sum of squares of 1: the error is then a share, as used by the gates
     # and limits of the search.
     return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
@@ -250,13 +250,13 @@ def _check_used(
     of_a_recording = {"heldout": heldout, "hold": None if hold == "auto" else hold}
     if "offset" in known:
         of_a_recording["fixed['offset']"] = known["offset"]
-    given = of_a_recording if swept else {"weighting": weighting}
+    options = of_a_recording if swept else {"weighting": weighting}
     beside, other = (
         ("a frequency response", "a recording")
         if swept
         else ("a recording", "a frequency response")
     )
-    for field, value in given.items():
+    for field, value in options.items():
         if value is not None:
             raise FieldError(
                 field,
@@ -272,19 +272,19 @@ def _check_names(
 ) -> None:
     # `offset` is the constant of the output and occurs in no formula: it may be fixed,
     # but has neither range nor start.
-    for field, given in (
+    for field, names in (
         ("fixed", {**fixed}),
         ("bounds", {**bounds}),
         ("start", {**start}),
     ):
-        for name in given:
+        for name in names:
             if name not in structure.names and (field, name) != ("fixed", "offset"):
-                listed = ", ".join(structure.names) or "(none)"
+                choices = ", ".join(structure.names) or "(none)"
                 raise FieldError(
                     field,
                     name,
                     "no parameter of the expression",
-                    allowed=listed,
+                    allowed=choices,
                     remedy="correct the name",
                 )
     for name in bounds:
@@ -340,8 +340,8 @@ def _problem(
         least = 0.0 if structure.roles[name] == "delay" else -1e15
         Between(least, 1e15, remedy=remedy).check(f"fixed[{name!r}]", value)
     fixed = {name: float(value) for name, value in known.items()}
-    found = StructureProblem(structure, samples, limits, fixed, offset)
-    if not found.names:
+    problem = StructureProblem(structure, samples, limits, fixed, offset)
+    if not problem.names:
         raise FieldError(
             "expression",
             structure.text,
@@ -349,7 +349,7 @@ def _problem(
             allowed=">= 1 free parameter",
             remedy="leave one out of fixed",
         )
-    return found
+    return problem
 
 
 def _check_start(
@@ -413,14 +413,14 @@ def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float |
     """
     # Every fourth line instead of the last quarter: a right model bridges a gap in the
     # middle, but none extrapolates a missing end.
-    held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
+    heldout = np.arange(lines.points.size) % _EVERY == _EVERY // 2
     # Real and imaginary part of each line: two numbers.
-    if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(problem.names):
+    if 2 * np.count_nonzero(~heldout) < _LEAST_EACH * len(problem.names):
         return None
-    rest, seen = lines.part(held), lines.part(~held)
+    rest, basis = lines.part(heldout), lines.part(~heldout)
     # From the best parameters: a new search could end in another valley, and the error
     # would be that of the search.
-    others = dataclasses.replace(problem, data=seen)
+    others = dataclasses.replace(problem, data=basis)
     end = descend(others, others.places_of(best.values))
     values = place_of(others, end, 0).values
     single = {name: np.array([[value]]) for name, value in values.items()}

@@ -106,10 +106,10 @@ def link_covariance(
     That is NaN if Ω ended at a limit; unlike ω₀ it is not correlated with α and λ.
     """
     problem = LinkProblem.of(search, solution, inside=True)
-    moved = tuple(map(str, problem.free))
+    free = tuple(map(str, problem.free))
     regressors, residual = problem.linearised()
-    found = Covariance.of(
-        (*moved, *problem.linear),
+    joint = Covariance.of(
+        (*free, *problem.linear),
         regressors,
         residual,
         solution.cost,
@@ -118,7 +118,7 @@ def link_covariance(
     own = problem.parameters(problem.place[None, :], problem.names)[1][0]
     gradients = block_diag(own, np.eye(len(problem.linear)))
     names = (*problem.names, *problem.linear)
-    return found.of_functions(names, gradients), found.errors.get("1", math.nan)
+    return joint.of_functions(names, gradients), joint.errors.get("1", math.nan)
 
 
 def _sandwich(
@@ -179,10 +179,10 @@ def link_intervals(
     α has one even if it ended at a limit.
     """
     problem = LinkProblem.of(search, solution, inside=False)
-    wanted = {*inflation, "damping_order"}
+    selection = {*inflation, "damping_order"}
     if solution.on_edge:
-        wanted.add("natural_frequency")
-    names = tuple(name for name in problem.names if name in wanted)
+        selection.add("natural_frequency")
+    names = tuple(name for name in problem.names if name in selection)
     ends = interval_ends(
         problem,
         problem.place,
@@ -191,13 +191,15 @@ def link_intervals(
         partial(problem.parameters, names=names, squared=True),
         np.array([inflation.get(name, 1.0) for name in names]),
     )
-    found = dict(zip(names, ends, strict=True))
-    if squares := found.get("natural_frequency"):
+    intervals = dict(zip(names, ends, strict=True))
+    if squares := intervals.get("natural_frequency"):
         low, high = (math.sqrt(max(x, 0.0)) for x in (squares.low, squares.high))
         # At its limit an end is open; the square is accurate to rounding, 1e-8.
         low_open = squares.low_open or low <= 1e-4 * high
-        found["natural_frequency"] = Interval(low, high, low_open, squares.high_open)
-    return found
+        intervals["natural_frequency"] = Interval(
+            low, high, low_open, squares.high_open
+        )
+    return intervals
 
 
 # --- criteria: which structure? --------------------------------------------------------------------------
@@ -242,13 +244,13 @@ def structure_criteria(
     filtered = autoregression(
         LinkProblem.of(search, solutions[richest], inside=True).linearised()[1]
     )[0]
-    found = {
+    series = {
         name: _innovations(search, solution, filtered)
         for name, solution in solutions.items()
     }
-    scores, left = found[richest]
-    variance = max(float(left @ left) / left.size, 1e-300)
-    meat = long_run_covariance(scores * left, _SCORE_LAGS)
+    scores, residual = series[richest]
+    variance = max(float(residual @ residual) / residual.size, 1e-300)
+    meat = long_run_covariance(scores * residual, _SCORE_LAGS)
     inflation = max(
         float(np.trace(inverted(scores @ scores.T)[0] @ meat)) / variance / len(scores),
         1.0,
@@ -260,7 +262,9 @@ def structure_criteria(
             # A parameter at its limit counts, since it was free to leave it.
             samples * _log(max(solution.cost / samples, floor))
             + 2.0 * (effective[name] + len(solution.at_bound) + solution.on_edge),
-            found[name][1].size * _log(float(np.mean(found[name][1] ** 2))) / inflation
+            series[name][1].size
+            * _log(float(np.mean(series[name][1] ** 2)))
+            / inflation
             + 2.0 * len(structure(name).free),
         )
         for name, solution in solutions.items()

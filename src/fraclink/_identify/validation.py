@@ -273,21 +273,21 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
     swing = simulated_torque(link, angle, log.period, delay=fit.delay)
     predicted = fit.gain * swing[-log.output.size :] + fit.offset
     bias = float(np.mean(log.output - predicted))
-    left = log.output - predicted - bias
+    residual = log.output - predicted - bias
     power = float(np.var(log.output))
     frequencies, (expected, measured, rest) = segments(
-        (predicted, log.output, left), log.period
+        (predicted, log.output, residual), log.period
     )
     motion, cross = mean_power(expected), np.mean(expected.conj() * measured, axis=0)
-    kept = motion > _LEAST_POWER * motion.max()
+    excited = motion > _LEAST_POWER * motion.max()
     return LogValidation(
         log=log,
         predicted=predicted,
-        nmse=float(np.mean(left**2)) / power if power > 0.0 else math.inf,
+        nmse=float(np.mean(residual**2)) / power if power > 0.0 else math.inf,
         bias=bias,
-        frequencies=frequencies[kept],
-        ratio=cross[kept] / motion[kept],
-        share=(mean_power(rest) / mean_power(measured))[kept],
+        frequencies=frequencies[excited],
+        ratio=cross[excited] / motion[excited],
+        share=(mean_power(rest) / mean_power(measured))[excited],
         fit=identify(log, fit.structure),
     )
 
@@ -302,9 +302,11 @@ def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
             allowed="one at least",
             remedy="give a log that the fit was not made from",
         )
-    found = Validation(fit, tuple(_validated(fit, log) for log in logs), ())
-    findings = (finding for each in found.logs for finding in _findings(found, each))
-    return replace(found, findings=worst_first(findings))
+    validation = Validation(fit, tuple(_validated(fit, log) for log in logs), ())
+    findings = (
+        finding for each in validation.logs for finding in _findings(validation, each)
+    )
+    return replace(validation, findings=worst_first(findings))
 
 
 Fit._validated = validate

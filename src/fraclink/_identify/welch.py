@@ -80,13 +80,13 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     power = mean_power(u)
     # A thousandth in amplitude: below it the ratio is that of gauge noise to encoder
     # noise.
-    moved = power > 1e-6 * power.max()
+    usable = power > 1e-6 * power.max()
     cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
-    heard = np.maximum(power * mean_power(y), 1e-300)
+    product = np.maximum(power * mean_power(y), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         return WelchResponse(
-            frequency[moved],
-            (cross / power)[moved],
-            (other / power)[moved],
-            np.minimum(np.abs(cross) ** 2 / heard, 1.0)[moved],
+            frequency[usable],
+            (cross / power)[usable],
+            (other / power)[usable],
+            np.minimum(np.abs(cross) ** 2 / product, 1.0)[usable],
         )

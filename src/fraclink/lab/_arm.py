@@ -97,8 +97,10 @@ class ServedArm:
             Row("rejected", "messages rejected", self.rejected),
             Row("last_tip_angle", "", last),
         )
-        said = f"{self.controllers} controllers, {self.silences} left without a stop"
-        return Overview(said, state_of(self.passed), rows)
+        headline = (
+            f"{self.controllers} controllers, {self.silences} left without a stop"
+        )
+        return Overview(headline, state_of(self.passed), rows)
 
 
 @checked
@@ -271,10 +273,10 @@ class SimulatedArm:
     def write(self, command: Command) -> None:
         """Move on for one period under the command's voltage [V]."""
         # A board whose drive is off ignores the voltage.
-        asked = 0.0 if command.mode in (_IDLE, _OFF) else command.voltage
+        voltage = 0.0 if command.mode in (_IDLE, _OFF) else command.voltage
         s = self._state
         buffers = (s.rig, s.state, s.gauge, s.voltage, s.sensed, s.counters)
-        self._rows.append(_kernels.twin_drive(*s.step.arrays, *buffers, asked))
+        self._rows.append(_kernels.twin_drive(*s.step.arrays, *buffers, voltage))
 
     @property
     def callback(self) -> Callback:

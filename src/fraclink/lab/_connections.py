@@ -90,10 +90,10 @@ class Udp:
             isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES
         ):
             # never show the key itself
-            shown = f"{len(self.key)} {type(self.key).__name__}"
+            text = f"{len(self.key)} {type(self.key).__name__}"
             raise FieldError(
                 "key",
-                shown,
+                text,
                 "not a key",
                 allowed=f"{_KEY_BYTES} bytes or more",
                 remedy="head -c 32 /dev/urandom > arm.key",
@@ -257,13 +257,13 @@ def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError
 @contextmanager
 def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     try:
-        found = socket.getaddrinfo(
+        addresses = socket.getaddrinfo(
             connection.host, connection.port, type=socket.SOCK_DGRAM
         )
     except OSError as error:
         raise _refused(connection, error, "a host that can be found") from error
     # The first address only: trying another one could send commands to two arms.
-    family, kind, protocol, _, address = found[0]
+    family, kind, protocol, _, address = addresses[0]
     # The address instead of the name, which may resolve to anything.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
     if not loopback and not connection.unsafe_remote:

@@ -88,19 +88,19 @@ class ArmLine:
         self._tick += 1
         # Mode 1, "run"; an arm controlled by voltages ignores the motor reference.
         self._way.write(0.0, voltage, self._tick, 1, 0, 0)
-        periods, found = 0, None
-        while found is None:
+        periods, sample = 0, None
+        while sample is None:
             periods += 1
             if periods > _LOST:
                 raise ArmLost(_LOST)
-            found = self._awaited() if self._way.clocked else self._on_time()
+            sample = self._awaited() if self._way.clocked else self._on_time()
         if self._way.clocked:
             # The sample's own number counts, not the number of polls: a process that
             # was suspended receives the newest sample at once, and the motion since
             # then would be taken for that of one period.
             before, self._seen = self._seen, self._way.taken
             periods = max((self._seen - before) % _NUMBERS, 1)
-        return Reading(found[1], found[2], periods)
+        return Reading(sample[1], sample[2], periods)
 
     def _awaited(self) -> tuple[int, float, float] | None:
         """The next sample from an arm that sends them; None if none came within 1.5
@@ -109,11 +109,11 @@ class ArmLine:
         # A sample up to half a period late is jitter; later it counts as lost, since
         # the next one is due.
         last = self._clock.now + 1.5 * self.period
-        while (found := self._way.read()) is None or not math.isfinite(found[1]):
+        while (sample := self._way.read()) is None or not math.isfinite(sample[1]):
             if self._clock.now > last:
                 return None
             self._clock.sleep(self.period / _LOOKS)
-        return found  # type: ignore[no-any-return]
+        return sample  # type: ignore[no-any-return]
 
     def _on_time(self) -> tuple[int, float, float] | None:
         # Absolute deadlines: sleeping for one period each time would lengthen every
@@ -124,8 +124,8 @@ class ArmLine:
         # Missed deadlines are dropped. Making up for them would cause a burst of reads,
         # each taken for a period of motion.
         self._due = max(self._due + self.period, self._clock.now)
-        found = self._way.read()
-        return None if found is None or not math.isfinite(found[1]) else found
+        sample = self._way.read()
+        return None if sample is None or not math.isfinite(sample[1]) else sample
 
     def stop(self) -> None:
         """Switch the drive off."""
@@ -148,8 +148,8 @@ class _Called:
         self._read, self._write = connection.read, connection.write
 
     def read(self) -> tuple[int, float, float] | None:
-        found = self._read()
-        return None if found is None else (0, *found)
+        sample = self._read()
+        return None if sample is None else (0, *sample)
 
     def write(self, *values: Any) -> bool:
         self._write(Command(*values))
@@ -211,7 +211,7 @@ def _first_sample(
     signals: SignalWatch,
 ) -> tuple[int, float, float]:
     last, look = clock.now + patience, (period or 0.004) / _LOOKS
-    while (found := way.read()) is None or not math.isfinite(found[1]):
+    while (sample := way.read()) is None or not math.isfinite(sample[1]):
         if signals.is_set():
             raise Stopped
         # idle: from this message an arm learns where to send its samples
@@ -225,7 +225,7 @@ def _first_sample(
                 remedy="start the arm first (`fraclink serve-arm`), or check the board",
             )
         clock.sleep(look)
-    if period is None and not found[0]:
+    if period is None and not sample[0]:
         raise FieldError(
             "period",
             None,
@@ -234,15 +234,15 @@ def _first_sample(
             remedy="give --period-ms",
         )
     # Compared in whole nanoseconds as in the message, since 1/300 s has no exact value.
-    if period is not None and found[0] and period_ns(period) != found[0]:
+    if period is not None and sample[0] and period_ns(period) != sample[0]:
         raise FieldError(
             "period",
             period,
             "not the arm's",
-            allowed=f"{1e-9 * found[0]:g} s",
+            allowed=f"{1e-9 * sample[0]:g} s",
             remedy="leave it out: this arm states its own",
         )
-    return found  # type: ignore[no-any-return]
+    return sample  # type: ignore[no-any-return]
 
 
 class _Noted:

@@ -160,9 +160,9 @@ def run_realtime(
     # loop.
     record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)
     marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, dtype=np.uint32)
-    with contextlib.ExitStack() as kept:
+    with contextlib.ExitStack() as stack:
         with controller_end(connection) as way:
-            obeyed = kept.enter_context(signals_held())
+            obeyed = stack.enter_context(signals_held())
             outcome = _kernels.realtime_run(
                 way,
                 law.block,

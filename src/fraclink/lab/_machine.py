@@ -112,12 +112,12 @@ class WakeUps:
     def __str__(self) -> str:
         spread = Spread.of(self.latency)
         times = f"wake-ups {_time(spread.mean)} late on average, {_time(spread.most)} at most"
-        said = (
+        verdict = (
             "can be kept"
             if self.kept
             else f"cannot be kept, {100 * self.late:.2g} % came later than that"
         )
-        return f"{times} ({self.scheduling}, memory {self.memory}): {1e3 * self.period:g} ms {said}"
+        return f"{times} ({self.scheduling}, memory {self.memory}): {1e3 * self.period:g} ms {verdict}"
 
     def check(self) -> None:
         """Raise FieldError where the machine does not keep the period."""

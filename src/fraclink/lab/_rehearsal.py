@@ -43,9 +43,9 @@ def rehearse(
         told=payload > 0,
         duration=reference.duration + 1.0,
     )
-    tripped = np.flatnonzero(run.mode > MODES.index("run"))
-    if tripped.size:
-        row = tripped[0]
+    trips = np.flatnonzero(run.mode > MODES.index("run"))
+    if trips.size:
+        row = trips[0]
         raise FieldError(
             "reference",
             f"{REASONS[int(run.reason[row])]} at {run.time[row]:.3g} s",

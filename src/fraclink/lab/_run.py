@@ -315,11 +315,11 @@ class RealtimeRun:
         # is unknown.
         came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
         count = int(self.tick[-1]) if len(self.tick) else 0
-        lost = count - int(np.count_nonzero(came))
-        if count == 0 or lost > LOST_SHARE * count:
+        missing = count - int(np.count_nonzero(came))
+        if count == 0 or missing > LOST_SHARE * count:
             raise LogError(
                 "run",
-                f"{lost} of {count} samples",
+                f"{missing} of {count} samples",
                 "lost",
                 allowed=f"{100 * LOST_SHARE:g} %",
                 remedy="run it again on a machine that keeps the period",
@@ -342,7 +342,7 @@ class RealtimeRun:
             voltage=voltage if voltage.any() else None,
             notes=(
                 ("law_sha256", self.law_sha256),
-                ("interpolated_samples", str(lost)),
+                ("interpolated_samples", str(missing)),
             ),
         )
 

@@ -164,8 +164,10 @@ class _Session:
     _began: float = field(default_factory=time.process_time)
 
     def open(self) -> Guard:
-        opened = partial(open_line, self.connection, self.plan.period, clock=self.clock)
-        guard = Guard(opened, self.plan.limits)
+        connect = partial(
+            open_line, self.connection, self.plan.period, clock=self.clock
+        )
+        guard = Guard(connect, self.plan.limits)
         plan = self.plan
         if self.clock is None:
             # After the first sample, which states the period of the arm, and before
@@ -209,9 +211,9 @@ class _Session:
         self._tell((str(motor),))
         self._write(guard, motor=motor)
         guard.learn(motor.fit.gain, motor.fit.delay)
-        link, built, laws = self._link(guard, wiring)
-        if built.passed and self.moves:
-            self._move(guard, link, itertools.chain((built,), laws))
+        link, first, laws = self._link(guard, wiring)
+        if first.passed and self.moves:
+            self._move(guard, link, itertools.chain((first,), laws))
 
     def _carry(self, guard: Guard) -> None:
         """Try the existing law with the present payload of the arm."""
@@ -235,11 +237,11 @@ class _Session:
         """First moves under the law; a law that fails on the arm is withdrawn, and the
         next one is tried.
         """
-        for number, built in enumerate(itertools.islice(laws, LAWS)):
+        for number, candidate in enumerate(itertools.islice(laws, LAWS)):
             if number:
                 self.begin("the arm refused that law, which is withheld; the next one")
-                self._wrote(guard, built, link)
-            why = self._refusal(guard, built)
+                self._wrote(guard, candidate, link)
+            why = self._refusal(guard, candidate)
             if not why:
                 return
             self._withhold(guard, why)
@@ -257,7 +259,7 @@ class _Session:
         assert self.state.motor is not None  # measured  # noqa: S101
         self.begin("first moves")
         try:
-            found = first_moves(
+            moves = first_moves(
                 guard,
                 built.design,
                 built.law,
@@ -272,13 +274,13 @@ class _Session:
             return str(error)
         finally:
             guard.release()
-        self._tell(tuple(map(str, found)))
+        self._tell(tuple(map(str, moves)))
         # Moves with other payloads are kept, so that the verdict covers the whole range
         # that was tried.
         others = tuple(
             move for move in self.state.moves if move.payload != self.plan.payload
         )
-        self._write(guard, moves=others + found)
+        self._write(guard, moves=others + moves)
         return "; ".join(self.state.verdict.arm.reasons)
 
     def _withhold(self, guard: Guard, why: str) -> None:
@@ -321,9 +323,9 @@ class _Session:
             name=self.out.name[:100] or "arm",
         )
         laws = built_laws(rig, link, plan.limits)
-        built = next(laws)
-        self._wrote(guard, built, link)
-        return link, built, laws
+        first = next(laws)
+        self._wrote(guard, first, link)
+        return link, first, laws
 
     def _causes(self, guard: Guard) -> tuple[str, ...]:
         """Causes found in the record that prevent a law."""
@@ -347,11 +349,11 @@ class _Session:
 
     def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
         """Save the results based on the model, each part to its own file."""
-        shown = self._causes(guard)
+        hints = self._causes(guard)
         if built.passed:
-            built = replace(built, assumptions=built.assumptions + shown)
+            built = replace(built, assumptions=built.assumptions + hints)
         else:
-            built = replace(built, reasons=built.reasons + shown)
+            built = replace(built, reasons=built.reasons + hints)
         place = self.out
         built.rig.save(place / "rig.toml")
         link.fit.save(place / "model.json")
@@ -396,9 +398,9 @@ class _Session:
 
     def end(self, guard: Guard, reason: str) -> None:
         """Save the reason of the end, and the findings in the record."""
-        shown = () if self.state.wiring is None else self._causes(guard)
-        self.state = replace(self.state, stopped="; ".join((reason, *shown)))
-        self._tell((reason, *shown))
+        hints = () if self.state.wiring is None else self._causes(guard)
+        self.state = replace(self.state, stopped="; ".join((reason, *hints)))
+        self._tell((reason, *hints))
 
     def keep(self, guard: Guard) -> None:
         """Save the state and the whole record."""

@@ -193,17 +193,17 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
         return
     # A gauge that leads by less than its standard error has no delay.
     model = replace(fit.model, gauge_delay=max(fit.model.gauge_delay, 0.0))
-    refused: Built | None = None
+    fallback: Built | None = None
     any_passed, reasons = False, list[str]()
-    for made, words in _designs(rig, model, reasons):
-        built = _proved(rig, made.doubted(fit.findings), words, limits)
-        any_passed |= built.passed
-        if built.passed:
-            yield built
+    for candidate, words in _designs(rig, model, reasons):
+        result = _proved(rig, candidate.doubted(fit.findings), words, limits)
+        any_passed |= result.passed
+        if result.passed:
+            yield result
         else:
-            refused = refused or built
+            fallback = fallback or result
     if not any_passed:
-        yield refused or Built(rig, None, None, None, tuple(reasons))
+        yield fallback or Built(rig, None, None, None, tuple(reasons))
 
 
 def _designs(
@@ -222,13 +222,13 @@ def _designs(
             mode_gain=_about(mode.gain, _MODE_SIZE),
         )
     options: dict[str, Any] = {"box": box, "nearest": False, "law": True}
-    asked: tuple[str, ...] = ()
+    preamble: tuple[str, ...] = ()
     if rig.design is not None:
         try:
             yield design_for(rig, model, **options)
-            asked = ("what the rig asks for has no law that passes; instead:",)
+            preamble = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
-            asked = (f"what the rig asks for is not feasible ({error}); instead:",)
+            preamble = (f"what the rig asks for is not feasible ({error}); instead:",)
     # A gain-stabilised second mode, or else a phase-stabilised one.
     for bound in (None,) if mode is None else (_QUIET, None):
         try:
@@ -236,11 +236,11 @@ def _designs(
         except InfeasibleError as error:
             reason = f"requirements over the box: {error}"
             continue
-        yield fastest, (*asked, *_words(fastest))
+        yield fastest, (*preamble, *_words(fastest))
         options |= {"gain_crossover": fastest.gain_crossover, "goal": "margin"}
         with contextlib.suppress(InfeasibleError):
-            made = design(model, rig, mode_gain=bound, **options)
-            yield made, (*asked, *_words(made))
+            candidate = design(model, rig, mode_gain=bound, **options)
+            yield candidate, (*preamble, *_words(candidate))
         return
     reasons.append(reason)
 

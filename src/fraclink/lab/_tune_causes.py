@@ -74,23 +74,23 @@ def _slow_loop(
     """The speed that the motor loop would gain with a finer encoder, or without the
     delay.
     """
-    found = []
+    sentences = []
     pole = motor.loop.pole
     finer = unlimited_pole(motor, period, motor.fit.delay)
     if finer is not None and finer > pole:
-        found.append(
+        sentences.append(
             f"the encoder is coarse: one count is {math.degrees(wiring.encoder_step):.2g}°, and the motor loop "
             f"is held at {pole:g} rad/s instead of {finer:g}, where a count would take a quarter of {voltage:g} V; "
             "a finer encoder helps"
         )
     prompt = unlimited_pole(motor, period, period)
     if prompt is not None and finer is not None and prompt > finer:
-        found.append(
+        sentences.append(
             f"the voltage acts {1e3 * motor.fit.delay:.2g} ms late, {motor.loop.delay_samples} periods: the "
             f"motor loop is held at {finer:g} rad/s instead of {prompt:g}; a faster amplifier, or less way "
             "from the sample to the voltage, helps"
         )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def _sticking(motor: MotorResult, period: float) -> tuple[str, ...]:

@@ -76,8 +76,8 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
 
 def edges_of(record: Record) -> NDArray[np.intp]:
     """The periods in which a voltage begins after a rest."""
-    driven = record.voltage != 0
-    return np.flatnonzero(driven[1:] & ~driven[:-1]) + 1
+    active = record.voltage != 0
+    return np.flatnonzero(active[1:] & ~active[:-1]) + 1
 
 
 def _shape(half: int, period: float) -> Real:

@@ -178,20 +178,20 @@ class Guard:
         self._sent.append(sent)
         self._driven = self._driven or sent != 0.0
         last = self.reading
-        found = self._line.exchange(sent)  # type: ignore[union-attr]  # connected above
-        self.lost += found.periods - 1
-        self._sent.extend([sent] * (found.periods - 1))  # the arm held the voltage
+        reading = self._line.exchange(sent)  # type: ignore[union-attr]  # connected above
+        self.lost += reading.periods - 1
+        self._sent.extend([sent] * (reading.periods - 1))  # the arm held the voltage
         # lost samples are replaced by linear interpolation to the next one
-        for k in range(found.periods):
-            part = k / found.periods
-            angle = last.angle + part * (found.angle - last.angle)
+        for k in range(reading.periods):
+            part = k / reading.periods
+            angle = last.angle + part * (reading.angle - last.angle)
             self._rows.append(
-                (sent, angle, last.torque + part * (found.torque - last.torque))
+                (sent, angle, last.torque + part * (reading.torque - last.torque))
             )
-        self._angles.append(found.angle)
-        self._apart = found.periods
-        self.reading = found
-        return found
+        self._angles.append(reading.angle)
+        self._apart = reading.periods
+        self.reading = reading
+        return reading
 
     def learn(self, gain: float, delay: float) -> None:
         """Use K/J [rad/(s²·V)] and the delay [s] for prediction: no voltage is sent

@@ -119,11 +119,11 @@ def tune_link(
             break
         # Errors fall in proportion to the amplitude, so the shortfall is the missing
         # factor; another fifth allows for their scatter.
-        grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
+        factor = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
         # If the amplitude cannot grow enough, the length must: errors fall with its
         # square root.
-        duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
-        reach *= grown
+        duration = min(duration * max(1.0, (1.2 * short / factor) ** 2), _LONGEST)
+        reach *= factor
     return LinkResult(fit, motor_again(motor, guard, wiring, fit), tuple(rounds))
 
 
@@ -198,19 +198,19 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
     prediction is tested at the end.
     """
     mode: SecondMode | None = None
-    rings, held = np.zeros(whole.output.size), dict[str, float]()
+    rings, fixed = np.zeros(whole.output.size), dict[str, float]()
     for _ in range(_CLEANED):
         # The delay is held from the second time on: on the burst it cannot be separated
         # from the phase of the mode, so it is determined without the mode only.
-        seen = replace(whole, output=whole.output - rings)
-        shown = identify(seen, "UD-FOM", heldout=0.0, fixed=held).model
-        before, mode = mode, shown.second_mode or mode
+        cleaned = replace(whole, output=whole.output - rings)
+        model = identify(cleaned, "UD-FOM", heldout=0.0, fixed=fixed).model
+        before, mode = mode, model.second_mode or mode
         rest = whole.output
         if mode is not None:
-            rest = rest - _torque_of(mode, shown, whole)
+            rest = rest - _torque_of(mode, model, whole)
         alone = replace(whole, output=rest - rings)
         fit = identify(alone, "UD-FOM", heldout=0.0, details=False)
-        rings, held = _ringing(fit, rest), {"delay": fit.delay}
+        rings, fixed = _ringing(fit, rest), {"delay": fit.delay}
         if (
             before is not None
             and mode is not None
@@ -223,11 +223,11 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
     fit = identify(replace(whole, output=clean), "UD-FOM", heldout=0.0)
     # On the moves alone, with a part held out: a fit to everything does not show
     # whether it predicts.
-    tested = identify(replace(moves, output=clean[: moves.output.size]), "UD-FOM")
-    found = fit if tested.passed else tested
+    trial = identify(replace(moves, output=clean[: moves.output.size]), "UD-FOM")
+    result = fit if trial.passed else trial
     return replace(
-        found,
-        model=replace(found.model, second_mode=mode, unseen_up_to=shown.unseen_up_to),
+        result,
+        model=replace(result.model, second_mode=mode, unseen_up_to=model.unseen_up_to),
     )
 
 
@@ -277,12 +277,12 @@ def shortfall(fit: Fit) -> float:
         "natural_frequency": model.natural_frequency,
         "gain": abs(fit.gain),
     }
-    found = [
+    ratios = [
         errors[name] / scale[name] / most
         for name, most in ENOUGH.items()
         if name in errors
     ]
-    return max(found, default=math.inf)
+    return max(ratios, default=math.inf)
 
 
 def experiment_of(record: Record, payload: float | None) -> Experiment:

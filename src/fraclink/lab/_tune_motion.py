@@ -382,8 +382,8 @@ def burst(voltage: float, bit: float, seconds: float, period: float) -> Real:
     """Voltages of ± `voltage` [V] with random signs, changing every `bit` [s], followed
     by a rest in the motor loop.
     """
-    held = max(round(bit / period), 1)
+    count = max(round(bit / period), 1)
     levels = _random_levels(
-        voltage, held * period, max(round(seconds / (held * period)), 2)
+        voltage, count * period, max(round(seconds / (count * period)), 2)
     )
-    return np.concatenate([np.repeat(levels, held), np.zeros(round(0.2 / period))])
+    return np.concatenate([np.repeat(levels, count), np.zeros(round(0.2 / period))])

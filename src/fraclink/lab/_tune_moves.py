@@ -125,9 +125,9 @@ class FirstMove:
         return 2.0 * (self.measured_unrest - self.promised_unrest) > 0.5 * self.band
 
     def __str__(self) -> str:
-        carried = f" with {1e3 * self.payload:.3g} g" if self.payload else ""
+        mass = f" with {1e3 * self.payload:.3g} g" if self.payload else ""
         return (
-            f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s{carried}: promised "
+            f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s{mass}: promised "
             f"{self.promised_settling:.2f} s, measured {self.measured_settling:.2f} s"
             + ("" if self.kept else _HUNTS if self.hunts else ": not kept")
         )
@@ -150,7 +150,7 @@ def first_moves(
     band = _band(amplitude, design)
     # The slow move first: it shows a wrong law at a tenth of the speed.
     slow, full = (_PART * amplitude, _SLOW * _PART * duration), move
-    promised = {
+    promises = {
         each: [
             _judged(
                 *_simulated(design, law, smooth_step(*each), payload, seed=seed),
@@ -164,13 +164,13 @@ def first_moves(
     }
     # All moves in one run under the law, which damps the vibration left for the next
     # one.
-    made, jump = _moved(guard, design, law, motor, (slow, full, full), payload, band)
-    while not _decided([judged for *_, judged in made[1:]], promised[full]):
+    motions, jump = _moved(guard, design, law, motor, (slow, full, full), payload, band)
+    while not _decided([judged for *_, judged in motions[1:]], promises[full]):
         again, more = _moved(guard, design, law, motor, (full,), payload, band)
-        made, jump = made + again, max(jump, more)
+        motions, jump = motions + again, max(jump, more)
     return tuple(
-        _compared(rows, promised[each], each[1], jump, band, payload)
-        for each, rows in ((slow, made[:1]), (full, made[1:]))
+        _compared(rows, promises[each], each[1], jump, band, payload)
+        for each, rows in ((slow, motions[:1]), (full, motions[1:]))
     )
 
 
@@ -178,9 +178,9 @@ def _decided(judged: list[Judged], promised: list[Judged]) -> bool:
     """Whether two moves agree about the promise: both keep it, or both are too slow, or
     both too fast. Of three moves, at least two agree.
     """
-    wanted = _median(promised, 0)
+    median = _median(promised, 0)
     words = {
-        "kept" if agree(time, wanted) else "slow" if time > wanted else "fast"
+        "kept" if agree(time, median) else "slow" if time > median else "fast"
         for time, *_ in judged
     }
     return len(judged) > _TWICE or len(words) == 1
@@ -276,16 +276,16 @@ def _compared(
     """The median over some moves, and the median of the same move on the model with
     different noise.
     """
-    judged = [each for *_, each in made]
+    verdicts = [each for *_, each in made]
     return FirstMove(
         amplitude=made[-1][0],
         duration=duration,
         promised_settling=_median(promised, 0),
-        measured_settling=_median(judged, 0),
+        measured_settling=_median(verdicts, 0),
         promised_residual=_median(promised, 1),
-        measured_residual=_median(judged, 1),
+        measured_residual=_median(verdicts, 1),
         promised_unrest=_median(promised, 2),
-        measured_unrest=max(unrest for _, _, unrest in judged),
+        measured_unrest=max(unrest for _, _, unrest in verdicts),
         band=band,
         jump=jump,
         peak_voltage=max(float(np.max(np.abs(each.voltage))) for _, each, _ in made),

@@ -150,12 +150,12 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
             float(np.std(np.diff(x, 2))) / math.sqrt(6.0)
             for x in (still.angle, still.torque)
         )
-        turned = float(np.ptp(_smoothed(still.angle)))
-        if turned <= _STILL + _DEVIATIONS * shake / math.sqrt(_SMOOTH):
+        angle = float(np.ptp(_smoothed(still.angle)))
+        if angle <= _STILL + _DEVIATIONS * shake / math.sqrt(_SMOOTH):
             break
     else:
         raise WiringFault(
-            f"the motor turns by {math.degrees(turned):.2g}° at 0 V: the drive is not off, or the arm is "
+            f"the motor turns by {math.degrees(angle):.2g}° at 0 V: the drive is not off, or the arm is "
             "being moved"
         )
     # The zero of the gauge is its mean at rest, not its first sample.
@@ -172,21 +172,21 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     while True:
         record, earlier = _train(guard, pulse)
         guard.release()
-        found = _concluded(record, earlier, shake, noise, pulse, stated)
-        if isinstance(found, Wiring):
-            return found
-        moved = float(np.ptp(record.angle))
-        if not isinstance(found, _Unsure) or moved > _MOST / _LARGER:
-            raise found
+        conclusion = _concluded(record, earlier, shake, noise, pulse, stated)
+        if isinstance(conclusion, Wiring):
+            return conclusion
+        travel = float(np.ptp(record.angle))
+        if not isinstance(conclusion, _Unsure) or travel > _MOST / _LARGER:
+            raise conclusion
         # Continue from there: a motion too small for the noise is enlarged, up to 2.3°.
-        pulse = _grown(guard, (_LARGER * max(moved, answers[0]), answers[1]), pulse)
+        pulse = _grown(guard, (_LARGER * max(travel, answers[0]), answers[1]), pulse)
 
 
 def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> float:
     """The voltage of a doublet that moves encoder [rad] or gauge [N·m] by the given
     amount.
     """
-    most, (wanted, felt) = guard.limits.voltage, answers
+    most, (goal, least) = guard.limits.voltage, answers
     pulse = max(pulse, _FIRST * most / _GROWTH)
     # Signs alternate, so that each doublet cancels the remaining motion of the last
     # one.
@@ -197,16 +197,16 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         _doublet(guard, sign * pulse)
         sign = -sign
         record = guard.record(before)
-        moved = float(np.max(np.abs(_smoothed(record.angle) - angle)))
+        travel = float(np.max(np.abs(_smoothed(record.angle) - angle)))
         # The resolution of the encoder is determined each time, since it is unknown
         # before something moves; but never beyond the plan, so that a coarse encoder is
         # reported as such.
         counts = min(_COUNTS * _step(record.angle), _COUNTS * COUNT)
-        if moved >= max(wanted, counts):
+        if travel >= max(goal, counts):
             return pulse
         # Twice, since a single swing of the gauge may be chance.
         answer = float(np.max(np.abs(_smoothed(record.torque) - torque)))
-        alone = alone + 1 if answer > felt and moved < _MISSING * wanted else 0
+        alone = alone + 1 if answer > least and travel < _MISSING * goal else 0
         if alone == 2:
             return pulse
     raise WiringFault(
@@ -264,10 +264,10 @@ def _concluded(
     stated: Rig | None,
 ) -> Wiring | WiringFault:
     step = _step(record.angle)
-    moved = float(np.ptp(record.angle))
-    degrees = f"{math.degrees(moved):.2g}°"
+    travel = float(np.ptp(record.angle))
+    degrees = f"{math.degrees(travel):.2g}°"
     # An encoder at rest between two marks may show two counts.
-    if moved < 3 * step or moved == 0.0:
+    if travel < 3 * step or travel == 0.0:
         return WiringFault(
             f"encoder dead: it stands still while the gauge answers the drive ({pulse:.3g} V) with "
             f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
@@ -278,14 +278,14 @@ def _concluded(
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     link = _link(record, earlier)
-    kept = _kept(record, record.angle), _kept(record, record.torque)
-    if kept[1] > max(_KEPT, 2.0 * kept[0]) or (
-        kept[1] > max(_KEPT, kept[0]) and _swapped(record, earlier, link)
+    shares = _kept(record, record.angle), _kept(record, record.torque)
+    if shares[1] > max(_KEPT, 2.0 * shares[0]) or (
+        shares[1] > max(_KEPT, shares[0]) and _swapped(record, earlier, link)
     ):
         return WiringFault(
             "channels swapped: what is read as the torque stays where the motor was moved to "
-            f"({100 * kept[1]:.0f} % of its motion), what is read as the angle does not "
-            f"({100 * max(kept[0], 0.0):.0f} %)"
+            f"({100 * shares[1]:.0f} % of its motion), what is read as the angle does not "
+            f"({100 * max(shares[0], 0.0):.0f} %)"
         )
     if link is None or (link[4] > _EXPLAINED and abs(link[0]) < _CLEAR * link[1]):
         share = "nothing" if link is None else f"{100 * (1 - link[4]):.0f} %"
@@ -350,18 +350,18 @@ def _scales(
     # The stiffness is torque over angle, so a wrong encoder scale divides it; the
     # product is the ratio of the gauge's scale to the true one.
     bend = stiffness / stated.link.stiffness * encoder
-    said = (
+    messages = (
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
         f"gauge scale: torque over angle is {stiffness / stated.link.stiffness:.2g} of the rig's stiffness",
     )
     if not 1 / _SCALE < encoder < _FAR:
-        return said, _encoder_scale(gain, stated)
+        return messages, _encoder_scale(gain, stated)
     if not 1 / _SCALE < bend < _SCALE:
-        return said, (
+        return messages, (
             f"gauge scale wrong: it shows {bend:.2g} times the torque of a link of "
             f"{stated.link.stiffness:.3g} N·m/rad; check its calibration and the unit of the torque"
         )
-    return said, ""
+    return messages, ""
 
 
 def _encoder_scale(gain: float, stated: Rig) -> str:
@@ -381,9 +381,9 @@ def _kept(record: Record, channel: Real) -> float:
         # its steps in the middle of the doublets.
         place[begin + _half(record.period) :] += np.sign(record.voltage[begin])
     matrix = np.column_stack([place, np.ones(channel.size)])
-    left = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
+    rest = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
     whole = float(np.sum((channel - np.mean(channel)) ** 2))
-    return 1.0 - float(left @ left) / whole if whole > 0 else 0.0
+    return 1.0 - float(rest @ rest) / whole if whole > 0 else 0.0
 
 
 def _step(angle: Real) -> float:
@@ -438,9 +438,9 @@ def _swapped(
     other = _link(record, earlier, swapped=True)
     # The exchanged fit must be clearly better, since a torque fitted to an angle also
     # explains a little with the signals exchanged.
-    left = 1.0 if link is None else link[4]
+    reference = 1.0 if link is None else link[4]
     return (
         other is not None
         and other[0] > _SURE * other[1]
-        and other[4] < _REVERSED * left
+        and other[4] < _REVERSED * reference
     )

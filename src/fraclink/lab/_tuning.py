@@ -288,18 +288,18 @@ class Tuning:
         if self.motor is not None:
             # The motor measured together with its link is the later and better one; the
             # errors are those of its own experiments, which are larger.
-            known = self.motor.fit.standard_errors
+            motor_errors = self.motor.fit.standard_errors
             fit = (self.link.motor if self.link else self.motor).fit
             friction = fit.coulomb_voltage + fit.dead_zone
             rows += [
-                Row("motor.gain", "K/J", fit.gain, "rad/(V·s²)", known["gain"]),
-                Row("motor.decay", "ν/J", fit.decay, "1/s", known["decay"]),
+                Row("motor.gain", "K/J", fit.gain, "rad/(V·s²)", motor_errors["gain"]),
+                Row("motor.decay", "ν/J", fit.decay, "1/s", motor_errors["decay"]),
                 Row(
                     "motor.friction",
                     "friction",
                     friction,
                     "V",
-                    known["coulomb_voltage"],
+                    motor_errors["coulomb_voltage"],
                 ),
                 Row("motor.delay", "delay of the voltage", fit.delay, "ms", digits=3),
                 Row("motor.pole", "motor loop", self.motor.loop.pole, "rad/s"),

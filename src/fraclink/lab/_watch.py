@@ -101,8 +101,8 @@ class Watch:
     @property
     def due(self) -> tuple[str, ...]:
         """What a retune is due for; empty where the arm is as it was."""
-        named = tuple(change.name for change in self.changes if change.changed)
-        return named or (
+        names = tuple(change.name for change in self.changes if change.changed)
+        return names or (
             ("unexplained motion",)
             if self.residual > _UNEXPLAINED * self.expected
             else ()
@@ -116,7 +116,7 @@ class Watch:
     def overview(self) -> Overview:
         """What has changed, and everything that was compared."""
         due = ", ".join(name.replace("_", " ") for name in self.due)
-        kept = f"as it was tuned, by {self.motion:.0f} s of motion"
+        unchanged = f"as it was tuned, by {self.motion:.0f} s of motion"
         rows = (
             Row("due", "", self.due),
             Row("residual", "", self.residual),
@@ -128,7 +128,7 @@ class Watch:
             f"the gauge's noise was {number(self.expected, 2)} N·m"
         )
         return Overview(
-            f"a retune is due: {due}" if due else kept,
+            f"a retune is due: {due}" if due else unchanged,
             state_of(self.passed),
             rows,
             (Table.of("changes", (change.rows for change in self.changes)),),
@@ -191,19 +191,23 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             allowed=f">= {_LEAST_MOTION:g} s",
             remedy="give a longer record, of moves",
         )
-    known = tuning.link.fit
+    baseline = tuning.link.fit
     halves = [_part(log, rows) for rows in log.split(0.5)]
     within: tuple[Change, ...] = ()
     if min(map(_moving_time, halves)) >= _LEAST_MOTION:
-        former, latter = (_fitted(half, known) for half in halves)
+        former, latter = (_fitted(half, baseline) for half in halves)
         within = tuple(
             replace(change, name=f"{change.name} within the record")
             for change in _link_changes(former, latter)
             if change.changed
         )
     now = halves[1] if within else log
-    fit = latter if within else _fitted(log, known)
-    changes = (*within, *_link_changes(known, fit), *_motor_changes(now, fit, tuning))
+    fit = latter if within else _fitted(log, baseline)
+    changes = (
+        *within,
+        *_link_changes(baseline, fit),
+        *_motor_changes(now, fit, tuning),
+    )
     return Watch(changes, math.sqrt(fit.mse), tuning.wiring.gauge_noise, moving)
 
 
@@ -229,9 +233,9 @@ def _fitted(log: Experiment, known: Fit) -> Fit:
     with both free, each compensates the phase of the other, and neither would be
     identified as changed.
     """
-    held: list[dict[str, float]] = [{}]
+    choices: list[dict[str, float]] = [{}]
     if known.model.order < 2.0:
-        held = [{"order": known.model.order}, {"delay": known.delay}]
+        choices = [{"order": known.model.order}, {"delay": known.delay}]
     return min(
         (
             identify(
@@ -242,7 +246,7 @@ def _fitted(log: Experiment, known: Fit) -> Fit:
                 heldout=0.0,
                 details=False,
             )
-            for fixed in held
+            for fixed in choices
         ),
         key=lambda fit: fit.mse,
     )
@@ -299,7 +303,7 @@ def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, .
     whole = simulated_torque(fit.model, log.whole_angle, log.period, hold="first")
     torque = whole[-log.motor_angle.size :]
     try:
-        found = identify_motor(
+        motor_fit = identify_motor(
             log.voltage,
             log.motor_angle,
             period=log.period,
@@ -311,15 +315,17 @@ def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, .
     except LogError:
         return ()
     motor = tuning.motor
-    errors = found.standard_errors["gain"], motor.fit.standard_errors["gain"]
-    gain = _change("motor_gain", motor.fit.gain, found.gain, math.hypot(*errors))
+    errors = motor_fit.standard_errors["gain"], motor.fit.standard_errors["gain"]
+    gain = _change("motor_gain", motor.fit.gain, motor_fit.gain, math.hypot(*errors))
     # Converted to the voltage of the earlier motor: a weaker motor needs more voltage
     # for the same friction.
-    friction = found.coulomb_voltage * found.gain / motor.fit.gain
+    friction = motor_fit.coulomb_voltage * motor_fit.gain / motor.fit.gain
     # Its own error and a twentieth of the earlier value: friction depends on the
     # position of the gear.
-    spread = math.hypot(found.standard_errors["coulomb_voltage"], 0.05 * motor.friction)
-    grown = _change("friction", motor.friction, friction, spread)
+    spread = math.hypot(
+        motor_fit.standard_errors["coulomb_voltage"], 0.05 * motor.friction
+    )
+    change = _change("friction", motor.friction, friction, spread)
     # Moves that reverse often also appear to have less friction than before: only an
     # increase counts as a change.
-    return gain, replace(grown, changed=grown.changed and grown.now > grown.was)
+    return gain, replace(change, changed=change.changed and change.now > change.was)

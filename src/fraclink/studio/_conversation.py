@@ -174,9 +174,9 @@ class Conversation:
             else:
                 self._orderly.put_nowait(message)
         else:
-            known = ", ".join([*self._awake, "cancel", *_VERBS, *JOBS])
+            verbs = ", ".join([*self._awake, "cancel", *_VERBS, *JOBS])
             unknown = FieldError(
-                "verb", message.verb, "unknown", allowed=known, remedy="reload the page"
+                "verb", message.verb, "unknown", allowed=verbs, remedy="reload the page"
             )
             await self._answered(message, refusal(unknown))
 

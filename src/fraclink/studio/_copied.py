@@ -21,13 +21,13 @@ __all__ = ["as_command", "copies"]
 def copies(session: Session) -> dict[str, str]:
     """Return the command of every step, by the step's name."""
     rig, fit = _rig_name(session), session.study.fit
-    made, known = session.study.design, session.study.rig
+    result, arm = session.study.design, session.study.rig
     design, model = session.folder / "design.json", session.folder / "model.json"
     # With the heaviest, which moves slowest; 40 g is that of the bundled rig.
-    payload = made.payloads[1] if made else known.payloads.high if known else 0.04
-    fitted = ["--structure", fit.structure] if fit else []
+    payload = result.payloads[1] if result else arm.payloads.high if arm else 0.04
+    options = ["--structure", fit.structure] if fit else []
     if session.heldout is not None:
-        fitted += ["--heldout", f"{session.heldout:g}"]
+        options += ["--heldout", f"{session.heldout:g}"]
     rest = {
         "move": ("simulate", design, "--payload", f"{payload:g}"),
         "proof": ("certify", design),
@@ -36,7 +36,7 @@ def copies(session: Session) -> dict[str, str]:
     return {
         "log": _log_words(session, "inspect"),
         "channels": _log_words(session, "diagnose", rig),
-        "model": _log_words(session, "identify", rig, *fitted, "--out", str(model)),
+        "model": _log_words(session, "identify", rig, *options, "--out", str(model)),
         "design": as_command(session.state, rig, model if fit else None, design),
         **{
             step: shlex.join(["fraclink", *map(str, more)])
@@ -49,12 +49,12 @@ def _log_words(session: Session, verb: str, rig: str = "", *more: str) -> str:
     """The command `verb` on the log, with what was stated of its columns where a rig is
     named: `inspect` lists what is in a file whatever it is taken for.
     """
-    source, known = session.source, session.study.experiment
+    source, log = session.source, session.study.experiment
     # The command line calls the bundled log demo; its path lies in this machine's
     # installation.
     word = "demo" if source == bundled_log("prbs_30g") else str(source)
     if source is None:
-        word = "demo" if known is None else Path(known.source).name or "log.csv"
+        word = "demo" if log is None else Path(log.source).name or "log.csv"
     elif source.is_relative_to(session.draft):
         word = source.name  # sent by the page, which does not know where it lay
     words = ["fraclink", verb, word]

@@ -47,16 +47,16 @@ class History:
         """Return the history in `folder`; it ends at the first invalid line, such as an
         incomplete one.
         """
-        found = History(folder / _NAME, [])
-        if not found.path.is_file():
-            return found
-        with found.path.open("rb") as lines:
+        history = History(folder / _NAME, [])
+        if not history.path.is_file():
+            return history
+        with history.path.open("rb") as lines:
             for number, line in enumerate(lines):
                 entry = _entry(line)
                 if entry is None or number >= _MOST:
                     break
-                found._apply(entry)
-        return found
+                history._apply(entry)
+        return history
 
     @property
     def state(self) -> dict[str, Any] | None:
@@ -119,13 +119,13 @@ def _entry(line: bytes) -> dict[str, Any] | None:
     if len(line) > LONGEST:
         return None
     try:
-        found = json.loads(line)
+        entry = json.loads(line)
     except ValueError:
         return None
     if (
-        not isinstance(found, dict)
-        or type(found.get("at")) is not int
-        or found["at"] < 0
+        not isinstance(entry, dict)
+        or type(entry.get("at")) is not int
+        or entry["at"] < 0
     ):
         return None
-    return found if isinstance(found.get("state", {}), dict) else None
+    return entry if isinstance(entry.get("state", {}), dict) else None

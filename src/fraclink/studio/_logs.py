@@ -79,8 +79,8 @@ def _finite(values: Real) -> Real:
     if not good.any():
         return np.zeros_like(values)
     last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
-    filled = np.where(good, values, 0.0)[last]
-    return np.asarray(filled)
+    signal = np.where(good, values, 0.0)[last]
+    return np.asarray(signal)
 
 
 def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -130,11 +130,11 @@ def _listing(session: Session) -> Reply:
         "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, {samples} samples.",
         "channels": [
             {
-                "name": found.name,
-                "unit": found.unit,
-                "facts": _facts(found, places.get(found.name)),
+                "name": entry.name,
+                "unit": entry.unit,
+                "facts": _facts(entry, places.get(entry.name)),
             }
-            for found in channels
+            for entry in channels
         ],
         "notes": listing.notes,
         "sha256": sha256_of(session.source),
@@ -198,11 +198,11 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         if columns is None:
             # The rest, such as a unit, is not guessed: a wrong guess would give a wrong
             # controller.
-            asked = " ".join(question.text for question in guessed.questions)
+            questions = " ".join(question.text for question in guessed.questions)
             raise FieldError(
                 "columns",
                 ", ".join(texts)[:200],
-                asked,
+                questions,
                 allowed="an answer to each question",
                 remedy="drag the channel to its place",
             )
@@ -241,9 +241,9 @@ def _statements(columns: LogColumns) -> tuple[str, ...]:
     ('time=t [s]', 'motor_angle=-n * 0.25 [deg]', 'torque=g [Nm]')
     """
     return tuple(
-        f"{role}={'-' if found.sign < 0 else ''}{found.column}"
-        f"{'' if found.scale == 1.0 else f' * {found.scale!r}'} [{found.unit}]"
-        for role, found in columns.channels().items()
+        f"{role}={'-' if channel.sign < 0 else ''}{channel.column}"
+        f"{'' if channel.scale == 1.0 else f' * {channel.scale!r}'} [{channel.unit}]"
+        for role, channel in columns.channels().items()
     )
 
 
@@ -273,15 +273,15 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
         return {"experiment": None}, {}
     # The findings of the log and of its diagnosis overlap: each is shown once.
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
-    shown = session.whole or log
+    whole = session.whole or log
     head = {
-        "experiment": {"findings": findings, "duration": shown.duration,
+        "experiment": {"findings": findings, "duration": whole.duration,
                        "kind": log.output_kind, "payload": log.payload,
                        "keep": session.stretch if session.whole else None, "whole": session.whole is not None}
     }  # fmt: skip
     return head, {
-        "motor_angle": thinned(np.degrees(shown.motor_angle)),
-        "output": thinned(shown.output),
+        "motor_angle": thinned(np.degrees(whole.motor_angle)),
+        "output": thinned(whole.output),
     }
 
 
@@ -318,13 +318,13 @@ def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
 
 def _models(session: Session, given: Mapping[str, Any]) -> Reply:
     """Show the fits; with `structure`, design from that one."""
-    wanted = given.get("structure")
-    if wanted is not None:
-        fit = session.study.fits.get(str(wanted))
+    name = given.get("structure")
+    if name is not None:
+        fit = session.study.fits.get(str(name))
         if fit is None:
             raise FieldError(
                 "structure",
-                str(wanted)[:40],
+                str(name)[:40],
                 "not fitted",
                 allowed=", ".join(session.study.fits) or "a fit",
                 remedy="fit the log first",
@@ -340,24 +340,28 @@ def fit_answer(session: Session) -> Reply:
     """
     study = session.study
     log, fits = study.experiment, study.fits
-    said = "Not fitted yet." if log is not None else "Read a log first (steps 1 and 2)."
-    said = f"The arm {study.fit.model.sentence}." if study.fit is not None else said
+    sentence = (
+        "Not fitted yet." if log is not None else "Read a log first (steps 1 and 2)."
+    )
+    sentence = (
+        f"The arm {study.fit.model.sentence}." if study.fit is not None else sentence
+    )
     head: dict[str, Any] = {
         "ok": True,
         **session.overview(),
         "fits": [],
         "conclusion": "",
-        "said": said,
+        "said": sentence,
     }
     head |= session.subject.axes() if session.subject else {}
     curves: dict[str, Real] = {}
     if not fits:
         return Reply(head, curves)
-    used = study.fit.structure if study.fit else ""
+    structure = study.fit.structure if study.fit else ""
     if study.comparison:
         head["table"] = grid_of(study.comparison.table)
     head["conclusion"] = study.comparison.verdict if study.comparison else ""
-    head["fits"] = [_card(name, fit, name == used) for name, fit in fits.items()]
+    head["fits"] = [_card(name, fit, name == structure) for name, fit in fits.items()]
     if log is not None and study.fit is not None:
         fit = study.fit
         head["heldout"] = 1.0 - fit.fitted_samples / log.output.size
@@ -419,18 +423,18 @@ def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
     """Responses of log and model with their coherence, the residual's spectrum against
     white noise, and the error over order and resonance.
     """
-    seen, around = welch_response(log, fit), error_map(log, fit)
+    welch, around = welch_response(log, fit), error_map(log, fit)
     # 80 dB below the largest: a line without signal would extend the axis to −∞.
-    low = 1e-4 * float(np.abs(seen.measured).max())
+    low = 1e-4 * float(np.abs(welch.measured).max())
 
     def decibels(response: NDArray[np.complex128]) -> Real:
         return np.asarray(20.0 * np.log10(np.maximum(np.abs(response), low)))
 
     return {
-        "response_w": seen.frequency,
-        "response_log": decibels(seen.measured),
-        "response_model": decibels(seen.predicted),
-        "coherence": seen.coherence,
+        "response_w": welch.frequency,
+        "response_log": decibels(welch.measured),
+        "response_model": decibels(welch.predicted),
+        "coherence": welch.coherence,
         "error_order": around.order,
         "error_resonance": around.resonance,
         "error": around.ratio,

@@ -91,18 +91,18 @@ def parsed(text: object) -> Message:
             "bytes" if not isinstance(text, str) else f"{len(text)} characters"
         )
     try:
-        found = json.loads(text, parse_constant=_no_constant)
+        fields = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise _refused(text[:_NAME]) from error
-    if not isinstance(found, dict):
-        raise _refused(type(found).__name__)
-    seq, verb = found.pop("seq", None), found.pop("verb", None)
+    if not isinstance(fields, dict):
+        raise _refused(type(fields).__name__)
+    seq, verb = fields.pop("seq", None), fields.pop("verb", None)
     # 2^53: the largest safe integer of JavaScript. `type`, because bool is a subclass
     # of int.
-    counted = type(seq) is int and 0 <= seq < 2**53
-    if not counted or not isinstance(verb, str) or len(verb) > _NAME:
+    valid = type(seq) is int and 0 <= seq < 2**53
+    if not valid or not isinstance(verb, str) or len(verb) > _NAME:
         raise _refused(f"seq {str(seq)[:_NAME]}, verb {str(verb)[:_NAME]}")
-    return Message(seq, verb, found)
+    return Message(seq, verb, fields)
 
 
 def _refused(value: object) -> FieldError:
@@ -182,7 +182,7 @@ def checked_request(given: object) -> dict[str, Any]:
                 allowed=", ".join(NAMES),
                 remedy="leave it out",
             )
-    found = {}
+    values = {}
     for name, hint in _HINTS.items():
         # JSON has no tuples, and a range is one; None leaves the choice to the rule or
         # the rig.
@@ -190,8 +190,8 @@ def checked_request(given: object) -> dict[str, Any]:
         if isinstance(value, list):
             value = tuple(value)
         absent = False if hint is bool else None
-        found[name] = absent if value is None else rule(hint).check(name, value)
-    return found
+        values[name] = absent if value is None else rule(hint).check(name, value)
+    return values
 
 
 def wanted_of(request: Mapping[str, Any]) -> dict[str, Any]:

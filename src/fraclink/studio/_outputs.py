@@ -87,12 +87,12 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     target, precision = str(given.get("target")), given.get("precision", "single")
     if target not in _TARGETS or precision not in _PRECISIONS:
         allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
-        shown = f"{target[:40]}, {str(precision)[:40]}"
+        text = f"{target[:40]}, {str(precision)[:40]}"
         raise FieldError(
-            "target", shown, "unknown", allowed=allowed, remedy="choose one of these"
+            "target", text, "unknown", allowed=allowed, remedy="choose one of these"
         )
-    made, law = session.study.design, session.study.law
-    if made is None or law is None:
+    design, law = session.study.design, session.study.law
+    if design is None or law is None:
         raise FieldError(
             "design",
             None,
@@ -102,7 +102,7 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
         )
     session.folder.mkdir(parents=True, exist_ok=True)
     paths, command = _TARGETS[target](
-        session, made, law, precision, given.get("force") is True
+        session, design, law, precision, given.get("force") is True
     )
     names = {
         path.relative_to(session.folder).as_posix(): path.stat().st_size
@@ -110,7 +110,7 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     }
     # Files of an earlier design stay in the folder, but do not belong to this export.
     session.written = session.written | names if session.current else names
-    session.exported = made
+    session.exported = design
     head = {"ok": True, "target": target, "written": names, "export_command": command}
     return Reply(head | session.overview())
 
@@ -119,12 +119,12 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
     """The needs of the law on a board: memory, instructions, the hash of the self-test;
     and the first power-on.
     """
-    precision, made, law = (
+    precision, design, law = (
         given.get("precision", "single"),
         session.study.design,
         session.study.law,
     )
-    if made is None or law is None or precision not in _PRECISIONS:
+    if design is None or law is None or precision not in _PRECISIONS:
         return Reply({"ok": True, "board": [], "power_on": []})
     law = law.in_precision(precision)
     flash, state = exact_sizes(law)
@@ -140,7 +140,7 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
          *(counts if precision == "single" else ["not counted: it has no such unit"] * 2)],
         ["last line of the self-test", *[f"hash {expected(law):08X}"] * 2],
     ]  # fmt: skip
-    return Reply({"ok": True, "board": rows, "power_on": power_on(made)})
+    return Reply({"ok": True, "board": rows, "power_on": power_on(design)})
 
 
 def _zip(session: Session, given: Mapping[str, Any]) -> Reply:

@@ -31,8 +31,8 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
     """Run the page's move on the twin, with a hand holding the tip or a payload lost
     during the move.
     """
-    made, law = session.study.design, session.study.law
-    if made is None or law is None:
+    design, law = session.study.design, session.study.law
+    if design is None or law is None:
         raise _missing()
     payload, move, time, half, duration, noise, offset, delay = (
         _number(given, name) for name in _NUMBERS
@@ -48,8 +48,8 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
     reference = smooth_step(move, time).then(
         smooth_step(-move, time, start=half - time)
     )
-    events, said = _events(given, reference.angle)
-    arm = Twin.from_rig(made.rig, model=made.model, link_mass=assumed_mass(made))
+    events, sentence = _events(given, reference.angle)
+    arm = Twin.from_rig(design.rig, model=design.model, link_mass=assumed_mass(design))
     run = simulate(
         law, reference, arm=arm, duration=duration, noise=noise, gauge_offset=offset, payload=payload,
         told=given.get("told") is True, delay_samples=round(delay), events=events,
@@ -60,7 +60,9 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
     }  # fmt: skip
     # Modes 0 and 1 are idle and run: a higher one is a reaction of the law.
     after = "" if np.asarray(run.mode).max() <= 1 else " The law changed its mode."
-    return _reply(f"On the twin: {said}.{after}", payload, math.degrees(move), curves)
+    return _reply(
+        f"On the twin: {sentence}.{after}", payload, math.degrees(move), curves
+    )
 
 
 def _events(
@@ -68,7 +70,7 @@ def _events(
 ) -> tuple[list[Event], str]:
     hold, throw = given.get("hold"), given.get("throw")
     events: list[Event] = []
-    said = []
+    sentences = []
     if isinstance(hold, Mapping):
         begin, until, place = (
             _number(hold, name) for name in ("begin", "until", "angle")
@@ -84,20 +86,20 @@ def _events(
         # If it is released in the same frame the obstacle has no duration; a
         # millisecond is a touch.
         events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
-        said.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
+        sentences.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
     if isinstance(throw, Mapping):
-        when, left = _number(throw, "time"), _number(throw, "payload")
-        events.append(PayloadChange(when, left))
-        said.append(
-            f"the payload falls to {1e3 * left:.3g} g at {when:.2f} s, and nobody tells the law"
+        when, payload = _number(throw, "time"), _number(throw, "payload")
+        events.append(PayloadChange(when, payload))
+        sentences.append(
+            f"the payload falls to {1e3 * payload:.3g} g at {when:.2f} s, and nobody tells the law"
         )
-    return events, "; ".join(said) or "the move as it is"
+    return events, "; ".join(sentences) or "the move as it is"
 
 
 def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     """Run one case of the fault campaign again, with the same law and noise."""
-    made = session.study.design
-    if made is None:
+    design = session.study.design
+    if design is None:
         raise _missing()
     payload, severity = _number(given, "payload"), _number(given, "severity")
     case = Case(
@@ -108,7 +110,7 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
         1,
     )
     fault = fault_named(case.fault)
-    bench = Bench.of(made, made.rig)
+    bench = Bench.of(design, design.rig)
     # Seed 1, as in the campaign of this page.
     run = observe(bench, case).faulty
     curves: dict[str, Any] = {
@@ -118,8 +120,8 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     what = (
         f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}"
     )
-    said = f"{what}. Required: {fault.required}"
-    return _reply(said, payload, math.degrees(1.0), curves)
+    sentence = f"{what}. Required: {fault.required}"
+    return _reply(sentence, payload, math.degrees(1.0), curves)
 
 
 def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) -> Reply:
@@ -128,12 +130,12 @@ def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) ->
     """
     clean = {}
     for name, values in curves.items():
-        found = np.asarray(values, dtype=float).copy()
-        good = np.isfinite(found) & (np.abs(found) < 1e6)
+        numbers = np.asarray(values, dtype=float).copy()
+        good = np.isfinite(numbers) & (np.abs(numbers) < 1e6)
         # A non-finite value is a reading changed by the fault; the law held the
         # previous value, and so does the picture.
-        last = np.maximum.accumulate(np.where(good, np.arange(found.size), 0))
-        clean[name] = np.where(good, found, 0.0)[last]
+        last = np.maximum.accumulate(np.where(good, np.arange(numbers.size), 0))
+        clean[name] = np.where(good, numbers, 0.0)[last]
     return Reply({"ok": True, "said": said, "payload": payload, "move": move}, clean)
 
 

@@ -115,11 +115,11 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     try:
         request = checked_request(state)
         # The nearest feasible request is only searched for when the handle is released.
-        wanted = wanted_of(request) | {"nearest": False}
-        made, assumed = design_for(subject.rig, subject.model, **wanted)
-        shown = _shown(subject, made, assumed)
-        curves = fan_of(made, subject.frequencies) if fan else {}
-        return Reply({**shown.head, "of": subject.key}, {**shown.curves, **curves})
+        options = wanted_of(request) | {"nearest": False}
+        design, assumptions = design_for(subject.rig, subject.model, **options)
+        reply = _shown(subject, design, assumptions)
+        curves = fan_of(design, subject.frequencies) if fan else {}
+        return Reply({**reply.head, "of": subject.key}, {**reply.curves, **curves})
     except FraclinkError as error:
         return refusal(error)
 
@@ -284,21 +284,21 @@ def map_of(
     crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)
     margins = np.linspace(10.0, _WIDEST, _MARGINS)
     names = ("payloads", "filter_time")
-    given = {name: request[name] for name in names if request[name] is not None}
-    if "payloads" not in given:
-        given["payloads"] = (subject.rig.payloads.low, subject.rig.payloads.high)
+    options = {name: request[name] for name in names if request[name] is not None}
+    if "payloads" not in options:
+        options["payloads"] = (subject.rig.payloads.low, subject.rig.payloads.high)
     columns = []
     for crossover in crossovers:
         going()
-        found = feasibility_map(
+        result = feasibility_map(
             subject.model,
             subject.rig,
             gain_crossovers=[crossover],
             phase_margins=np.radians(margins),
             filter_order=request["filter_order"] or 1,
-            **given,
+            **options,
         )
-        columns.append(found.noise_gain)
+        columns.append(result.noise_gain)
     noise = np.nan_to_num(np.hstack(columns), nan=-1.0, posinf=-1.0)
     return {"crossovers": crossovers, "margins": margins, "noise": noise}
 
@@ -311,13 +311,13 @@ def fan_of(made: Design, frequencies: Real) -> dict[str, Real]:
     """
     box = made.box if made.box is not None else ParameterBox.of(made.model, made.rig)
     arms = arms_of(box, made.model)
-    chosen = [
+    sample = [
         arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, _ARMS).astype(int))
     ]
     w = frequencies[::_SKIPPED]
     links = np.array([made.natural_frequency(mass) for mass in made.payloads])
     logs = np.concatenate(
-        [arm.loop(made.controller, made.rig).log(w, links[:, None]) for arm in chosen]
+        [arm.loop(made.controller, made.rig).log(w, links[:, None]) for arm in sample]
     )
     return {
         "fan_gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),

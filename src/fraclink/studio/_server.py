@@ -158,20 +158,22 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     """All files that are served: path -> (content, kind). Nothing else can be
     requested.
     """
-    found = {
+    contents = {
         f"/{path.name}": (path.read_bytes(), _KINDS[Path(path.name).suffix])
         for path in _PAGE.iterdir()
         if Path(path.name).suffix in _KINDS
     }
     fragment = re.sub(r"{#.*?#}\s*", "", template_text("arm_box.html"), flags=re.DOTALL)
     page = (
-        found.pop("/index.html")[0].decode().replace("<!-- arm_box.html -->", fragment)
+        contents.pop("/index.html")[0]
+        .decode()
+        .replace("<!-- arm_box.html -->", fragment)
     )
-    found["/"] = (page.encode(), "text/html")
+    contents["/"] = (page.encode(), "text/html")
     style = squeezed("palette.css") + squeezed("arm_box.css")
-    found["/arm_box.css"] = (style.encode(), "text/css")
-    found["/arm_box.js"] = (_arm_module().encode(), "text/javascript")
-    return found
+    contents["/arm_box.css"] = (style.encode(), "text/css")
+    contents["/arm_box.js"] = (_arm_module().encode(), "text/javascript")
+    return contents
 
 
 def _arm_module() -> str:

@@ -109,22 +109,22 @@ class Session:
                 return checked_request(self.history.state)
         except FieldError:  # a state of another release, or edited by hand
             self.history.states, self.history.at = [], -1
-        made, rig = self.study.design, self.study.rig
-        asked: dict[str, Any] = {}
-        if made is not None:
-            asked = {
-                "payloads": made.payloads,
-                "box": made.box is not None,
+        design, rig = self.study.design, self.study.rig
+        values: dict[str, Any] = {}
+        if design is not None:
+            values = {
+                "payloads": design.payloads,
+                "box": design.box is not None,
             }
-            asked["gain_crossover"] = made.gain_crossover
-            asked["phase_margin_deg"] = round(math.degrees(made.phase_margin), 9)
+            values["gain_crossover"] = design.gain_crossover
+            values["phase_margin_deg"] = round(math.degrees(design.phase_margin), 9)
         elif rig is not None:
-            asked["payloads"] = (rig.payloads.low, rig.payloads.high)
+            values["payloads"] = (rig.payloads.low, rig.payloads.high)
             if rig.design is not None:
-                asked["gain_crossover"] = rig.design.gain_crossover
-                asked["phase_margin_deg"] = rig.design.phase_margin_deg
-        request = checked_request(asked)
-        self.asked = request if made is not None else None
+                values["gain_crossover"] = rig.design.gain_crossover
+                values["phase_margin_deg"] = rig.design.phase_margin_deg
+        request = checked_request(values)
+        self.asked = request if design is not None else None
         return request
 
     def become(self, study: Study) -> None:
@@ -155,11 +155,11 @@ class Session:
         request, before = checked_request(state), self.study
         if before.runs and request == self.asked:
             return Reply(self._answer(arm_key))
-        made = designed(bare(before), **wanted_of(request))
+        study = designed(bare(before), **wanted_of(request))
         if newer():
             raise SupersededError
         # The moves come last: a request that is already outdated does without them.
-        made = moved(made)
+        study = moved(study)
         with self.lock:
             # By identity: an equal log that was read again is another one, whose
             # findings may differ. It may have been read meanwhile.
@@ -175,12 +175,14 @@ class Session:
                 raise SupersededError
             # If a handle returns to the same position nothing is lost: proof and
             # campaign still apply.
-            same = before.design == made.design
+            same = before.design == study.design
             if same:  # proof, arms and faults belong to exactly this design
-                kept = ("certificate", "missing", "arms", "faults")
-                made = replace(made, **{name: getattr(before, name) for name in kept})
+                parts = ("certificate", "missing", "arms", "faults")
+                study = replace(
+                    study, **{name: getattr(before, name) for name in parts}
+                )
             self.state = self.asked = request
-            self.become(made)
+            self.become(study)
         return Reply(self._answer(arm_key))
 
     def _answer(self, arm_key: object) -> dict[str, Any]:
@@ -191,16 +193,16 @@ class Session:
         """The data of the engine in the page; only the key of the arm, and its law, if
         the page already has the arm.
         """
-        made, law = self.study.design, self.study.law
-        if made is None or law is None:
+        design, law = self.study.design, self.study.law
+        if design is None or law is None:
             return {"arm_key": "", "arm": None}
         # The parts of the page's engine: 100 kB that are sent only if one of these has
         # changed. The law, which changes during a drag, is sent separately.
-        whole = repr((made.model, made.rig, made.payloads)).encode()
+        whole = repr((design.model, design.rig, design.payloads)).encode()
         key = hashlib.sha256(whole).hexdigest()[:16]
         if known == key:
             return {"arm_key": key, "blocks": blocks_of(law)}
-        box = arm_box(self.study, made)
+        box = arm_box(self.study, design)
         return {"arm_key": key, "arm": None if box is None else box.data}
 
     # ---- what the page shows ------------------------------------------------------------------------------
@@ -208,7 +210,7 @@ class Session:
     def overview(self) -> dict[str, Any]:
         """Verdict, marks of the steps, tables and commands of the present study."""
         study, verdict = self.study, self.study.verdict
-        made = study.design
+        design = study.design
         return {
             "name": study.rig.name if study.rig else "",
             "folder": str(self.folder),
@@ -220,13 +222,13 @@ class Session:
             "remarks": verdict.remarks,
             "marks": {step: [marked(mark)[0], mark] for step, mark in self.marks().items()},
             "assumptions": study.assumptions,
-            "design": None if made is None else {
+            "design": None if design is None else {
                 "requirements": grid_of(
-                    made.overview().tables[0].columns("requirement", "required", "achieved", "verdict")
+                    design.overview().tables[0].columns("requirement", "required", "achieved", "verdict")
                 ),
-                "findings": made.findings,
+                "findings": design.findings,
                 "moves": grid_of(Table.of("", (run.rows for run in study.runs))),
-                "passed": made.passed,
+                "passed": design.passed,
             },
             "certificate": study.certificate is not None,
             "proof_said": self._proof_said(),
@@ -234,7 +236,7 @@ class Session:
             "board_said": f"Outdated: {self.folder} holds the files of another design."
             if self.written and not self.current
             else f"Written into {self.folder}." if self.written
-            else "Nothing written yet." if made else "Make a design first (step 4).",
+            else "Nothing written yet." if design else "Make a design first (step 4).",
             "copies": copies(self),
         }  # fmt: skip
 
@@ -356,8 +358,10 @@ def opened(
             study if rig is None else replace(study, rig=rig), place, kept=True
         )
     if place.suffix == ".json" and kind_of(place) == "design":
-        made = Design.load(place)
-        return Session(Study(rig=rig or made.rig, design=made, law=made.law()), out)
+        design = Design.load(place)
+        return Session(
+            Study(rig=rig or design.rig, design=design, law=design.law()), out
+        )
     return Session(Study(rig=rig or Rig.named("paper-2023")), out, source=place)
 
 

@@ -75,7 +75,7 @@ class Job:
             raise FieldError(
                 part, None, "missing", allowed="a study with it", remedy=_NEEDS[part]
             )
-        asked = {
+        values = {
             name: _checked(name, bounds, self.given.get(name, usual))
             for name, bounds, usual in options
         }
@@ -84,8 +84,8 @@ class Job:
             # The campaign's parts stay where they are: a job that needs them computes
             # them again.
             save_study(replace(self.study, arms=None), place)
-            self._run(place, asked, tell)
-            return self._taken(place, asked)
+            self._run(place, values, tell)
+            return self._taken(place, values)
         finally:
             shutil.rmtree(place, ignore_errors=True)
 
@@ -121,7 +121,7 @@ class Job:
                 tell(json.loads(line))
             # Read at the end: a job writes at most one line of error, which fits into
             # the pipe without a reader.
-            code, said = (
+            code, output = (
                 process.wait(),
                 (process.stderr.read() if process.stderr else ""),
             )
@@ -129,8 +129,8 @@ class Job:
             raise _cancelled(self.verb)
         if code:
             why = (
-                said.strip().splitlines()[-1][:400]
-                if said.strip()
+                output.strip().splitlines()[-1][:400]
+                if output.strip()
                 else f"ended with code {code}"
             )
             raise FieldError(
@@ -145,7 +145,7 @@ class Job:
         """Take over the result of the job, if the study is still the one with which it
         began.
         """
-        found, session = load_study(place), self.session
+        result, session = load_study(place), self.session
         with session.lock:
             now = session.study
             # A fit depends on the log alone; everything else belongs to one design, and
@@ -158,16 +158,16 @@ class Job:
                 )  # fmt: skip
             if self.verb == "identify":
                 session.heldout = asked["heldout"]
-                session.become(replace(found, experiment=now.experiment, rig=now.rig))
+                session.become(replace(result, experiment=now.experiment, rig=now.rig))
             elif self.verb == "prove":
-                certificate, missing = found.certificate, found.missing
+                certificate, missing = result.certificate, result.missing
                 session.become(replace(now, certificate=certificate, missing=missing))
             elif self.verb == "arms":
                 shutil.rmtree(session.draft / "arms", ignore_errors=True)
                 shutil.move(place / "arms", session.draft / "arms")
-                session.become(replace(now, arms=found.arms))
+                session.become(replace(now, arms=result.arms))
             else:
-                session.become(replace(now, faults=found.faults))
+                session.become(replace(now, faults=result.faults))
         if self.verb == "identify":
             return fit_answer(session)
         return Reply({"ok": True, **session.overview(), **proof_of(session.study)})
@@ -241,10 +241,10 @@ def _plant(design: Design, payload: float, late: float) -> Any:
 
 
 def _distance(design: Design, law: Law, payload: float, late: float) -> float:
-    found = margins_of(law.frequency_response, _plant(design, payload, late))
+    margins = margins_of(law.frequency_response, _plant(design, payload, late))
     # One scale from far (−1) through critical (0) to unstable (1): the map interpolates
     # between cells.
-    return -found.modulus_margin if found.stable else _UNSTABLE
+    return -margins.modulus_margin if margins.stable else _UNSTABLE
 
 
 def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Real]:
@@ -256,7 +256,7 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
     """
     law = campaign.law
     # Enough runs to contain _ARMS that pass, even if all failing ones are among them.
-    passed = [
+    successes = [
         run
         for run in range(min(campaign.runs, _ARMS + len(failures)))
         if run not in failures
@@ -266,7 +266,7 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
         "fan_t": np.asarray(law.period * np.arange(0, count, _EVERY), dtype=np.float64)
     }
     for name, runs in (
-        ("fan_passed", passed[:_ARMS]),
+        ("fan_passed", successes[:_ARMS]),
         ("fan_failed", failures[:_FAILED]),
     ):
         moves = [replay_run(campaign, run) for run in runs]
@@ -284,10 +284,10 @@ def proof_of(study: Study) -> dict[str, Any]:
     """Return the content of step 6: the proved statement, the spread of the arms, the
     faults.
     """
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     if study.certificate is not None:
         statement = study.certificate.statement
-        found["proved"] = {
+        content["proved"] = {
             "modulus": statement.modulus,
             "payloads": [
                 1e3 * statement.payload_low,
@@ -297,36 +297,36 @@ def proof_of(study: Study) -> dict[str, Any]:
             "text": sentence(study.certificate.sentence),
         }
     if study.arms is not None:
-        found["spread"] = grid_of(study.arms.overview().tables[0])
+        content["spread"] = grid_of(study.arms.overview().tables[0])
         failure = study.arms.failure
-        found["failures"] = {
+        content["failures"] = {
             "count": failure.count,
             "runs": failure.runs,
             "failed": study.arms.failed[:12],
         }
     if study.faults is not None:
-        found["faults"] = grid_of(study.faults.overview().tables[0])
-        found["faults_said"] = study.faults.sentence
-        found["cells"] = _cells(study.faults)
-    return found
+        content["faults"] = grid_of(study.faults.overview().tables[0])
+        content["faults_said"] = study.faults.sentence
+        content["cells"] = _cells(study.faults)
+    return content
 
 
 def _cells(table: FaultTable) -> list[dict[str, Any]]:
     """One cell for each fault, severity and payload, with its first failed run, or a
     passed one.
     """
-    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    cells: dict[tuple[Any, ...], dict[str, Any]] = {}
     for outcome in table.outcomes:
         case = outcome.case
         key = (case.fault, case.severity, case.payload)
         # A red cell links to a run that shows the failure.
-        if key not in found or (found[key]["passed"] and not outcome.passed):
+        if key not in cells or (cells[key]["passed"] and not outcome.passed):
             names = ("fault", "severity", "payload")
-            found[key] = dict(zip(names, key, strict=True)) | {
+            cells[key] = dict(zip(names, key, strict=True)) | {
                 "phase": case.phase,
                 "passed": outcome.passed,
             }
-    return list(found.values())
+    return list(cells.values())
 
 
 def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -336,13 +336,13 @@ def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
     if study.design is None or study.law is None:
         return Reply(head)
     near, curves = swept(study.design, study.law)
-    kept = [
+    folders = [
         place
         for place in (session.draft / "arms", session.folder / "arms")
         if place.is_dir()
     ]
-    if study.arms is not None and kept:
-        curves |= moves_of_arms(load_campaign(kept[0]), study.arms.failed)
+    if study.arms is not None and folders:
+        curves |= moves_of_arms(load_campaign(folders[0]), study.arms.failed)
     return Reply(head | {"swept": near}, curves)
 
 

@@ -59,20 +59,20 @@ def _with_faults(study: Study) -> Study:
     bench = Bench.of(study.design, study.design.rig)
     # A third of the command's campaign, which uses three seeds: a user is waiting at
     # the page.
-    planned = cases(bench, seeds=(1,))
+    plan = cases(bench, seeds=(1,))
     done = 0
 
     def watch(outcome: Outcome) -> None:
         nonlocal done
         done += 1
         case = outcome.case
-        said = f"{done} of {len(planned)} runs, {case.fault}"
-        _tell({"said": said, "done": done, "all": len(planned), "passed": outcome.passed, "fault": case.fault,
+        text = f"{done} of {len(plan)} runs, {case.fault}"
+        _tell({"said": text, "done": done, "all": len(plan), "passed": outcome.passed, "fault": case.fault,
                "severity": case.severity, "payload": case.payload, "phase": case.phase})  # fmt: skip
 
-    said = f"0 of {len(planned)} runs"
-    _tell({"said": said, "done": 0, "all": len(planned), "payloads": bench.payloads})
-    return replace(study, faults=run_faults(bench, planned, watch=watch))
+    text = f"0 of {len(plan)} runs"
+    _tell({"said": text, "done": 0, "all": len(plan), "payloads": bench.payloads})
+    return replace(study, faults=run_faults(bench, plan, watch=watch))
 
 
 def _tell(progress: Mapping[str, Any]) -> None:

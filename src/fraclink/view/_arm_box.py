@@ -287,9 +287,9 @@ def _links(
     # Geometric spacing, since ω₀ varies with a power of the payload; two digits give
     # round grams. The design's payloads are always included, unrounded.
     spread = np.geomspace(_LIGHTEST * low, _HEAVIEST * high, max(count - len(own), 2))
-    wanted = sorted(own | {float(f"{value:.2g}") for value in spread})
+    masses = sorted(own | {float(f"{value:.2g}") for value in spread})
     payloads, links = [], []
-    for payload in wanted:
+    for payload in masses:
         try:
             links.append(engine_link(link_at(model, rig, payload), period, span))
         except FieldError:

@@ -79,7 +79,7 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         )
     design, payloads, twin = study.design, MOST_PAYLOADS, True
     low, high = design.payloads
-    said: dict[str, Any] = {
+    texts: dict[str, Any] = {
         "title": title or design.rig.name,
         "zone": f"{number(1e3 * low)} to {number(1e3 * high)} g",
         "verdict": study.verdict,
@@ -104,7 +104,7 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
             style=style,
             style_hash=page_hash(style),
             twin=twin_said,
-            **said,
+            **texts,
         )
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:
@@ -162,11 +162,9 @@ def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
         return [
             "there is no twin in this page: at this sampling period it does not fit into it"
         ]
-    assumed = (
-        "" if design.rig.link.mass else ", assumed because the rig file gives none"
-    )
+    remark = "" if design.rig.link.mass else ", assumed because the rig file gives none"
     return [
-        f"a link with a mass of {grams(mass)}{assumed}: its second mode moves tip and gauge",
+        f"a link with a mass of {grams(mass)}{remark}: its second mode moves tip and gauge",
         "the torque of the link acts on the motor, and the law compensates it from the gauge's reading",
         f"a motor that sticks: it breaks away at {number(twin.breakaway)} N·m and slides at "
         f"{number(twin.coulomb)} N·m",

@@ -230,9 +230,9 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
         if last:
             # On a narrow screen the style sheet hides every second label, since a page
             # without a script cannot place new ticks.
-            hidden = ' class="alt"' if k % 2 else ""
+            alternate = ' class="alt"' if k % 2 else ""
             texts.append(
-                f'<text{hidden} x="{x}" y="{bottom + 17}" text-anchor="middle">{escaped(text)}</text>'
+                f'<text{alternate} x="{x}" y="{bottom + 17}" text-anchor="middle">{escaped(text)}</text>'
             )
     scale = f"{frame.y.low:.9g} {frame.y.high:.9g}{' log' if frame.y.log else ''}"
     place = f'y="{frame.top}" width="100%" height="{frame.height}"'

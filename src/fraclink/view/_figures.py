@@ -67,8 +67,8 @@ def log_figure(log: Experiment) -> Figure:
         Panel("motor angle θm [rad]", [_record(log.time, log.motor_angle, 0)]),
         Panel(OUTPUT_LABEL[log.output_kind], [_record(log.time, log.output, 1)]),
     )
-    said = "The recorded motor angle and output against time"
-    return Figure("log", said, panels, "time [s]", "log")
+    description = "The recorded motor angle and output against time"
+    return Figure("log", description, panels, "time [s]", "log")
 
 
 def fit_figure(log: Experiment, fit: Fit) -> Figure:
@@ -84,8 +84,8 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
         Panel(OUTPUT_LABEL[log.output_kind], output, 180.0),
         Panel("residual", _rest(log.time, fit.residual, edge), 80.0),
     )
-    said = "The recorded output under its model, and the residual"
-    return Figure("fit", said, panels, "time [s]", "log")
+    description = "The recorded output under its model, and the residual"
+    return Figure("fit", description, panels, "time [s]", "log")
 
 
 def _measured(
@@ -100,16 +100,18 @@ def _measured(
 
 def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Mark]:
     """A residual, with the end of the fitted part marked."""
-    held = Upright(edge, "held out from here") if edge < time[-1] else None
-    return [_record(time, residual, line), *([held] if held else [])]
+    mark = Upright(edge, "held out from here") if edge < time[-1] else None
+    return [_record(time, residual, line), *([mark] if mark else [])]
 
 
 @figure_of.register
 def validation_figure(validation: Validation) -> Figure:
     """Draw each other log with the prediction of the fit and its residual."""
     panels = [panel for each in validation.logs for panel in _predicted(each)]
-    said = "Logs that the fit has not seen under its prediction, and what it leaves"
-    return Figure("validation", said, panels, "time [s]", "log")
+    description = (
+        "Logs that the fit has not seen under its prediction, and what it leaves"
+    )
+    return Figure("validation", description, panels, "time [s]", "log")
 
 
 def _predicted(each: LogValidation) -> list[Panel]:
@@ -139,8 +141,8 @@ def _over_time(fit: StructureFit) -> Figure:
         Panel("output", output, 180.0),
         Panel("what the structure leaves", leaves),
     )
-    said = f"The recorded output under {fit.expression}, and what it leaves"
-    return Figure("structure", said, panels, "time [s]", "log")
+    description = f"The recorded output under {fit.expression}, and what it leaves"
+    return Figure("structure", description, panels, "time [s]", "log")
 
 
 def _over_frequency(fit: StructureFit) -> Figure:
@@ -162,9 +164,11 @@ def _over_frequency(fit: StructureFit) -> Figure:
     share = [Curve(fit.place, error, 1)]
     up = Scale(0.0, 1.05 * float(error.max()))
     panels.append(Panel("error [%]", share, 70.0, up))
-    said = f"The measured response (dots) under {fit.expression}, and what it leaves"
+    description = (
+        f"The measured response (dots) under {fit.expression}, and what it leaves"
+    )
     over = "frequency ω [rad/s]"
-    return Figure("structure", said, panels, over, "response", log=True)
+    return Figure("structure", description, panels, over, "response", log=True)
 
 
 def _decibel(response: Complex) -> Real:
@@ -228,14 +232,14 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
             if sizes[name] > common
             else ""
         )
-        used = " (used)" if name == chosen and len(fits) > 1 else ""
-        label = f"{name}{used}: measured − model {_SHORT[some.output_kind]}{beyond}"
+        remark = " (used)" if name == chosen and len(fits) > 1 else ""
+        label = f"{name}{remark}: measured − model {_SHORT[some.output_kind]}{beyond}"
         marks = _rest(
             time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0
         )
         panels.append(Panel(label, marks, 70.0, Scale(-common, common)))
-    said = "What each model leaves of the log, all on one scale"
-    return Figure("models", said, panels, "time [s]", "log")
+    description = "What each model leaves of the log, all on one scale"
+    return Figure("models", description, panels, "time [s]", "log")
 
 
 @figure_of.register
@@ -249,8 +253,8 @@ def detail_figure(fit: Fit) -> Figure:
         Curve(time[part], fit.predicted[part], 1, fit.structure),
     ]
     panel = Panel(OUTPUT_LABEL[fit.output_kind], marks, 210.0)
-    said = f"The first part of the measured output under {fit.structure}"
-    return Figure("detail", said, (panel,), "time [s]", "detail")
+    description = f"The first part of the measured output under {fit.structure}"
+    return Figure("detail", description, (panel,), "time [s]", "detail")
 
 
 # --- can the model be trusted -----------------------------------------------------------------------------
@@ -300,15 +304,15 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     """
     if log.output.size < _LEAST:
         return None
-    seen = welch_response(log, fit)
+    welch = welch_response(log, fit)
     count = _independent(len(segments((log.output,), log.period)[1][0]))
     # Of n parts noise alone has a coherence beyond this with 1 %: such lines say
     # nothing of the link.
-    good = seen.coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
+    good = welch.coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
     if np.count_nonzero(good) < 2:
         return None
-    w, coherence = seen.frequency[good], seen.coherence[good]
-    measured, predicted = seen.measured[good], seen.predicted[good]
+    w, coherence = welch.frequency[good], welch.coherence[good]
+    measured, predicted = welch.measured[good], welch.predicted[good]
     # The noise of an averaged response is complex normal, relative to it of variance
     # (1/γ² − 1)/n: with 95 % it is below sqrt(−ln 0.05) of its root (Bendat and
     # Piersol).
@@ -344,9 +348,9 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
             halves,
         ),
     )
-    said = "Gain and phase of log (dots) and model (line), with the band that 95 % of the noise stays in"
+    description = "Gain and phase of log (dots) and model (line), with the band that 95 % of the noise stays in"
     over = "frequency ω [rad/s]"
-    return Figure("response", said, panels, over, "response", log=True)
+    return Figure("response", description, panels, over, "response", log=True)
 
 
 def residual_figure(fit: Fit) -> Figure | None:
@@ -371,6 +375,8 @@ def residual_figure(fit: Fit) -> Figure | None:
     if mode is not None and frequency[0] < mode.frequency < frequency[-1]:
         marks.append(Upright(mode.frequency, "second mode, part of the model"))
     panel = Panel("density of the residual over that of white noise", marks, 180.0, y)
-    said = "Spectrum of the residual against the band that 99 % of white noise stays in"
+    description = (
+        "Spectrum of the residual against the band that 99 % of white noise stays in"
+    )
     over = "frequency ω [rad/s]"
-    return Figure("residual", said, (panel,), over, "response", log=True)
+    return Figure("residual", description, (panel,), over, "response", log=True)

@@ -95,9 +95,11 @@ def _histogram(name: str, unit: str, column: Real) -> Figure:
         marks.append(Upright(at, text if not (share > 0.9 and never) else ""))
     up = Scale(0.0, 1.15 * max(*heights, never, 1), ticks=())
     panel = Panel(f"{SHOWN[name]} [{unit}]", marks, 90.0, up)
-    said = f"Histogram of the {SHOWN[name]} of {len(column)} runs; {never} never settle or have none"
+    description = f"Histogram of the {SHOWN[name]} of {len(column)} runs; {never} never settle or have none"
     x = Scale(low, end)
-    return Figure(f"spread-{name}", said, (panel,), scale=x, left=12.0, width=280.0)
+    return Figure(
+        f"spread-{name}", description, (panel,), scale=x, left=12.0, width=280.0
+    )
 
 
 def strongest(summary: Summary) -> tuple[str, str]:
@@ -135,9 +137,9 @@ def failures_figure(
     )
     sides = Scale(float(x[0]), float(x[-1])), Scale(float(y[0]), float(y[-1]))
     panel = Panel(names[1], [Cells(x, y, levels)], 260.0, sides[1])
-    said = f"Share of failing runs over two parameters; cells of fewer than {_FEWEST} runs are empty"
+    description = f"Share of failing runs over two parameters; cells of fewer than {_FEWEST} runs are empty"
     xlabel = f"{names[0]}; cells of fewer than {_FEWEST} runs are empty"
-    return Figure("failures", said, (panel,), xlabel, scale=sides[0], key=key)
+    return Figure("failures", description, (panel,), xlabel, scale=sides[0], key=key)
 
 
 @figure_of.register
@@ -156,8 +158,8 @@ def drivers_figure(summary: Summary) -> str:
         for metric in metrics
     ]
     words = [name.replace("_", " ") for name in names]
-    said = "Rank correlation of metrics with parameters; ±1 is the strongest"
-    return dots_in_columns(words, columns, said)
+    description = "Rank correlation of metrics with parameters; ±1 is the strongest"
+    return dots_in_columns(words, columns, description)
 
 
 # --- the map of faults: one row a fault, one cell for each severity and payload, worst first ---------------
@@ -215,10 +217,10 @@ def _cells(table: FaultTable, number: str) -> list[tuple[int, str, str]]:
         # A cell is as bad as its worst run; how many runs were so is said in words
         # under the pointer.
         level = max((GROUPS.index(outcome.group) for outcome in here), default=-1)
-        failed = sum(not outcome.passed for outcome in here)
-        ended = f"{words}: {GROUPS[level] if here else 'not run'}"
-        ended += f", {failed} of {len(here)} runs" if failed else ""
-        cells.append((level, _SIGNS[level] if here else "", ended))
+        count = sum(not outcome.passed for outcome in here)
+        text = f"{words}: {GROUPS[level] if here else 'not run'}"
+        text += f", {count} of {len(here)} runs" if count else ""
+        cells.append((level, _SIGNS[level] if here else "", text))
     return cells
 
 
@@ -244,7 +246,7 @@ def rivals_figure(result: Tournament) -> str:
     """
     standings = result.standings
     columns = []
-    for attribute, title, factor, left in _COLUMNS:
+    for attribute, title, factor, low in _COLUMNS:
         values = [factor * float(getattr(each, attribute)) for each in standings]
         # A rival may never settle: infinity has no place on a scale and is stated in
         # words.
@@ -252,16 +254,16 @@ def rivals_figure(result: Tournament) -> str:
         # From zero for values within a decade; vibration and noise of rivals may differ
         # by a factor of a thousand.
         x = (
-            Scale(left, _END * max(*finite, 10 * left), log=True)
-            if left
+            Scale(low, _END * max(*finite, 10 * low), log=True)
+            if low
             else Scale(0.0, 1.1 * max(finite))
         )
         columns.append(Column(title, values, x))
     names = [each.name + ("" if each.passed else " ✗") for each in standings]
     # unstable or tripped: none of its figures counts
     signs = ["dot" if each.passed else "cross" for each in standings]
-    said = "What each rival reached in six figures; left is better"
-    return dots_in_columns(names, columns, said, signs)
+    description = "What each rival reached in six figures; left is better"
+    return dots_in_columns(names, columns, description, signs)
 
 
 _ROW, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots per row, for the names, per column

@@ -81,10 +81,10 @@ def bode_figure(design: Design) -> Figure:
         for payload in payloads_of(design)
     ]
     figure = loop_figure(responses, crossings)
-    said = (
+    description = (
         "Gain and phase of the open loop over frequency; dots mark the gain crossings"
     )
-    return replace(figure, description=said)
+    return replace(figure, description=description)
 
 
 @figure_of.register
@@ -96,8 +96,8 @@ def pid_figure(tuning: PidTuning) -> Figure:
     response = Response.of(tuning.open_loop, None, limit)
     at = tuning.margins
     figure = loop_figure([response], [[(at.gain_crossover, at.phase_margin)]])
-    said = f"Gain and phase of the open loop with {tuning.controller.formula}; the dot is the gain crossover"
-    return replace(figure, name="pid", description=said)
+    description = f"Gain and phase of the open loop with {tuning.controller.formula}; the dot is the gain crossover"
+    return replace(figure, name="pid", description=description)
 
 
 def pid_step_figure(
@@ -107,7 +107,7 @@ def pid_step_figure(
     step = tuning.step(law=law, size=size, duration=duration)
     # The output is held between samples: steps without slopes, as the actuator receives
     # them.
-    held = np.repeat(step.output, 2)[:-1]
+    output = np.repeat(step.output, 2)[:-1]
     times = np.repeat(step.time, 2)[1:]
     measured: list[Mark] = [
         Across(size, "reference"),
@@ -115,10 +115,10 @@ def pid_step_figure(
     ]
     panels = (
         Panel("measurement", [*measured, Across(0.0, limit=False)], 190.0),
-        Panel("controller's output", [Curve(times, held, 2)], 130.0),
+        Panel("controller's output", [Curve(times, output, 2)], 130.0),
     )
-    said = "The law of a fractional PID on its plant: measurement and output after a step of the reference"
-    return Figure("pid-step", said, panels, "time [s]", "step")
+    description = "The law of a fractional PID on its plant: measurement and output after a step of the reference"
+    return Figure("pid-step", description, panels, "time [s]", "step")
 
 
 # limits of both axes, around −1; the circle of the resonance is many times larger
@@ -155,9 +155,9 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     square = Scale(*_REACH)
     panel = Panel("imaginary part of L", marks, 340.0, square)
     word = "proved" if proved else "worst"
-    said = f"Nyquist curve around −1; {word} distance {number(clear, 3)}"
+    description = f"Nyquist curve around −1; {word} distance {number(clear, 3)}"
     name = "real part of L"
-    return Figure("nyquist", said, (panel,), name, scale=square, rigid=True)
+    return Figure("nyquist", description, (panel,), name, scale=square, rigid=True)
 
 
 def margins_figure(design: Design) -> Figure:
@@ -191,10 +191,10 @@ def margins_figure(design: Design) -> Figure:
         replace(upper, marks=(*band, *upper.marks), height=230.0),
         Panel("gain crossover [rad/s]", crossover, 110.0),
     )
-    said = (
+    description = (
         "Phase margin and gain crossover over the payload; the design range is shaded"
     )
-    return replace(figure, description=said, panels=panels, link="payload")
+    return replace(figure, description=description, panels=panels, link="payload")
 
 
 def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
@@ -247,9 +247,9 @@ def margin_curves_figure(
     if wanted is not None:
         marks.append(Across(math.degrees(wanted), "requested"))
     panel = Panel("phase margin [°]", marks, 280.0)
-    said = "Phase margin over the payload, with more and more of the real loop"
+    description = "Phase margin over the payload, with more and more of the real loop"
     name = "payload [g]; shaded: design range"
-    return Figure("margins", said, (panel,), name)
+    return Figure("margins", description, (panel,), name)
 
 
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
@@ -275,12 +275,12 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
     high = 1.12 * max(ends)
     ticks = tuple((float(k), f"{k}°") for k in range(0, int(high) + 1, 45))
     where = "" if payload is None else f" at {grams(payload)}"
-    said = f"Where the phase goes{where}: " + ", ".join(
+    description = f"Where the phase goes{where}: " + ", ".join(
         f"{name} {text}" for name, *_, text, _ in steps
     )
     return Figure(
         "budget",
-        said,
+        description,
         (Panel("", marks, 26.0 * len(steps), y),),
         f"phase at the gain crossover{where}",
         scale=Scale(min(0.0, *ends), high, ticks=ticks),
@@ -340,9 +340,9 @@ def map_figure(
     marks = [Cells(x, y, table), *edge, *marks]
     panel = Panel("phase margin at the lightest payload [°]", marks, 330.0, sy)
     key = ("noise gain", *_ranges(levels))
-    said = f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}; upright: 2π/ω_c"
+    description = f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}; upright: 2π/ω_c"
     name = "gain crossover at the heaviest payload [rad/s]; upright: 2π/ω_c"
-    return Figure("map", said, (panel,), name, "map", sx, key=key)
+    return Figure("map", description, (panel,), name, "map", sx, key=key)
 
 
 def _outline(x: Real, y: Real, feasible: NDArray[np.bool_]) -> list[Mark]:

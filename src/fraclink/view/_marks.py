@@ -147,15 +147,15 @@ class Curve:
         )
         # A name stands where its line leaves the panel, since the line is cut off
         # beyond the right edge.
-        seen = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
-        named = f' data-name="{escaped(self.name)}"' if self.name else ""
+        visible = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
+        attribute = f' data-name="{escaped(self.name)}"' if self.name else ""
         ends = (
-            ((frame.down(float(seen[-1])), self.name, style),)
-            if self.name and seen.size
+            ((frame.down(float(visible[-1])), self.name, style),)
+            if self.name and visible.size
             else ()
         )
         return Layers(
-            curves=f'<path class="{style}"{named} d="{frame.path(self.x, self.y)}"/>',
+            curves=f'<path class="{style}"{attribute} d="{frame.path(self.x, self.y)}"/>',
             ends=ends,
         )
 
@@ -175,10 +175,10 @@ class Dots:
         large = " large" if self.large else ""
         text = f'<path class="c{self.line} dots{large}" d="{frame.path(self.x, self.y, dots=True)}"/>'
         values = np.asarray(self.y, dtype=float).ravel()
-        seen = values[np.isfinite(values)]
+        visible = values[np.isfinite(values)]
         ends = (
-            ((frame.down(float(seen[-1])), self.name, f"c{self.line} dots"),)
-            if self.name and seen.size
+            ((frame.down(float(visible[-1])), self.name, f"c{self.line} dots"),)
+            if self.name and visible.size
             else ()
         )
         return Layers(curves=text, ends=ends)

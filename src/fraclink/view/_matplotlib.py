@@ -40,16 +40,16 @@ def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
     """
     axes = _axes(figure, ax)
     for panel, one in zip(figure.panels, axes, strict=True):
-        held = one.axis() if one.has_data() else None
-        named = False
+        limits = one.axis() if one.has_data() else None
+        has_names = False
         for mark in panel.marks:
-            named |= _drawn(one, mark, style)
-        _scaled(one, "x", figure.x, held and held[:2])
-        _scaled(one, "y", panel.y, held and held[2:])
+            has_names |= _drawn(one, mark, style)
+        _scaled(one, "x", figure.x, limits and limits[:2])
+        _scaled(one, "y", panel.y, limits and limits[2:])
         one.set_ylabel(panel.label)
         one.grid(True, color=_colour(one, "faint"))
         one.set_axisbelow(True)
-        if named:
+        if has_names:
             one.legend(loc="best", fontsize="small")
         if figure.rigid:
             one.set_aspect("equal")

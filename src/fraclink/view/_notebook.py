@@ -27,8 +27,8 @@ def drawing(result: Any) -> str | None:
     """Return the drawing of a result as SVG, in the colours of both themes; None if it
     has none.
     """
-    drawn = figure_of(result)
-    return drawn if drawn is None or isinstance(drawn, str) else drawn.alone()
+    figure = figure_of(result)
+    return figure if figure is None or isinstance(figure, str) else figure.alone()
 
 
 def draw(result: Any, path: Path | str) -> None:
@@ -43,8 +43,8 @@ def draw(result: Any, path: Path | str) -> None:
     >>> place.read_text().startswith("<svg")
     True
     """
-    drawn = drawing(result)
-    if drawn is None:
+    svg = drawing(result)
+    if svg is None:
         raise FieldError(
             "result",
             type(result).__name__,
@@ -56,7 +56,7 @@ def draw(result: Any, path: Path | str) -> None:
             ),
             remedy="draw one of these",
         )
-    save_svg(drawn, path)
+    save_svg(svg, path)
 
 
 def page_part(result: Any) -> str:

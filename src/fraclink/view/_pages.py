@@ -93,5 +93,5 @@ def literal(style: str, theme: int = LIGHT) -> str:
     >>> literal("fill:var(--card)")
     'fill:#ffffff'
     """
-    known = colours(theme)
-    return re.sub(r"var\(--([\w-]+)\)", lambda name: known[name[1]], style)
+    values = colours(theme)
+    return re.sub(r"var\(--([\w-]+)\)", lambda name: values[name[1]], style)

@@ -221,5 +221,5 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     most = 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1)
     panel = Panel("periods", marks, 230.0, Scale(0.5, most, log=True))
     x = Scale(float(bins[0]), float(bins[-1]), log=True)
-    said = "How late the loop woke up, and how long its work took"
-    return on_axes(Figure("latency", said, (panel,), "time [µs]", scale=x), ax)
+    description = "How late the loop woke up, and how long its work took"
+    return on_axes(Figure("latency", description, (panel,), "time [µs]", scale=x), ax)

@@ -82,7 +82,7 @@ def render_report(
     # The moving arm needs a law: from the design, or from the study if the design has
     # none.
     moves = study.law is not None or (design is not None and design.has_law)
-    drawn = {name: figure.inline() for name, figure in _figures(study).items()}
+    drawings = {name: figure.inline() for name, figure in _figures(study).items()}
     return rendered(
         "report.html",
         title=title or f"{name}: {source}",
@@ -109,8 +109,10 @@ def render_report(
         ],
         notes=study.comparison.overview().notes if study.comparison else (),
         faults=_faults(study),
-        figures=drawn,
-        on_paper=[_copy(drawn[name]) for name in ("margins", "moves") if name in drawn],
+        figures=drawings,
+        on_paper=[
+            _copy(drawings[name]) for name in ("margins", "moves") if name in drawings
+        ],
         refusal=words.refusal_sentence(study),
         steps=words.steps(study),
         power_on=words.power_on(design) if design else [],
@@ -164,7 +166,7 @@ def _faults(study: Study) -> Mapping[str, Any] | None:
 
 def _files(study: Study) -> list[tuple[str, str]]:
     """The files of the folder that belong to this study."""
-    known = (
+    parts = (
         ("rig.toml", "the rig", study.rig),
         ("model.json", "the model that the design uses", study.fit),
         ("design.json", "request, controller, requirements", study.design),
@@ -172,7 +174,7 @@ def _files(study: Study) -> list[tuple[str, str]]:
         ("certificate.json", "the proof", study.certificate),
         ("faults.json", "the fault campaign", study.faults),
     )
-    return [(name, what) for name, what, part in known if part is not None]
+    return [(name, what) for name, what, part in parts if part is not None]
 
 
 def _tables(study: Study) -> Mapping[str, Figures]:
@@ -203,28 +205,30 @@ def _tables(study: Study) -> Mapping[str, Figures]:
 
 def _figures(study: Study) -> dict[str, Figure]:
     log, fit, design = study.experiment, study.fit, study.design
-    drawn: dict[str, Figure | None] = {}
+    drawings: dict[str, Figure | None] = {}
     if log is not None:
-        drawn["log"] = figures.log_figure(log)
+        drawings["log"] = figures.log_figure(log)
     if fit is not None:
-        drawn["detail"] = figures.detail_figure(fit)
-        drawn["residual"] = figures.residual_figure(fit)
-        drawn["response"] = None if log is None else figures.response_figure(log, fit)
+        drawings["detail"] = figures.detail_figure(fit)
+        drawings["residual"] = figures.residual_figure(fit)
+        drawings["response"] = (
+            None if log is None else figures.response_figure(log, fit)
+        )
     if study.fits:
-        drawn["models"] = figures.models_figure(
+        drawings["models"] = figures.models_figure(
             study.fits, fit.structure if fit else None
         )
     if design is not None:
         proved = study.certificate.statement.modulus if study.certificate else None
-        drawn["bode"] = loops.bode_figure(design)
-        drawn["nyquist"] = loops.nyquist_figure(design, proved)
-        drawn["margins"] = loops.margins_figure(design)
-        drawn["budget"] = _budget(design)
+        drawings["bode"] = loops.bode_figure(design)
+        drawings["nyquist"] = loops.nyquist_figure(design, proved)
+        drawings["margins"] = loops.margins_figure(design)
+        drawings["budget"] = _budget(design)
     elif study.refused is not None:
-        drawn["map"] = _map(study)
+        drawings["map"] = _map(study)
     if study.runs:
-        drawn["moves"] = runs.moves_figure(study.runs)
-    return {name: figure for name, figure in drawn.items() if figure is not None}
+        drawings["moves"] = runs.moves_figure(study.runs)
+    return {name: figure for name, figure in drawings.items() if figure is not None}
 
 
 def _budget(design: Design) -> Figure | None:
@@ -307,8 +311,8 @@ def write_campaign_report(
             "worst": Table.of("", worst),
         },
         spread=[
-            drawn.inline()
-            for drawn in fleets.spread_figures(
+            figure.inline()
+            for figure in fleets.spread_figures(
                 summary, dict(zip(names, map(np.asarray, values), strict=True))
             )
         ],

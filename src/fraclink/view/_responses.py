@@ -149,8 +149,8 @@ class Response:
         [rad/s].
         """
         logs = np.log(self.frequency)
-        drawn = float(np.interp(math.log(frequency), logs, self.degrees))
-        return degrees + 360.0 * round((drawn - degrees) / 360.0)
+        own = float(np.interp(math.log(frequency), logs, self.degrees))
+        return degrees + 360.0 * round((own - degrees) / 360.0)
 
 
 def loop_response(
@@ -312,8 +312,8 @@ def _bode_figure(
         Panel("magnitude [dB]", gain, 190.0, Scale.around(*levels, least=2.0)),
         Panel("phase [°]", phase, 190.0, turns),
     )
-    said = "Magnitude and phase over frequency"
-    return Figure("bode", said, panels, "frequency [rad/s]", "loop", log=True)
+    description = "Magnitude and phase over frequency"
+    return Figure("bode", description, panels, "frequency [rad/s]", "loop", log=True)
 
 
 def _turns(phases: Sequence[Real]) -> Scale:
@@ -441,8 +441,8 @@ def nyquist(
     half = reach or (1.1 * largest if largest <= 8 else 5.0)
     square = Scale(-half, half)
     panel = Panel("Im L", marks, 340.0, square)
-    said = "Nyquist curve around −1"
-    figure = Figure("nyquist", said, (panel,), "Re L", scale=square, rigid=True)
+    description = "Nyquist curve around −1"
+    figure = Figure("nyquist", description, (panel,), "Re L", scale=square, rigid=True)
     return on_axes(figure, ax, **style)
 
 
@@ -486,11 +486,11 @@ def nichols(
     # take the axis.
     y = Scale.around(*(np.clip(one.decibels, -40.0, 60.0) for one in responses))
     # The phases at the magnitudes that are shown, and in any case −180°.
-    seen = [np.array([-200.0, -100.0])]
+    phases = [np.array([-200.0, -100.0])]
     for one in responses:
         inside = (one.decibels > y.low) & (one.decibels < y.high)
-        seen.append(one.degrees[inside])
-    x = Scale.around(*seen)
+        phases.append(one.degrees[inside])
+    x = Scale.around(*phases)
     turns = range(math.floor(x.low / 360), math.ceil(x.high / 360) + 1)
     if grid:
         marks += [mark for turn in turns for mark in _contours(360.0 * turn)]

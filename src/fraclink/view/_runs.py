@@ -64,8 +64,8 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
         ("motor [V]", voltage, 90.0),
     )
     panels = [Panel(*row) for row in rows]
-    said = "Tip angle, tip error, torque and voltage of the simulated moves"
-    return Figure("moves", said, panels, "time [s]", "time")
+    description = "Tip angle, tip error, torque and voltage of the simulated moves"
+    return Figure("moves", description, panels, "time [s]", "time")
 
 
 @figure_of.register
@@ -113,8 +113,10 @@ def shaped_figure(move: ShapedMove) -> Figure:
         Panel("acceleration of the reference [rad/s²]", push, 100.0),
         Panel("motor [V]", voltage, 100.0),
     )
-    said = "Tip angle, acceleration of the reference and voltage of a shaped move"
-    return Figure("shaped", said, panels, "time [s]", "time")
+    description = (
+        "Tip angle, acceleration of the reference and voltage of a shaped move"
+    )
+    return Figure("shaped", description, panels, "time [s]", "time")
 
 
 def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
@@ -147,8 +149,8 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
         replace(panel, marks=[*panel.marks, Upright(event, "" if k else "fault")])
         for k, panel in enumerate(rows)
     )
-    said, under = f"{title}; {verdict}", f"time [s]; {verdict}"
-    return Figure("outcome", said, panels, under, "time", left=66.0)
+    description, under = f"{title}; {verdict}", f"time [s]; {verdict}"
+    return Figure("outcome", description, panels, under, "time", left=66.0)
 
 
 def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:

@@ -52,11 +52,11 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
     # Bent against the rotation, as at the start of a move: the tip lags behind the
     # motor, θt < θm. Deflection and angle are exaggerated, so that they are visible at
     # this size.
-    x, y, length, turned, bend = 70.0, 158.0, 300.0, math.radians(26), -0.16
-    points = [(x + a, y + b) for a, b in _link(length, turned, bend)]
+    x, y, length, angle, bend = 70.0, 158.0, 300.0, math.radians(26), -0.16
+    points = [(x + a, y + b) for a, b in _link(length, angle, bend)]
     tip = points[-1]
     line = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in points)
-    stiff = f"{x + length * math.cos(turned):.1f} {y - length * math.sin(turned):.1f}"
+    stiff = f"{x + length * math.cos(angle):.1f} {y - length * math.sin(angle):.1f}"
     chord = math.atan2(y - tip[1], tip[0] - x)
     root, gauge, out = points[2], points[3], points[5]
     parts = [
@@ -67,7 +67,7 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
         f'<circle class="f0" cx="{x}" cy="{y}" r="25"/><circle class="ground" cx="{x}" cy="{y}" r="5"/>',
         f'<circle class="f2" cx="{tip[0]:.1f}" cy="{tip[1]:.1f}" r="12"/>',
         f'<path class="strain" d="M{root[0]:.1f} {root[1]:.1f}L{out[0]:.1f} {out[1]:.1f}"/>',
-        _arc(x, y, 140.0, turned),
+        _arc(x, y, 140.0, angle),
         _arc(x, y, 196.0, chord),
         lettering(x + 145, y - 12, "θm", "label"),
         lettering(x + 201, y - 12, "θt", "label"),
@@ -83,8 +83,8 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
             anchor="end",
         ),
     ]
-    said = "A flexible arm from above: hub at θm, bent link with a gauge at its root, payload at θt"
-    return stand_alone("".join(parts), *_ARM, said)
+    description = "A flexible arm from above: hub at θm, bent link with a gauge at its root, payload at θt"
+    return stand_alone("".join(parts), *_ARM, description)
 
 
 @figure_of.register

@@ -49,13 +49,13 @@ def option(name: str, value: float) -> str:
     ('--phase-margin-deg 50', '--gain-crossover 12.346')
     """
     word = f"--{name.replace('_', '-')}"
-    shown, word = (
+    amount, word = (
         (math.degrees(value), f"{word}-deg")
         if name == "phase_margin"
         else (value, word)
     )
     # Eight digits: with fewer, a request at its bound would be infeasible.
-    return f"{word} {shown:.8g}"
+    return f"{word} {amount:.8g}"
 
 
 def sentence(text: str) -> str:
@@ -68,9 +68,13 @@ def sentence(text: str) -> str:
     first = text.partition(" ")[0]
     # Fields such as link.stiffness are typed by the user: a capital would make another
     # name of them.
-    named = "_" in first or "." in first.rstrip(".") or first == "fraclink"
-    ended = text.endswith((".", "?", "!", ":")) or not text
-    return (text[:1] if named else text[:1].upper()) + text[1:] + ("" if ended else ".")
+    is_name = "_" in first or "." in first.rstrip(".") or first == "fraclink"
+    complete = text.endswith((".", "?", "!", ":")) or not text
+    return (
+        (text[:1] if is_name else text[:1].upper())
+        + text[1:]
+        + ("" if complete else ".")
+    )
 
 
 # --- from figures to texts ---------------------------------------------------------------
@@ -88,8 +92,8 @@ class Grid:
 def grid_of(figures: Table | Sequence[Row]) -> Grid:
     """Return a table as texts: one line per record, or per given row."""
     if not isinstance(figures, Table):
-        known = (row for row in figures if row.label and row.value is not None)
-        lines = tuple((row.label, marked(row.text)) for row in known)
+        entries = (row for row in figures if row.label and row.value is not None)
+        lines = tuple((row.label, marked(row.text)) for row in entries)
         return Grid(("", ""), lines, (True, True))
     columns = [
         column
@@ -203,14 +207,14 @@ def to_json(result: Any) -> dict[str, Any]:
     """Return a result for programs: plain values in SI units and radians, null if not
     finite.
     """
-    shown = view(result)
-    verdict = {"passed": shown.state == "passed", "state": shown.state}
-    values = verdict if shown.state else {}
-    values |= _object(shown.rows)
-    for table in shown.tables:
+    overview = view(result)
+    verdict = {"passed": overview.state == "passed", "state": overview.state}
+    values = verdict if overview.state else {}
+    values |= _object(overview.rows)
+    for table in overview.tables:
         if table.key:
             values[table.key] = [_object(record) for record in table.records]
-    return values | {"findings": [plain(finding) for finding in shown.findings]}
+    return values | {"findings": [plain(finding) for finding in overview.findings]}
 
 
 # --- for a notebook ----------------------------------------------------------------------
@@ -242,8 +246,8 @@ def plain_text(shown: Overview, width: int = 80) -> str:
     lead = ": ".join(filter(None, (marked(shown.state), shown.headline)))
     parts = [folded(lead, width)] if lead else []
     parts += [table_text(grid, width) for grid in grids(shown)]
-    said = "\n".join(folded(note, width) for note in notes(shown))
-    return "\n\n".join([*parts, *([said] if said else [])])
+    remarks = "\n".join(folded(note, width) for note in notes(shown))
+    return "\n\n".join([*parts, *([remarks] if remarks else [])])
 
 
 def folded(text: str, width: int) -> str:
@@ -336,9 +340,9 @@ def _folded_row(
         first = [k - (height - len(cell) if bottom else 0) for cell in cells]
         parts = [
             (cell[at] if 0 <= at < len(cell) else "").ljust(size)
-            if left
+            if is_word
             else (cell[at] if 0 <= at < len(cell) else "").rjust(size)
-            for cell, at, size, left in zip(cells, first, widths, words, strict=True)
+            for cell, at, size, is_word in zip(cells, first, widths, words, strict=True)
         ]
         lines.append("  ".join(parts).rstrip())
     return "\n".join(lines)

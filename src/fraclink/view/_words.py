@@ -24,18 +24,18 @@ __all__ = [
 def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
     """The numbers of the arm in words."""
     low, high = rig.payloads.low, rig.payloads.high
-    said = [
+    sentences = [
         f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."
     ]
     if model is not None:
-        said.append(f"With the motor held, the tip {model.sentence}.")
+        sentences.append(f"With the motor held, the tip {model.sentence}.")
     # [ms] (1 + 4) e⁻⁴: a double pole is within 9 % after four time constants, a
     # customary figure.
-    settled = number(4.0e3 / rig.motor_loop.pole, 2)
-    said.append(
-        f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms."
+    duration = number(4.0e3 / rig.motor_loop.pole, 2)
+    sentences.append(
+        f"The motor follows within {duration} ms; the law runs every {number(1e3 * rig.period)} ms."
     )
-    return said
+    return sentences
 
 
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
@@ -73,13 +73,13 @@ def refusal_sentence(study: Study) -> str:
 
 
 def _request(values: object) -> str:
-    known = dict(values)  # type: ignore[call-overload]
+    fields = dict(values)  # type: ignore[call-overload]
     words = {
         "gain_crossover": "a crossover of {} rad/s",
         "phase_margin": "a phase margin of {}",
     }
     parts = []
-    for name, value in known.items():
+    for name, value in fields.items():
         text = quantity(value, "rad" if name == "phase_margin" else "")
         parts.append(words.get(name, name.replace("_", " ") + " {}").format(text))
     return " and ".join(parts)
