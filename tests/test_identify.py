@@ -266,8 +266,8 @@ def test_coloured_noise_widens_the_errors() -> None:
     fit = identify(log, "UD-FOM", heldout=0)
     assert fit.tests is not None
     assert fit.tests.whiteness < 1e-6
-    white = identify(log, "UD-FOM", heldout=0, details=False).standard_errors
-    assert fit.standard_errors["order"] > 1.5 * white["order"]
+    plain = identify(log, "UD-FOM", heldout=0, details=False).standard_errors
+    assert fit.standard_errors["order"] > 1.5 * plain["order"]
 
 
 @pytest.mark.slow
