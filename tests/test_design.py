@@ -1,5 +1,5 @@
-"""The closed procedure against the recomputed numbers of the source paper and against
-independent loops.
+"""The closed-form procedure against the recomputed numbers of the source paper and
+against independent loops.
 """
 
 from __future__ import annotations
@@ -121,7 +121,8 @@ def test_grunwald_law_has_the_known_sampled_margins():
     design = default_plan()
     correction = design.controller.correction()
 
-    def sums(w: np.ndarray) -> np.ndarray:  # the paper's: a backward difference for s
+    # as in the paper: a backward difference for s
+    def sums(w: np.ndarray) -> np.ndarray:
         return correction(-np.expm1(-1j * w * RIG.period) / RIG.period)
 
     for payload, margin in (
@@ -136,8 +137,8 @@ def test_grunwald_law_has_the_known_sampled_margins():
 
 
 def test_exact_law_keeps_the_promised_margin_when_sampled():
-    # The continuous-time stand-in for hold and delay, e^{-1.5 Ts s}, is good to a
-    # hundredth of a degree here.
+    # The continuous-time approximation of hold and delay, e^{-1.5 Ts s}, is accurate to
+    # a hundredth of a degree here.
     found = default_plan().sampled_at(0.020, realisation="exact")
     kept = math.degrees(default_plan().at(0.020).phase_margin)
     assert math.degrees(found.phase_margin) == pytest.approx(kept, abs=0.01)
@@ -217,7 +218,7 @@ def test_printed_controllers_are_unstable_on_the_printed_model(
     found = designs.closed_loop_poles(PRINTED[name], link, motor_loop_pole=80.0)
     assert found[0].real == pytest.approx(pole.real, abs=6e-4)
     assert abs(found[0].imag) == pytest.approx(pole.imag, abs=6e-3)
-    # The pole is a zero of 1 + L, evaluated once more by hand.
+    # The pole is a zero of 1 + L, evaluated here from the formula.
     s, c = complex(found[0]), PRINTED[name]
     loop = (
         c.derivative_gain

@@ -1,5 +1,5 @@
-"""Bounds, maps, budgets, tolerances, rivals, the sampled motor loop, each against
-another computation.
+"""Bounds, maps, budgets, tolerances, rivals and the sampled motor loop, each compared
+with an independent computation.
 """
 
 from __future__ import annotations
@@ -89,9 +89,8 @@ def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int
         pytest.fail("40 and 60 rad/s can be placed with up to two samples")
     poles, wanted = motor_loop.poles(), math.exp(-pole * RIG.period)
     assert np.all(np.abs(poles) < 1.0)
-    assert (
-        np.sort(np.abs(poles - wanted))[2] < 2e-4
-    )  # a triple root is known to the cube root of rounding
+    # a triple root is accurate to the cube root of the rounding error
+    assert np.sort(np.abs(poles - wanted))[2] < 2e-4
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""A design over a box: every requirement kept at arms that the test draws itself, and
+"""A design over a box: every requirement holds for arms drawn by the test itself, and
 what is refused.
 """
 
@@ -46,8 +46,8 @@ def test_finding_says_what_each_interval_costs() -> None:
     made = design(RIG.model, RIG, **asked, box=True, law=False)
     (cost,) = (finding for finding in made.findings if finding.code == "W407")
     assert cost.evidence["nominal_rad"] > cost.evidence["worst_rad"] > fl.deg(44)
-    # Without the delay's interval the design has as much more margin as the finding
-    # promised.
+    # Without the interval of the delay, the margin of the design is larger by what the
+    # finding promised.
     known = replace(made.box, gauge_delay=(0.0, 0.0))
     worst = min(
         float(arm.loop(made.controller, RIG).margins(w0 * ratio)[1][0])
@@ -103,7 +103,8 @@ def test_the_cost_of_a_box_names_the_dearest_parameter() -> None:
         found.remedy
         == "measuring the delay that the controller sees narrows the interval"
     )
-    # The delay's own part, on a loop with the other parameters where they are worst.
+    # The contribution of the delay alone, with the other parameters at their worst
+    # values.
     late = [
         Arm(replace(RIG.model, gauge_delay=delay, gauge_gain=gain)).loop(
             made.controller, RIG

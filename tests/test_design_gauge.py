@@ -1,8 +1,8 @@
-"""Designs for what identification measured: gauge delay, gauge gain and second mode
-stand in the loop.
+"""Designs with identified gauge delay, gauge gain and second mode, which are part of
+the loop.
 
-Stability is counted here from L written out once more, independent of the package: the
-winding of 1 + L along a dense frequency axis, L with its delays as they are.
+Stability is computed here independently of the package, from L written out again with
+its exact delays: the winding number of 1 + L along a dense frequency axis.
 """
 
 from __future__ import annotations
@@ -130,8 +130,8 @@ def test_a_delay_of_the_logger_alone_is_not_in_the_loop() -> None:
         fl.design(model, rig, **WANTED, law=False).controller
         == fl.design(MODEL, RIG, **WANTED, law=False).controller
     )
-    # Nor is what its fit leaves open of it: the box holds the tolerance of a gauge that
-    # is not late.
+    # Nor does the interval of the fitted delay: the box contains the tolerance of a
+    # gauge without delay.
     found = replace(
         model, intervals=(("gauge_delay", 0.055, 0.059), ("order", 1.91, 1.93))
     )

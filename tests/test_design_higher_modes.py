@@ -1,5 +1,5 @@
 """Modes 2 and 3 of a link with mass: their loop gain on the assembled twin, and the
-filter that bounds it.
+filter that limits it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WANTED = {
     "gain_crossover": 12.0,
     "phase_margin": fl.deg(50),
 }
-FREE = {"mode_gain": 100.0}  # the filter of the rule, whatever the modes
+FREE = {"mode_gain": 100.0}  # the filter of the default rule, whatever the modes
 
 
 def with_mass(mass: float) -> Rig:
@@ -66,7 +66,7 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
     mass: float, filter_time: float | None
 ) -> None:
     rig = with_mass(mass)
-    # The twin's servo below is M(s) as it is written.
+    # The servo of the twin below is exactly M(s).
     servo = {"motor_loop": "ideal", "placement": "tustin"}
     design = fl.design(
         rig.model, rig, filter_time=filter_time, **WANTED, **FREE, **servo, law=False
@@ -79,7 +79,8 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
 @pytest.mark.slow
 def test_a_viscous_link_has_its_own_damping_at_mode_two() -> None:
     rig = with_mass(0.00735)
-    # ζ of mode 2 is ω₂/ω₁ times as large, 0.26: one of 1 has no peak to measure
+    # ζ of mode 2 is larger by ω₂/ω₁, namely 0.26; a mode with ζ = 1 has no peak to
+    # measure
     ratio, pole = 0.015, rig.natural_frequency(0.030)
     model = replace(
         rig.model, order=2.0, natural_frequency=pole, damping=2 * ratio * pole

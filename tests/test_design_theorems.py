@@ -1,4 +1,4 @@
-"""Lemma 1, Theorem 1, Remark 1 and Theorem 2 over random admissible parameters, and the
+"""Lemma 1, Theorem 1, Remark 1 and Theorem 2 for random admissible parameters, and the
 exact condition.
 """
 
@@ -106,10 +106,10 @@ def test_exact_condition_is_the_slope_and_reaches_further_than_39(case: Case):
     """Left of (39) too, (49)'s denominator has the sign of minus the slope, and decides
     monotonicity.
     """
-    # At the pole of an undamped link no finite gain has a crossing.
+    # At the pole of an undamped link no finite gain gives a crossover.
     assume(abs(case.crossover / case.pi ** (2.0 / case.loop.link_order) - 1.0) > 1e-6)
     slope = float(case.loop.slope(case.crossover, case.pi).real)
-    # A controller of no gain has no crossover to speak of.
+    # A controller with zero gain has no meaningful crossover.
     assume(abs(slope) > 1e-3 and case.loop.gain > 1e-9)
     exact = denominator_49(case)
     assert (exact > 0.0) == (slope < 0.0)

@@ -1,5 +1,5 @@
-"""Diagnosis: each fault put into a good log is found, with its numbers; a good log is
-left in peace.
+"""Diagnosis: each fault put into a good log is found with its figures; a good log gives
+no findings.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ def test_b13_clipped_samples(side: int) -> None:
 
 
 def test_b13_a_coarse_crest_is_not_clipped() -> None:
-    # A sine in steps of a twentieth: its crest is the fullest level, the one below is
-    # nearly as full.
+    # A sine in steps of a twentieth: most samples are at the level of the crest, almost
+    # as many at the one below.
     sine = 0.05 * np.round(20 * np.sin(2 * np.pi * np.arange(2000) / 200.3))
     assert "W213" not in codes(changed(output=sine))
 

@@ -1,4 +1,6 @@
-"""Pages that describe the code are compared with it; what an index promises is there."""
+"""Pages that describe the code are compared with the code; everything listed in an
+index exists.
+"""
 
 from __future__ import annotations
 
@@ -204,7 +206,7 @@ def test_every_public_name_has_an_entry_in_the_reference() -> None:
     for package in PUBLIC:
         for name in package.__all__:
             value = getattr(package, name)
-            # What the top level lends from a package stands there.
+            # Names re-exported at the root from a package are documented there.
             lent = package is not fraclink and name in fraclink.__all__
             if not inspect.ismodule(value) and not lent:
                 public.add(f"{package.__name__}.{name}")

@@ -1,4 +1,4 @@
-"""The codec: what was saved is loaded equal, and whatever else a file holds is
+"""The codec: a saved object is equal when loaded, and any other file content raises
 FileFormatError.
 """
 
@@ -386,7 +386,7 @@ def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(
         for place in sorted(tmp_path.iterdir()):
             reading, asking = pool.submit(load, place), pool.submit(kind_of, place)
             done, _ = wait((reading, asking), timeout=20)
-            if len(done) < 2:  # let them go, or the test itself waits
+            if len(done) < 2:  # release them, or the test itself waits
                 os.close(os.open(place, os.O_WRONLY | os.O_NONBLOCK))
             assert asking in done and asking.result() == ""
             assert reading in done
@@ -410,7 +410,8 @@ def test_mutants_are_equal_or_refused(value: Any, name: str, tmp_path: Path) -> 
             back = load(path)
         except FileFormatError:
             refused += 1
-        else:  # a blank, the tool's version, what the zip archive says twice
+        # a space, the version of the tool, or what the zip archive contains twice
+        else:
             assert (
                 same_signals(back, value)
                 if isinstance(value, Signals)

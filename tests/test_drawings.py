@@ -1,5 +1,5 @@
-"""Drawings read back: where every mark, tick, label and name lies, in hand-computed
-dots and shares.
+"""Drawings read back: the position of every mark, tick, label and name, compared with
+values computed by hand.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The engine of the arm in a page: built from csrc, without a library, and bit for bit
-the package.
+"""The engine of the arm in a page: built from csrc without a C library, and bitwise
+equal to the package.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from needed_tools import missing, tool
 ROOT = Path(__file__).parents[1]
 MOVE = fl.smooth_step(1.0, duration=0.5)
 END = 3.0
-# The faults that the page has as buttons, from 0.3 s on.
+# The faults for which the page has buttons, from 0.3 s on.
 FAULTS = {
     "gauge NaN": [SensorFault(0.3, 9.0, "gauge value", float("nan"))],
     "gauge stuck": [SensorFault(0.3, 9.0, "gauge frozen")],
@@ -154,7 +154,7 @@ def test_a_fault_has_the_packages_bits_and_a_reaction(engine, design, precision,
         ),
         run,
     )
-    # The law has no guard against a gauge that is wired backwards; its moves fail.
+    # The law has no guard against a reversed gauge; moves with one fail.
     noticed = run.mode.max() >= 2
     assert noticed or (fault == "gauge reversed" and not run.verdict.passed)
 

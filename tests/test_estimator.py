@@ -1,5 +1,5 @@
-"""The payload estimator: its C against numpy, what it finds on the twin, what no input
-and no memory does.
+"""The payload estimator: its C code against numpy, its results on the twin, and its
+robustness against any input and any memory content.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def by_numpy(
         if not 0 < i < MODELS - 1:
             out.append((np.nan, np.nan))
             continue
-        # at the ends of the bank three costs have to do
+        # at the ends of the bank three costs must suffice
         near = range(i - 2, i + 3) if 1 < i < MODELS - 2 else range(i - 1, i + 2)
         steps = np.array(near) - i
         curve = np.polynomial.Polynomial.fit(
@@ -146,7 +146,8 @@ def test_the_c_is_the_least_squares_that_it_says() -> None:
     angle, torque = (x[:240] for x in sensors(moved(0.03)))
     made = bank()
     found = over(made, angle, torque)
-    # a sample that is whole in period k is through the bank when the last chunk is
+    # a sample that is complete in period k has passed through the bank when the last
+    # chunk has
     last = (
         np.arange(1, 240 // made.together) * made.together
         - 1
@@ -156,7 +157,8 @@ def test_the_c_is_the_least_squares_that_it_says() -> None:
     wanted = by_numpy(
         made, angle, torque, (found.flags[last] & _kernels.PAYLOAD_CHANGED) != 0
     )
-    # before the arm moves nothing is looked at; then both forget alike
+    # before the arm moves, nothing is evaluated; after that both forget at the same
+    # rate
     late = last[
         (found.flags[last] & (_kernels.PAYLOAD_FROZEN | _kernels.PAYLOAD_CHANGED)) == 0
     ]
@@ -165,14 +167,15 @@ def test_the_c_is_the_least_squares_that_it_says() -> None:
     assert len(late) > 20
     np.testing.assert_allclose(found.estimate[late], wanted[rows, 0], rtol=1e-7)
     half = 0.5 * (found.high - found.low)[late]
-    # Newton's root begins anew behind a change, and is there three samples later
+    # Newton's iteration restarts after a change and has converged three samples later
     settled = [
         not np.any(found.flags[k - 4 * made.together : k] & _kernels.PAYLOAD_CHANGED)
         for k in late
     ]
     assert np.count_nonzero(settled) > 20
     np.testing.assert_allclose(half[settled], wanted[rows, 1][settled], rtol=0.02)
-    # The root comes from above; the curvature under it is that of Newton's last step.
+    # The root is approached from above; the curvature below it is that of Newton's last
+    # step.
     assert np.all(half >= wanted[rows, 1] * (1 - 1e-3))
 
 
@@ -251,8 +254,9 @@ def test_the_certificate_is_that_of_the_law_alone() -> None:
         == made.digest
         == moved(0.03, told=False).about["law_sha256"]
     )
-    # the feedback from sensors to the motor reference, with any payload, is that
-    # without: same sensors, same differences of the motor reference
+    # With any payload, the feedback from the sensors to the motor reference is the same
+    # as without one: the same sensor readings give the same differences of the motor
+    # reference.
     rows = np.zeros((5, 400))
     bent = 0.01 * np.sin(0.05 * np.arange(400))
     outs = []
@@ -283,9 +287,8 @@ def test_an_estimate_is_kept_while_the_arm_stands() -> None:
     )
     assert found.flags[-1] == _kernels.PAYLOAD_FROZEN | _kernels.PAYLOAD_GIVEN
     assert found.given[-1] == pytest.approx(0.03, rel=0.03)
-    assert found.given[-1] == pytest.approx(
-        found.given[-4000], rel=0.01
-    )  # noise of 4 σ is taken for motion
+    # noise of 4 σ is taken for motion
+    assert found.given[-1] == pytest.approx(found.given[-4000], rel=0.01)
 
 
 def test_a_payload_outside_the_design_is_told() -> None:
@@ -364,9 +367,8 @@ def test_any_memory_is_healed(precision: str) -> None:
     made = bank(precision)
     angle, torque = sensors(moved(0.03))
     there = np.array([angle[:400], torque[:400]])
-    back = (
-        np.array([[1.0], [0.1]]) - there
-    )  # the same move the other way, with the offset of 0.05
+    # the same move in the opposite direction, with the offset of 0.05
+    back = np.array([[1.0], [0.1]]) - there
     later = np.hstack([back, there] * 3)
     before, _ = made.run(made.initial_state(), angle[:100], torque[:100])
     rng = np.random.default_rng(3)
@@ -498,7 +500,7 @@ def test_the_loop_in_real_time_gives_the_estimate() -> None:
         MOVE,
         board,
         duration=1.2,
-        estimator=bank("single"),  # it is taken in the law's precision
+        estimator=bank("single"),  # it is converted to the precision of the law
         priority=0,
         lock_memory=False,
         clock=VirtualClock(1),

@@ -1,4 +1,4 @@
-"""Every script of examples/ runs, with public names only, and prints what it should."""
+"""Every script of examples/ runs, uses only public names, and prints what it should."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_margins_fall_below_the_range_and_are_kept_inside(tmp_path: Path) -> Non
     text = printed("margins_against_payload", tmp_path)
     left = [number(rf"\b{grams} g:", text) for grams in (8, 20, 30, 40, 60)]
     assert left == sorted(left)
-    assert left[0] < 49.0 <= left[1]  # asked for: 50° in the range from 20 g on
+    assert left[0] < 49.0 <= left[1]  # required: 50° in the range from 20 g on
     assert (tmp_path / "margins.svg").read_text("utf-8").startswith("<?xml")
 
 

@@ -1,4 +1,4 @@
-"""The experiment: arrays that nobody changes, and refusals that name the channel."""
+"""The experiment: read-only arrays, and errors that name the channel."""
 
 from __future__ import annotations
 

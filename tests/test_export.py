@@ -1,4 +1,6 @@
-"""The C export: the files, what refuses, and the self-test on this machine's compilers."""
+"""The C export: the files, what is refused, and the self-test with this machine's
+compilers.
+"""
 
 from __future__ import annotations
 
@@ -195,7 +197,7 @@ def test_fast_math_and_the_wrong_precision_are_refused(
     exported: tuple[Law, Path], compiler: str
 ) -> None:
     made, folder = exported
-    # the last one alone, too: it is the part of the others that removes the tests for
+    # the last one also alone: it is the part of the others that removes the tests for
     # NaN
     for flag in ("-Ofast", "-ffast-math", "-ffinite-math-only"):
         flags = ("-std=c99", flag, *single(made), "-c", "law.c", "-o", "x.o")
@@ -245,7 +247,7 @@ def test_a_changed_coefficient_refuses_to_start(
     )
     answer = run(place / "selftest", check=False)
     assert answer.returncode == 1
-    assert "hash 00000000" in answer.stdout  # law_init said no
+    assert "hash 00000000" in answer.stdout  # law_init rejected it
 
 
 def test_existing_folders_are_kept(tmp_path: Path) -> None:

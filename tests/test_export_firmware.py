@@ -1,5 +1,5 @@
-"""The exported law on emulated Cortex-M boards: bit for bit what the package computes,
-and counted.
+"""The exported law on emulated Cortex-M boards: bitwise equal to the package, with its
+instructions counted.
 """
 
 from __future__ import annotations
@@ -31,13 +31,12 @@ BOARDS = {
         ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"),
         "mps2-an500",
     ),
-    # its instructions are a part of those of the Cortex-M3, whose board has the memory
-    # for newlib's printf
+    # its instructions are a subset of those of the Cortex-M3, whose board has enough
+    # memory for newlib's printf
     "cortex-m0plus": (("-mcpu=cortex-m0plus",), "mps2-an385"),
 }
 SELF_TESTED = ("cortex-m4f", "cortex-m3")
-# With both precisions in hardware: a core without them needs the library of a compiler
-# for it.
+# With both precisions in hardware: a core without them needs a library of the compiler.
 RISCV = (
     "--target=riscv32",
     "-march=rv32imafdc",
@@ -155,15 +154,14 @@ def test_fifty_thousand_periods_agree_to_the_bit(
             tmp_path / "long",
         )
         assert _hash(run(tmp_path / "long").stdout) == wanted, (compiler, exact)
-    if precision == "double":  # the emulators take minutes: their self-test is short
+    if precision == "double":  # the emulators take minutes, so their self-test is short
         return
     for board in BOARDS:
         assert _hash(on_board(tmp_path, made, board, *sources, exact=True)) == wanted, (
             board
         )
-    assert (
-        _hash(on_board(tmp_path, made, "cortex-m4f", *sources)) == wanted
-    )  # with room for every design
+    # with memory for every design
+    assert _hash(on_board(tmp_path, made, "cortex-m4f", *sources)) == wanted
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
-"""The FMU: what is in it, whether FMPy takes it, and its outputs against the package's,
-bit for bit.
+"""The FMU: its contents, whether FMPy accepts it, and its outputs, bitwise equal to
+those of the package.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ def test_50_000_periods_are_those_of_the_simulation(
         got, outputs_of(made.run(made.initial_state(), *rows, first_tick=0)[1])
     )
     np.testing.assert_array_equal(got[:, 0], simulated.motor_reference)
-    # the twin tells the voltage that acts: the one of the period before
+    # the twin records the voltage that acts: that of the previous period
     np.testing.assert_array_equal(got[:-1, 1], simulated.voltage[1:])
     assert set(simulated.mode.tolist()) == modes
     seen = np.bitwise_or.reduce(simulated.flags)
-    # Missed and repeated periods (8, 16) need another timer. A residual (256) that
-    # lasts needs an encoder that stands still; for a single period a motor that an
-    # event has pushed is away from its model, too.
+    # Missed and repeated periods (8, 16) need another timer. A persistent residual
+    # (256) needs an encoder that stands still; for a single period, a motor that an
+    # event has pushed also deviates from its model.
     assert seen | 256 == 0x5FF - 8 - 16
     assert ending == "held" or seen & 256
 
@@ -162,7 +162,7 @@ def test_bad_names_are_refused(name: str, tmp_path: Path) -> None:
 
 
 def _compiler(folder: Path, triple: str) -> str:
-    """A program that claims to compile for `triple` and cannot."""
+    """A program that claims to compile for `triple` but cannot."""
     path = folder / f"cc-{triple}"
     path.write_text(
         f"#!/bin/sh\n[ $1 = -dumpmachine ] && echo {triple} && exit\necho 'all.c:1: error: no' >&2; exit 1\n",
@@ -229,7 +229,8 @@ def test_a_library_stands_where_importers_look_for_it(
         called = archive.read(f"binaries/{place}").decode().split()
         dates = {info.date_time for info in archive.infolist()}
     assert dates == {(1980, 1, 1, 0, 0, 0)}
-    # Without -ffp-contract=off the library would not give the simulation's bits.
+    # Without -ffp-contract=off the library would not be bitwise equal to the
+    # simulation.
     assert {"-std=c99", "-O2", "-ffp-contract=off", "-shared", "all.c"} < set(called)
     with pytest.raises(FieldError, match=f"the second one for {platform}"):
         export_fmu(law(), tmp_path / "twice.fmu", compilers=2 * compilers)

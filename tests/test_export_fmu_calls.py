@@ -1,5 +1,5 @@
-"""The FMU's calls out of order, with wrong values, saved, restored and in pairs, as
-FMPy makes them.
+"""Calls of the FMU out of order, with wrong values, saved, restored and in pairs, as
+made by FMPy.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def arm(file: Path, tmp_path: Path) -> Imported:
 
 
 def _refused(arm: Imported, why: str, name: str, *arguments: object) -> None:
-    """The call ends in an error that says why, and ends the simulation."""
+    """The call ends with an error that states the reason, and ends the simulation."""
     from fmpy.fmi1 import FMICallException
 
     arm.messages.clear()
@@ -58,7 +58,7 @@ def test_another_step_than_the_period_is_an_error_until_a_reset(arm: Imported) -
         2 * PERIOD,
     )
     _refused(arm, "initialize first, or reset", "DoStep", 300 * PERIOD, PERIOD)
-    assert arm.read() == fresh[-1].tolist()  # what was reached can still be read
+    assert arm.read() == fresh[-1].tolist()  # the results so far can still be read
     arm.call("Reset")
     arm.initialize()
     np.testing.assert_array_equal(arm.run(ROWS, PERIOD), fresh)
@@ -192,9 +192,8 @@ def test_two_instances_do_not_see_each_other(arm: Imported) -> None:
     for k in range(ROWS.shape[1]):
         for number, instance in enumerate((first, second)):
             arm.instance = arm.slave.component = instance
-            arm.write(
-                ROWS[:, k] * (1 - 2 * number)
-            )  # the second one moves the other way
+            # the second one moves in the opposite direction
+            arm.write(ROWS[:, k] * (1 - 2 * number))
             arm.step(k * PERIOD, PERIOD)
             got[number].append(arm.read())
     np.testing.assert_array_equal(np.array(got[0]), alone)
@@ -202,4 +201,4 @@ def test_two_instances_do_not_see_each_other(arm: Imported) -> None:
     arm.instance = first
     arm.call("FreeInstance")
     arm.instance = second
-    arm.read()  # the other one lives on
+    arm.read()  # the other one is unaffected

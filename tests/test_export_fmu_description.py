@@ -1,4 +1,4 @@
-"""What an FMU says of itself: variables, dependencies, units, identity, and its page."""
+"""The description of an FMU: variables, dependencies, units, identity, and its page."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from fmu_bench import fmpy_or_skip
 from fraclink import Law, export_fmu
 from law_bench import law
 
-# FMI 3.0, sections 2.4.7 and 2.4.8. Name,
-# causality, unit, where the value before the first step comes from; the place is the
-# value reference.
+# FMI 3.0, sections 2.4.7 and 2.4.8. Name, causality, unit, and where the value before
+# the first step comes from; the position is the value reference.
 OF_ARM = (
     ("reference", "input", "rad", ()),
     ("reference_acceleration", "input", "rad/s2", ()),
@@ -31,7 +30,7 @@ OF_ARM = (
     ("time", "independent", "s", ()),
     ("payload", "input", "kg", ()),
 )
-# A PID does not know the units of what it controls.
+# The units of the quantities that a PID controls are not known.
 OF_PID = (
     ("reference", "input", "1", ()),
     ("reference_acceleration", "input", "1", ()),
@@ -54,7 +53,7 @@ def pid() -> Law:
 
 
 def _written(made: Law, folder: Path) -> tuple[ET.Element, dict[str, str]]:
-    """The root of modelDescription.xml, and every text of the FMU by its name."""
+    """Return the root of modelDescription.xml, and all texts of the FMU by name."""
     file = export_fmu(made, folder / "arm.fmu", compilers=())
     with zipfile.ZipFile(file) as archive:
         texts = {name: archive.read(name).decode() for name in archive.namelist()}
@@ -82,9 +81,8 @@ def test_every_variable_is_described_as_the_standard_wants(
             if isinstance(unit, str)
             else {"min": str(unit[0]), "max": str(unit[1])}
         )
-        expected |= (
-            {"start": "0"} if causality == "input" else {}
-        )  # FMI wants one of every input
+        # FMI requires one for every input
+        expected |= {"start": "0"} if causality == "input" else {}
         assert about == expected
         assert kind == ("Float64" if isinstance(unit, str) else "UInt32")
     without = "leave it at 0: without effect in a PID"

@@ -38,7 +38,7 @@ def test_an_importer_builds_the_same_from_the_sources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fmpy_or_skip()
-    # cmake is one of the build's packages: it lies beside the interpreter
+    # cmake is one of the build's packages and is next to the interpreter
     monkeypatch.setenv(
         "PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     )
@@ -83,7 +83,7 @@ def test_the_declarations_are_those_of_the_standard(tmp_path: Path) -> None:
         "-fsyntax-only",
         "all.c",
     )
-    # that header refers each function's name to itself
+    # that header maps the name of each function to itself
     shell(
         tool("clang"),
         *CLANG,
@@ -107,7 +107,7 @@ def test_checkers_have_nothing_to_say(tmp_path: Path) -> None:
     command += ["--enable=warning,style,performance,portability", "all.c"]
     answer = shell(*command, cwd=sources, check=False)
     assert answer.stdout + answer.stderr == ""
-    # one file that includes the others is what all.c is for
+    # all.c is meant to include the other files
     checks = (
         "--checks=-*,bugprone-*,-bugprone-suspicious-include,cert-*,clang-analyzer-*"
     )
@@ -173,6 +173,6 @@ def test_a_cross_compiler_adds_windows(tmp_path: Path) -> None:
         ).stdout
         exported.append(set(re.findall(r"\bfmi3\w+", told)))
     assert exported[0] == exported[1]
-    assert len(exported[0]) == 75  # all that the standard wants for co-simulation
+    assert len(exported[0]) == 75  # all that the standard requires for co-simulation
     with pytest.raises(FieldError, match=r"the second one for x86_64-linux"):
         export_fmu(law(), tmp_path / "other.fmu", compilers=("gcc", "cc"))

@@ -1,5 +1,5 @@
-"""Gates of law.c: compilers at their strictest, checkers, prover, fuzzer, coverage, and
-seeded defects.
+"""Gates of law.c: the strictest compiler settings, checkers, prover, fuzzer, coverage,
+and seeded defects.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def test_the_compilers_have_nothing_to_say(precision: str, tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_cppcheck_and_misra_have_nothing_to_say(folder: Path) -> None:
-    # unusedFunction: a library's functions are used by others; missingIncludeSystem:
-    # stdint.h is not parsed
+    # unusedFunction: the functions of a library are used elsewhere;
+    # missingIncludeSystem: stdint.h is not parsed
     general = tuple(f"-ULAW_{kind}" for kind in ("REALS", "PAIRS", "FORWARDS"))
     for build in (general, ("-ULAW_PAIRS", *exact_flags(law("single")))):
         answer = run(
@@ -214,7 +214,7 @@ def test_many_designs_compile_clean_and_pass_their_self_test(tmp_path: Path) -> 
             cwd=tmp_path / "law",
         )
     # a fit takes a second: each controller is fitted once, each link without one, and
-    # every two are combined
+    # all pairs are combined
     corrections = [
         law_of(*controller, 11.1, 1.8, modes=4).correction for controller in CONTROLLERS
     ]
@@ -256,7 +256,7 @@ def with_pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Law]:
 
 
 def _caught(folder: Path, made: Law, number: int) -> str | None:
-    """The first gate that sees the mutant, the cheapest first, or None."""
+    """Return the first gate that detects the mutant, cheapest first, or None."""
     old, new = MUTANTS[number]
     text = (folder / "law.c").read_text(encoding="utf-8")
     assert text.count(old) >= 1, f"the mutant's pattern is gone: {old}"
@@ -275,8 +275,8 @@ def _caught(folder: Path, made: Law, number: int) -> str | None:
     if run(place / "selftest", check=False).returncode:
         return "self-test"
     plain = ("-std=c99", "-ffp-contract=off", *flags)
-    # what breaks an invariant needs no sanitizer, and a build without them is six times
-    # as fast
+    # a mutant that breaks an invariant needs no sanitizer, and a build without them is
+    # six times as fast
     for options in (("-O0",), ("-O1", "-fsanitize=address,undefined")):
         run(gcc, *plain, *options, "one.c", "-lm", "-o", "one", cwd=place)
         answer = run(place / "one", "10", check=False)

@@ -1,5 +1,5 @@
-"""What the exported pages, headers and tables say, against the law and what a compiler
-makes of the files.
+"""The exported pages, headers and tables, compared with the law and with what a
+compiler makes of the files.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def test_the_estimator_s_files_give_the_package_s_bits(
     made = bank(precision)
     export_c(law(precision), tmp_path, estimator=made)
     data = (tmp_path / "payload_data.h").read_text(encoding="utf-8")
-    # The block, taken from the text again: eight words, then reals in the order of the
+    # The block, parsed back from the text: eight words, then reals in the order of the
     # header.
     whole = [int(word) for word in re.findall(r"= (\d+)U,", data)]
     texts = re.findall(r"-?0x[01]\.[0-9a-f]+p[+-]\d+(?=F?)", data)

@@ -90,7 +90,7 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "firmware" / "law.c"
     wrong = "int one(void)\n{\n    return nothing;\n}\n"
     source.write_text(source.read_text(encoding="utf-8") + wrong, encoding="utf-8")
-    # The line of the error, not the one before it that only names the function.
+    # The line of the error, not the one before it, which only names the function.
     with pytest.raises(
         FieldError,
         match=r"refused by the compiler .got law\.c:\d+:\d+: error: .*nothing",
@@ -139,7 +139,7 @@ def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(
         _replay(tmp_path / "firmware")
     assert refused.value.value == file
     assert not mark.exists()
-    if file != "law.h":  # it is included twice, and the mark would be defined twice
+    if file != "law.h":  # it is included twice, so the mark would be defined twice
         _replay(tmp_path / "firmware", allow_changed=True)
         assert mark.exists()
 

@@ -1,6 +1,4 @@
-"""Structures as text: readings that agree, roles, and pieces or numbers that mean
-nothing.
-"""
+"""Structures as text: equivalent notations, roles, and meaningless pieces or numbers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The fault campaign: complete, repeatable, and its verdicts turn when a guard is taken
-out.
+"""The fault campaign is complete and repeatable, and its verdicts change when a guard
+is removed.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from fraclink.trials import (
 from fraclink.trials._fault_checks import CHECKS
 from fraclink.trials._fault_injections import INJECTIONS
 
-# Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives
-# their values.
+# Known weaknesses of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md
+# gives their values.
 OPEN = {"F03", "F06", "F07", "F08", "F21", "F24", "F27", "F37"}
 WIDE = 1e3
 
@@ -91,7 +91,7 @@ def test_outputs_are_finite_and_in_limits_in_every_run(table: FaultTable) -> Non
         (
             Case("F18", 3, 0.03, "mid", 1),
             {"torque_step": WIDE},
-        ),  # A: spikes are let through
+        ),  # A: spikes pass
         (
             Case("F36", 1, 0.03, "mid", 1),
             {"angle_step": WIDE, "angle_limit": WIDE, "residual_angle": WIDE},
@@ -121,11 +121,11 @@ def test_a_guard_that_is_removed_turns_the_verdict(
         (
             Case("F04", 2, 0.03, "mid", 1),
             {"bad_limit": 10**6},
-        ),  # D: dead sensors are waited for
+        ),  # D: the law keeps waiting for dead sensors
         (
             Case("F22", 3, 0.03, "mid", 1),
             {"missed_limit": 10**6},
-        ),  # D: a dead task is forgiven
+        ),  # D: a dead task is tolerated
     ],
 )
 def test_a_counter_that_never_ends_turns_the_verdict(
@@ -287,7 +287,7 @@ def test_a_clean_arm_is_left_alone(bench: Bench, precision) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [11, 12, 79, 117]
-)  # the last two: held with noise left in the modes, it trips
+)  # the last two: held with noise remaining in the modes, it trips
 def test_an_arm_that_is_quiet_for_an_hour_does_not_trip(
     bench: Bench, seed: int
 ) -> None:

@@ -1,4 +1,6 @@
-"""`fraclink campaign faults`: exit codes, files, and the command that repeats one run."""
+"""`fraclink campaign faults`: exit codes, files, and the command that repeats a single
+run.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ def test_a_fault_that_is_met_exits_with_0(
     assert not (out / "figures").exists()
     kept = fl.load(out / "run.npz")
     assert kept.about["case"] == "F02-2-30g-mid-1" and len(kept.tip_angle) == 1751
-    # A result is not overwritten unless asked to.
+    # A result is only overwritten on request.
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
 
@@ -78,7 +80,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     assert (
         tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg"
     ).read_bytes() == first
-    # By its name, too, and not over files that are there.
+    # Also under its name, and never over existing files.
     capsys.readouterr()
     named = ["replay", "first", "--run", "F07-3-30g-mid-3"]
     assert run(named) == 1
@@ -129,8 +131,8 @@ def test_a_replay_names_what_it_misses(
     assert "given beside --run" in capsys.readouterr().err
     assert run([*words, "--run", "F03-2-30g-mid-1"]) == 2
     assert "such as F02-2-30g-mid-1" in capsys.readouterr().err
-    # The studio's table has no command: the design of its folder was tested, and here
-    # there is none.
+    # The table of the studio has no command: the design of its folder was tested, and
+    # here there is none.
     assert run([*words, "--run", "F02-2-30g-mid-1"]) == 2
     assert "design.json" in capsys.readouterr().err
 

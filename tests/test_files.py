@@ -1,4 +1,4 @@
-"""Files are complete or not there, and what is read back is what was written."""
+"""Files are either complete or absent, and what is read back is what was written."""
 
 from __future__ import annotations
 
@@ -116,9 +116,8 @@ def test_a_place_where_no_file_can_be_made_is_told_before_the_work(
     with pytest.raises(FieldError, match="already there"):
         fl.save(NOTE, "/")
     assert fl.save(NOTE, tmp_path / "new" / "newer" / "x.json").is_file()
-    monkeypatch.setattr(
-        os, "access", lambda place, _: place != tmp_path
-    )  # root may write everywhere
+    # root may write anywhere
+    monkeypatch.setattr(os, "access", lambda place, _: place != tmp_path)
     with pytest.raises(FieldError, match=r"not writable \(no permission in "):
         fl.save(NOTE, tmp_path / "newest" / "x.json")
 
@@ -148,7 +147,7 @@ def test_an_error_crosses_a_process_border_with_its_parts(
     kind: type[FieldError],
 ) -> None:
     error = kind("payload", -1, "negative", allowed="> 0 kg", remedy="give kg")
-    # What a pool of processes does with an error; the package itself never unpacks such
+    # What a process pool does with an error; the package itself never unpickles such
     # bytes.
     back = pickle.loads(pickle.dumps(error))  # noqa: S301
     assert type(back) is kind

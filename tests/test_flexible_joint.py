@@ -1,4 +1,4 @@
-"""A rigid arm behind springs, its deflection measured by an encoder: from log to move."""
+"""A rigid arm on springs whose deflection is measured by an encoder, from log to move."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def test_from_two_encoders_to_a_move() -> None:
     move = 0.3 * np.repeat(rng.choice([-1, 1], count // 100), 100)
     move[:100] = 0.0
     angle = time_response(1 / (0.02 * s + 1) ** 2, move, rig.period).output
-    # The load by itself, J θ̈ + μ J (θ̇ − θ̇m) = c (θm − θ): no formula of a link.
+    # The load on its own, J θ̈ + μ J (θ̇ − θ̇m) = c (θm − θ), without a formula for
+    # links.
     load = (1.3 * s + 1.3 / 0.0213 / 0.298**2) / (
         s**2 + 1.3 * s + 1.3 / 0.0213 / 0.298**2
     )

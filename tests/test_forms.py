@@ -1,5 +1,5 @@
-"""Forms of text tables: each is read as the plain table is, saying what was done; or
-shown and refused.
+"""Text tables in different formats: each is read like the plain table, with a remark on
+what was done, or is shown and refused.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def labview(*, stamps: bool) -> str:
     )
 
 
-# What stands in the file, the names and units it is read with, and a word of what is
-# said of it.
+# The content of the file, the names and units it is read with, and a word of the
+# remark.
 FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
     "plain": (PLAIN.encode(), (*HEADER,), (), ""),
     "UTF-16": (PLAIN.encode("utf-16"), (*HEADER,), (), ""),

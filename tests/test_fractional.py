@@ -69,7 +69,7 @@ def test_arrays_give_arrays_of_functions() -> None:
 
 def test_normal_form_makes_equal_functions_equal() -> None:
     assert 2 * s / (4 * s**2 + 2 * s) == 0.5 / (s + 0.5)
-    assert (0 * s + 0.1) + 0.2 - 0.3 != 0  # numbers are not rounded for the user
+    assert (0 * s + 0.1) + 0.2 - 0.3 != 0  # numbers are not rounded silently
     assert s**0.1 * s**0.2 == s**0.3
     assert s**-0.5 == 1 / s**0.5
     assert 1 / (s**-0.5 + 1) == s**0.5 / (1 + s**0.5)
@@ -228,7 +228,8 @@ def test_values_where_powers_leave_the_range_of_doubles() -> None:
     assert G(1e200j) == pytest.approx(1.5, rel=1e-15)
     assert (s / (s**3 + 1))(1e200) == 0.0
     assert ((s**3 + 1) / s)(0) == complex(math.inf)
-    both = G(np.array([1e-3j, 1e200j]))  # the finite one is computed as it is alone
+    # the finite value is the same as in a call of its own
+    both = G(np.array([1e-3j, 1e200j]))
     assert both[0] == G(1e-3j)
     assert (s**0.5 + 2)(0) == 2 and (2 + 1 / s**0.5)(0) == complex(math.inf)
 

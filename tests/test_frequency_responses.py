@@ -1,5 +1,5 @@
-"""Frequency responses as data: tables in any orientation, link and motor, bands that
-miss something.
+"""Frequency responses as data: tables in any orientation, link and motor, bands with
+missing parts.
 """
 
 from __future__ import annotations
@@ -232,9 +232,8 @@ def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
         )
         assert code in {finding.code for finding in found.findings}
         assert not found.passed
-        with pytest.raises(
-            FieldError, match=f"fit: not passed .*{code}"
-        ):  # a design of it would pass
+        # a design with it would pass
+        with pytest.raises(FieldError, match=f"fit: not passed .*{code}"):
             found.model(1.5 / 9.0)
 
 
@@ -283,7 +282,7 @@ def test_a_link_of_one_mode_is_fitted_where_it_holds() -> None:
     (said,) = (finding for finding in found.findings if finding.code == "W349")
     assert said.evidence["low"] == pytest.approx(2.0)
     assert 20.0 < said.evidence["high"] < 150.0
-    # What is stated is taken as it is.
+    # A stated band is taken as it is.
     stated = fl.extend.identify_driven_link(swept(), band=(2.0, 500.0), details=False)
     assert not stated.passed
 
@@ -325,7 +324,8 @@ def driven() -> DrivenLinkFit:
 def test_the_peak_lies_between_the_points_of_its_grid(driven: DrivenLinkFit) -> None:
     w = np.geomspace(11.1, 14.0, 400_001)
     exact = w[np.argmax(np.abs(driven.transfer_function(1j * w)))]
-    assert driven.peak == pytest.approx(exact, rel=2e-5)  # the grid's own step is 2e-3
+    # the step of the grid itself is 2e-3
+    assert driven.peak == pytest.approx(exact, rel=2e-5)
     assert driven.order == pytest.approx(1.92, abs=1e-6)
     assert driven.anti_resonance == pytest.approx(100 ** (1 / 1.92), rel=1e-6)
     assert driven.passed and driven.findings == ()

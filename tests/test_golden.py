@@ -1,7 +1,7 @@
-"""Golden figures: what was recorded before the rebuilding still comes out, entry by
-entry.
+"""Golden figures: the results recorded before the refactoring are still obtained, entry
+by entry.
 
-A difference is an improvement that its author names, or a defect.
+A difference is either an improvement, explained by its author, or a defect.
 `tests/golden/record.py` records again.
 """
 
@@ -14,7 +14,7 @@ import pytest
 from golden.commands import COMMANDS, TEXTS, Desk  # type: ignore[attr-defined]
 from golden.record import TOPICS, differences, entries, plain, probe, recorded
 
-# Over two seconds each.
+# These take more than two seconds each.
 SLOW = {
     "claims",
     "run",
@@ -37,7 +37,7 @@ ENTRIES = [
 @pytest.mark.parametrize(("topic", "title"), ENTRIES)
 def test_the_recorded_figures_come_out(topic: str, title: str) -> None:
     told = recorded(topic)
-    # Digests hold for the arithmetic they were made with; numbers hold everywhere.
+    # Digests are valid for the arithmetic they were made with, numbers everywhere.
     bits = told["probe"] == probe()
     found = plain(entries(topic)[title]())
     lines = differences(

@@ -1,4 +1,4 @@
-"""Imports go down the floors only, and never in a circle."""
+"""Imports only go down the floors, and never in a cycle."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from guard_sources import (
     statements,
 )
 
-# One row a floor: a module imports from the rows above its own and from its own package
-# only.
+# One row per floor: a module imports only from the rows above its own and from its own
+# package.
 ROWS: tuple[tuple[str, ...], ...] = (
     ("fracsys",),
     ("fraclink", "errors", "findings", "_display", "_kernels"),
@@ -57,7 +57,7 @@ def test_imports_go_down() -> None:
 
 
 def _cycle(edges: dict[str, set[str]]) -> list[str]:
-    """Return one circle of imports, or an empty list."""
+    """Return an import cycle, or an empty list."""
     done: set[str] = set()
 
     def visit(node: str, trail: list[str]) -> list[str]:
@@ -78,8 +78,8 @@ def _cycle(edges: dict[str, set[str]]) -> list[str]:
 
 
 def test_imports_form_no_circle() -> None:
-    # Inside one package a noun's `save` may import, when called, the file that knows
-    # the noun.
+    # Inside a package, the `save` of a class may import the file format of the class
+    # when it is called.
     edges = {
         source.name: set(imported_modules(source, at_once=True)) for source in sources()
     }
@@ -87,7 +87,8 @@ def test_imports_form_no_circle() -> None:
 
 
 def test_components_form_no_circle() -> None:
-    # Between packages no circle is allowed, not even one that waits for a call.
+    # Between packages no cycle is allowed, not even one with an import inside a
+    # function.
     edges: dict[str, set[str]] = {}
     for source in sources():
         targets = {component(target) for target in imported_modules(source)}
@@ -100,8 +101,9 @@ def test_the_circle_finder_finds_circles() -> None:
     assert _cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
 
 
-# What each satellite takes of other packages beside their public names. It may fall, to
-# none in the end: what a satellite needs belongs into `fraclink.extend`, or beside it.
+# Private names that each satellite takes from other packages. The counts may only fall,
+# eventually to zero: what a satellite needs belongs in `fraclink.extend`, or in the
+# satellite itself.
 PRIVATE = {"lab": 27, "logs": 24, "trials": 36, "view": 31, "studio": 34}
 
 
@@ -132,12 +134,12 @@ def test_satellites_import_public_names(satellite: str) -> None:
     assert len(taken) <= PRIVATE[satellite], sorted(taken)
 
 
-# What `pip install fraclink` leaves out, and what is loaded when it is called for.
+# What `pip install fraclink` leaves out, and what is only loaded when it is needed.
 EXTRAS = {
     *("control", "distributed", "flint", "fraclink_prove", "h5py"),
     *("jinja2", "matplotlib", "nptdms", "rosbags"),
 }
-# The rest that waits, each for a measured reason; a new line here wants one too.
+# The other late imports, each for a measured reason; a new line here needs one, too.
 LATE = {
     ("fraclink._cli", "fraclink._cli.app"): "needs the extra [cli]",
     ("fraclink._cli.studio", "fraclink.studio._serving"): "needs the extra [studio]",
@@ -178,8 +180,9 @@ def test_only_extras_are_imported_late() -> None:
     } == LATE.keys()
 
 
-# Statements that a package may have (`statements`): today's count where DESIGN's budget
-# is not reached yet. Whoever removes code lowers the ceiling of its package.
+# Number of statements a package may have (`statements`): the current count where the
+# budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
+# package.
 CEILINGS = {
     "fracsys": 2912,
     "_arm": 1715,

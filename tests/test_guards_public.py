@@ -35,8 +35,7 @@ def value_of(dotted: str) -> object:
     return getattr(PUBLIC[package], name)
 
 
-# Reading a docstring must teach how to call: these parts are looked for by eye of the
-# machine.
+# A docstring must explain how to call: these sections are checked automatically.
 HEAVY = (
     "scipy",
     "matplotlib",
@@ -52,7 +51,7 @@ HEAVY = (
 
 
 REFERENCE = ROOT / "docs" / "reference"
-# The names that the reference's first page explains: what a person learns first, so
+# The names explained on the first page of the reference: they are learned first, so
 # each has an example.
 FIRST = [
     name
@@ -85,7 +84,7 @@ def test_every_name_of_the_stub_is_public(package: str) -> None:
 def test_public_name_is_documented_with_an_example(name: str) -> None:
     value = value_of(name)
     if not isinstance(value, type) and not inspect.isfunction(value):
-        return  # a table or an object; its class says what it is
+        return  # a table or an object whose class documents it
     text = inspect.getdoc(value) or ""
     assert text, f"{name} has no docstring"
     if isinstance(value, type) and issubclass(value, Exception | Warning):

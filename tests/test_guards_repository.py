@@ -1,5 +1,5 @@
-"""What the repository says of itself outside its sources: one version, and workflows
-that fit the tests.
+"""What the repository states outside its sources: one version, and workflows that match
+the tests.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ WORKFLOWS = ROOT / ".github" / "workflows"
 
 
 def test_the_version_is_one() -> None:
-    # The package's own is read from __init__.py by the build; the others cannot be, and
-    # are compared here.
+    # The version of the package itself is read from __init__.py by the build; the
+    # others cannot be, and are compared here.
     prove = tomllib.loads((ROOT / "prove" / "pyproject.toml").read_text("utf-8"))[
         "project"
     ]
@@ -107,5 +107,6 @@ def test_what_runs_before_a_commit_is_what_make_lint_runs() -> None:
         line.strip().removesuffix(" .")
         for line in re.findall(r"\$\(BIN\)/(.*)$", recipe, re.M)
     ]
-    # The tests' own types take another minute: the server and `make lint` look at them.
+    # The types of the tests take another minute: they are checked on the server and by
+    # `make lint`.
     assert hooks == [line for line in run if "tests/mypy.ini" not in line]

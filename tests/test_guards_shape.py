@@ -1,5 +1,5 @@
-"""Shapes and habits that a machine can see: sizes, forbidden calls, what may not be in
-a tracked file.
+"""Shapes and habits that can be checked automatically: sizes, forbidden calls, what may
+not be in a tracked file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pytest
 
 from guard_sources import PACKAGES, ROOT, sources
 
-FILE_LINES = 600  # an alarm, not an aim: a file is as long as its subject
+FILE_LINES = 600  # an alarm, not a target: a file is as long as its subject requires
 FUNCTION_LINES = 100
 
 
@@ -24,7 +24,7 @@ def test_files_stay_readable() -> None:
         *(ROOT / "csrc").rglob("*.[ch]"),
         *(ROOT / "csrc").rglob("*.cpp"),
     ]
-    # law.c is a deliverable of its own: one file that people copy to a board and read
+    # law.c is a deliverable of its own: one file that users copy to a board and read
     # from top to bottom.
     files.remove(ROOT / "csrc" / "law.c")
     # Each is one subject, read from top to bottom.
@@ -38,8 +38,8 @@ def test_files_stay_readable() -> None:
 
 
 def _code_lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines of a function without its docstring, which is as long as its arguments are
-    many.
+    """Lines of a function without its docstring, whose length depends on the number of
+    arguments.
     """
     first = node.body[0]
     told = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
@@ -59,7 +59,8 @@ def test_functions_stay_readable() -> None:
 
 
 def test_no_array_of_objects_is_unpickled() -> None:
-    # What else runs a file's content (pickle, eval, a shell) the linter's S rules see.
+    # Other ways to execute the content of a file (pickle, eval, a shell) are found by
+    # the linter's S rules.
     asked = re.compile(r"allow_pickle=(?!False)")
     assert [source.name for source in sources() if asked.search(source.text)] == []
 

@@ -49,7 +49,8 @@ def test_noise_free_pulse_of_20_seconds_to_six_digits() -> None:
 def test_gain_offset_and_delay_are_found_along() -> None:
     log = made_log(delay=0.0137, offset=-0.3, gain=-0.7)
     fit = identify(log, "UD-FOM")
-    # 1e-4: the motor moves smoothly, the fit joins its samples by straight lines.
+    # 1e-4: the motor moves smoothly, and the fit interpolates linearly between its
+    # samples.
     assert fit.model.order == pytest.approx(1.92, abs=1e-4)
     assert fit.model.natural_frequency == pytest.approx(10.02, abs=1e-3)
     assert fit.delay == pytest.approx(0.0137, abs=2e-5)
@@ -62,10 +63,10 @@ def test_gain_offset_and_delay_are_found_along() -> None:
 @settings(max_examples=15, deadline=None)
 @example(
     order=1.6875, frequency=34.0, delay=0.01171875, seed=0
-)  # the scan takes eight times the frequency for it
+)  # the scan needs eight times the frequency for it
 @example(
     order=1.6015625, frequency=35.0, delay=0.0, seed=0
-)  # and the delay ends at what that may lead by
+)  # and the delay ends at the largest lead that this allows
 @given(
     order=st.floats(1.6, 1.99),
     frequency=st.floats(3.0, 40.0),
@@ -384,7 +385,7 @@ def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     monkeypatch.setitem(STRUCTURES, row.name, row)
     link = LinkModel(1.56, 10.0, order=1.95, damping=0.8)
-    # The kernel's derivatives and time response of both terms: an independent
+    # The derivatives of the kernel and the time response of both terms: an independent
     # simulation.
     angle = smooth_pulse(PERIOD * np.arange(4000))
     torque = time_response(link.torque(), angle, PERIOD, hold="first").output

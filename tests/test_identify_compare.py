@@ -1,4 +1,4 @@
-"""Four structures on one log: what the verdict says, on simulated and on recorded logs."""
+"""Four structures on one log: the verdict on simulated and on recorded logs."""
 
 from __future__ import annotations
 
@@ -239,7 +239,8 @@ def test_white_errors_are_the_scatter_of_fits() -> None:
     for name in ("gain", "offset", "delay"):
         said = np.median([fit.standard_errors[name] for fit in fits])
         scatter = np.std([getattr(fit, name) for fit in fits])
-        assert 0.6 < said / scatter < 1.7, name  # the scatter of 24 is known to 15 %
+        # the scatter of 24 values is known to 15 %
+        assert 0.6 < said / scatter < 1.7, name
 
 
 def test_the_held_out_part_vetoes_a_link_without_damping() -> None:

@@ -1,4 +1,4 @@
-"""The gates of identification: logs that must not give a model to design with, and logs
+"""The gates of identification: logs that must not give a model for a design, and logs
 that must.
 """
 
@@ -53,8 +53,7 @@ def saturated(share: float) -> Array:
 
 
 DEFLECTION = TORQUE / 1.56
-# name -> the log, and the finding that it must give: its code and a part of what it
-# says
+# name -> the log, and the finding it must give: its code and a part of its text
 BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     # --- units, scale and sign
     "deflection in degrees": (
@@ -270,14 +269,13 @@ def test_a_log_that_knows_the_angle_before_its_cut_is_fitted_as_the_whole_one(
             interval.high - interval.low
         )  # 2.6 standard errors: one noise, nine intervals
         assert interval.low - spare < truth < interval.high + spare, name
-    # The model of the cut log, driven by all of the angle, is that of the prediction.
+    # The model of the cut log, driven by the whole angle, reproduces the prediction.
     again = (
         simulated_torque(found.model, ANGLE, PERIOD, delay=found.delay)[late:]
         + found.offset
     )
-    assert np.allclose(
-        found.predicted, again, rtol=0, atol=3e-7
-    )  # each grid of rates errs by itself
+    # each grid of rates has its own error
+    assert np.allclose(found.predicted, again, rtol=0, atol=3e-7)
     assert found.samples == ANGLE.size - late and found.fitted_samples < found.samples
 
 

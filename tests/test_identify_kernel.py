@@ -37,8 +37,8 @@ def test_delay_of_whole_and_broken_samples() -> None:
     for steps in (1, 3, 8, 13):
         late = simulated_torque(TRUTH, angle, fine, delay=steps * fine)
         assert np.max(np.abs(late[steps:] - whole[:-steps])) < 1e-9
-    # Between samples the input is a straight line: the same as a fine log that is
-    # straight there.
+    # Between samples the input is linear: the same as in a fine log that is linear
+    # there.
     coarse = angle[::8]
     straight = np.interp(
         fine * np.arange(coarse.size * 8 - 7), PERIOD * np.arange(coarse.size), coarse
@@ -63,7 +63,8 @@ def test_derivatives_are_those_of_the_prediction(link: LinkModel, hold: str) -> 
     free = [i for i in range(5) if not (i in (2, 3) and link.damping == 0)]
     mask = sum(1 << i for i in free)
     if link.order == 2:
-        shape[0] = 1.99  # away from the limit, where only one side can be differenced
+        # away from the limit, where only a one-sided difference is possible
+        shape[0] = 1.99
     columns = kernel.columns(shape, mask)
     assert columns is not None
     for column, i in zip(columns[1:], free, strict=True):
@@ -76,7 +77,7 @@ def test_derivatives_are_those_of_the_prediction(link: LinkModel, hold: str) -> 
 
 
 def test_gram_matrix_is_that_of_the_columns() -> None:
-    angle = smooth_pulse(PERIOD * np.arange(1237))  # no multiple of any block length
+    angle = smooth_pulse(PERIOD * np.arange(1237))  # not a multiple of any block length
     output = np.sin(np.arange(1237) / 7)
     kernel = Window(angle, output, PERIOD, "first").kernel(10.0, longest_delay=0.1)
     shape = shape_of(LINKS[3], delay=0.0123)

@@ -64,21 +64,20 @@ def test_a_cable_that_pulls_is_told_from_the_motor() -> None:
     assert fit.spring == pytest.approx(spring, rel=0.02)
     assert fit.gain == pytest.approx(gain, rel=0.02)
     assert fit.standard_errors["spring"] < 0.05 * spring
-    # Without it, what the spring does stands for the voltage.
+    # Without it, the effect of the spring is attributed to the voltage.
     with pytest.raises(LogError, match="K/J of an impossible sign"):
         identify_motor(voltage, np.array(angles), period=period)
 
 
 @pytest.mark.slow
 def test_the_links_torque_gives_the_inertia() -> None:
-    # Dividing the link's torque by J is the same as a voltage: make the load a known
+    # The torque of the link divided by J acts like a voltage: treat the load as a known
     # second drive.
     voltage, angle = example_motor_log(samples=4000)
     generator = np.random.default_rng(3)
     torque = np.repeat(generator.uniform(-0.01, 0.01, 100), 40)
-    driven = voltage + torque / (
-        GAIN * INERTIA
-    )  # the voltage that makes the same motion against the load
+    # the voltage that produces the same motion against the load
+    driven = voltage + torque / (GAIN * INERTIA)
     fit = identify_motor(
         driven, angle, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0
     )
@@ -128,7 +127,8 @@ def test_designed_experiment_reaches_its_standard_error() -> None:
             period=PERIOD, motor_angle=plan.motor_angle, output=torque + noise
         )
         orders.append(identify(log, "UD-FOM", heldout=0, details=False).model.order)
-    # The deviation of 40 values is known to 11 %; three times that.
+    # The standard deviation of 40 values is known to 11 %; the tolerance is three times
+    # that.
     assert np.std(orders) == pytest.approx(0.001, rel=0.35)
     assert plan.peak_deflection > 0
 

@@ -1,4 +1,6 @@
-"""Joint identification of payloads: common parameters, eq. (5), the test of both."""
+"""Joint identification of several payloads: common parameters, eq. (5), and the test of
+both.
+"""
 
 from __future__ import annotations
 

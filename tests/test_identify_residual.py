@@ -1,5 +1,5 @@
-"""What a residual holds, against sums written out; what a fit makes of its errors and
-of its log.
+"""Statistics of residuals against explicit sums; what a fit derives from its errors and
+its log.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
         [_covariance(regressors, wandering(count, 0.9, seed))[0] for seed in range(20)],
         axis=0,
     )
-    # The variance of 1500 such samples is itself known to 10 %, their sum over lags in
-    # 20 runs to 7 %.
+    # The variance of 1500 such samples is itself known to 10 %, and their sum over lags
+    # in 20 runs to 7 %.
     assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.2)
     white, freedom = _covariance(
         regressors, np.random.default_rng(0).normal(0, 3.0, count)
@@ -74,9 +74,8 @@ def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     assert np.diag(white) == pytest.approx(
         9.0 * np.diag(regressors @ regressors.T), rel=0.25
     )
-    assert freedom == pytest.approx(
-        count / 2, rel=0.25
-    )  # of a first-order spectrum's level at 0
+    # of the level at 0 of a first-order spectrum
+    assert freedom == pytest.approx(count / 2, rel=0.25)
 
 
 @pytest.mark.slow
@@ -108,12 +107,10 @@ def test_what_a_fit_took_out_of_slow_noise_is_given_back() -> None:
         found = np.diag(inverse @ meat @ inverse)
         ratios.append(found / true)
         inside.append(np.abs(error) < student.ppf(0.975, freedom) * np.sqrt(found))
-    assert np.mean(ratios, axis=0) == pytest.approx(
-        np.ones(5), abs=0.15
-    )  # 0.7 from the residual as it is
-    assert (
-        0.91 < np.mean(inside) < 0.98
-    )  # 0.87 with that, and the normal distribution's 1.96
+    # 0.7 with the residual as it is
+    assert np.mean(ratios, axis=0) == pytest.approx(np.ones(5), abs=0.15)
+    # 0.87 with that and the 1.96 of the normal distribution
+    assert 0.91 < np.mean(inside) < 0.98
 
 
 @pytest.mark.parametrize(

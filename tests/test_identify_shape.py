@@ -1,4 +1,4 @@
-"""The coordinates of a fit, the log as the kernel sees it, and which structures contain
+"""The coordinates of a fit, the log as seen by the kernel, and which structures contain
 which.
 """
 
@@ -27,7 +27,7 @@ def log() -> Experiment:
 def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(
     log: Experiment, name: str
 ) -> None:
-    # Of a link of order 1.92, which is what a scan begins with.
+    # The fit starts from a link of order 1.92, as a scan does.
     assert identify(log, name, heldout=0.0, details=False).model.order == 2.0
 
 
@@ -80,8 +80,8 @@ def test_a_ring_down_behind_a_cut_is_fitted_by_the_move_before_it(hold: Any) -> 
     torque += 0.01 * torque.std() * np.random.default_rng(0).standard_normal(time.size)
     cut = Experiment(PERIOD, angle[100:], torque[100:], earlier_angle=angle[:100])
     fit = identify(cut)
-    # Between samples the input does what it did in the move: of an angle at rest
-    # nothing is seen of that.
+    # The hold between samples is found from the move, not from an angle at rest, which
+    # does not show it.
     assert fit.passed and fit.hold == hold
     assert fit.model.order == pytest.approx(TRUTH.order, abs=2e-3)
     assert abs(fit.delay) < 1e-3

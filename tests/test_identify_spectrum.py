@@ -67,7 +67,7 @@ def test_standard_errors_are_the_scatter_of_fits() -> None:
     for name in ("a", "T", "w"):
         said = np.median([fit.standard_errors[name] for fit in fits])
         scatter = np.std([fit.parameters[name] for fit in fits])
-        assert 0.55 < said / scatter < 1.8, name  # of 16 it is known to 18 %
+        assert 0.55 < said / scatter < 1.8, name  # from 16 values it is known to 18 %
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
-"""Files of results: what was edited, cut or damaged is refused by every command, with
-exit code 2.
+"""Files of results: an edited, truncated or damaged one is refused by every command
+with exit code 2.
 """
 
 from __future__ import annotations
@@ -81,9 +81,8 @@ def test_a_design_with_eight_times_the_gain_is_refused_by_every_command(
     assert main(line.replace("FILE", "bad.json").split()) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "bad.json was changed after it was written" in said
-    assert [path.name for path in tmp_path.iterdir()] == [
-        "bad.json"
-    ]  # nothing was made from it
+    # nothing was derived from it
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.json"]
 
 
 DOUBT = {
@@ -202,7 +201,7 @@ def test_a_file_with_one_wrong_byte_is_refused_or_means_the_same(
         damaged[int(rng.integers(len(raw)))] = int(rng.integers(256))
         (tmp_path / name).write_bytes(damaged)
         try:
-            assert load(tmp_path / name) == whole  # a space, or the tool's version
+            assert load(tmp_path / name) == whole  # a space, or the version of the tool
         except FieldError:
             refused += 1
     assert refused > 100

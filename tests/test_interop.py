@@ -1,5 +1,5 @@
-"""python-control on fractional systems: what works is exact, what cannot work fails and
-does not mislead.
+"""python-control on fractional systems: supported operations are exact, the others fail
+instead of misleading.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from fracsys import FractionalTransferFunction, from_control, margins, s, to_con
 
 mpl.use("Agg")
 W = 10.31
-# Eq. (58) on the link of 30 g: unstable, two gain crossings, one of −7.34°.
+# Eq. (58) on the link of 30 g: unstable, with two gain crossovers, one of them at
+# −7.34°.
 LOOP = 0.148 * s**0.65 / (1 + 0.16 * s) ** 2 * W**2 / (s**1.92 + W**2)
 OMEGA = np.geomspace(0.1, 100.0, 60)
 
@@ -45,7 +46,8 @@ def test_values_are_exact_anywhere(loop: Any) -> None:
         control.frequency_response(loop, OMEGA).complex, exact
     )
     assert control.evalfr(loop, 2j) == LOOP(2j)
-    assert loop(1 + 2j) == LOOP(1 + 2j)  # the stock class knows the imaginary axis only
+    # the original class only supports the imaginary axis
+    assert loop(1 + 2j) == LOOP(1 + 2j)
     assert loop(2j, squeeze=False).shape == (1, 1)
     assert control.dcgain(loop) == 0.0
     assert loop.fractional == LOOP == from_control(loop)
@@ -157,7 +159,7 @@ def test_measured_data_keeps_its_grid(loop: Any) -> None:
 
 
 # The table of docs/how-to/python-control.md: if one of these begins to work, the page
-# has to say so.
+# must say so.
 IMPOSSIBLE = {
     "omega of bode_plot": (UserWarning, lambda g: control.bode_plot(g, OMEGA)),
     "singular_values_plot(system)": (

@@ -104,11 +104,11 @@ def test_a_constant_input_gives_exactly_zero(precision: str, torque: float) -> N
     rows[3, 5:] = torque  # a gauge offset that appears after the start
     outputs = run(made, rows)
     assert np.abs(outputs.motor_reference[5:50]).max() > 0.01
-    # flushed, not only small: the motor stands where it would without the offset, to
-    # the last bit
+    # exactly zero, not only small: the motor is where it would be without the offset,
+    # to the last bit
     assert outputs.motor_reference[-1] == 0.0
     assert outputs.flags[-1] == 0
-    rows[3] = torque  # there from the start: never seen at all
+    rows[3] = torque  # present from the start: it has no effect at all
     assert np.all(run(made, rows).motor_reference == 0.0)
 
 
@@ -163,7 +163,7 @@ def test_feed_forward_inverts_the_link() -> None:
     )
     wanted = (1 / link.tip()(1j * w) - 1) / (1j * w) ** 2
     miss = np.abs(filtered - wanted) * w**2 / (1 + np.abs(wanted) * w**2)
-    assert miss.max() <= 0.03  # of the motor's motion
+    assert miss.max() <= 0.03  # relative to the motion of the motor
     flexible = w >= 0.2 * abs(link.pole)
     assert np.abs(20 * np.log10(np.abs(filtered / wanted)))[flexible].max() <= 0.3
     assert np.abs(np.degrees(np.angle(filtered / wanted)))[flexible].max() <= 1.5
@@ -317,7 +317,7 @@ def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() ->
             for a, b, x in zip(pair[::4], pair[1::4], turning, strict=True)
         ]
     modes = modes_of({"real": real, "pair": pair})
-    assert len(modes) == 2 + 2 * 2  # slots of no gain hold no mode
+    assert len(modes) == 2 + 2 * 2  # slots with zero gain hold no mode
     answer = np.array([sum(g * p**k for p, g in modes) for k in range(e.size)])
     np.testing.assert_allclose(answer.imag, 0.0, atol=1e-15)
     np.testing.assert_allclose(

@@ -1,5 +1,5 @@
-"""The law in both precisions against the exact law, whose recursion runs in balls of
-160 bits.
+"""The law in both precisions against the exact law, whose recursion is computed in ball
+arithmetic with 160 bits.
 """
 
 from __future__ import annotations
@@ -53,6 +53,6 @@ def test_the_law_stays_with_the_exact_one(precision: str, bound: float) -> None:
     outputs = run(law(precision, equipped=False), rows)
     exact, radius = exact_correction(law(equipped=False), torque.tolist())
     assert radius < 1e-40
-    assert not outputs.flags[1:].any()  # no limit acted
+    assert not outputs.flags[1:].any()  # no limit was active
     error = outputs.motor_reference - np.array(exact)
     assert np.sqrt(np.mean(error**2)) <= bound * np.sqrt(np.mean(np.square(exact)))

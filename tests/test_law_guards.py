@@ -1,4 +1,4 @@
-"""The law's guards, one fault at a time, on recorded-like signals (reaction classes of
+"""The guards of the law, one fault at a time, on realistic signals (reaction classes of
 the fault catalogue).
 """
 
@@ -21,8 +21,8 @@ ENCODER, GAUGE, REFERENCE, MISSED, REPEATED = 1, 2, 4, 8, 16
 LIMITED, SATURATED, STARTED, RESIDUAL = 32, 64, 128, 256
 ALL = 2**32 - 1
 COUNT = 400
-# law_state of law.h: fourteen words, then reals, of which the first twenty are modes and
-# the last of these three the motor reference.
+# law_state of law.h: fourteen words, then reals, of which the first twenty are modes;
+# the last of the following three is the motor reference.
 WORDS, MODES_HELD = 14, 20
 MOTOR_REFERENCE = MODES_HELD + len(("error", "reference", "motor_reference")) - 1
 
@@ -109,8 +109,8 @@ def test_a_lost_gauge_degrades_to_feed_forward(bad: float) -> None:
     )
     assert ended(outputs) == ("degraded", "gauge")
     assert int(np.argmax(outputs.mode == 2)) == START + 4
-    # the correction is faded out after 50 periods: feed-forward alone ends at the
-    # reference exactly
+    # the correction has been faded out after 50 periods: the feed-forward alone ends
+    # exactly at the reference
     assert outputs.motor_reference[-1] == pytest.approx(1.0, abs=1e-3)
     assert np.abs(tip - MOVE[0]).max() < 0.25
 
@@ -500,14 +500,12 @@ def test_saturation_does_not_wind_up() -> None:
     after = []
     for saturated in (1500, 4500):
         rows = quiet(saturated + 200)
-        rows[2, 5:] = (
-            0.3 - 0.05
-        )  # the motor lags and cannot follow: the integral reaches the limit in 5 s
+        # the motor lags and cannot catch up: the integral reaches the limit in 5 s
+        rows[2, 5:] = 0.3 - 0.05
         rows[2, saturated:] = 0.3 + 0.05
         outputs = run(law(), rows)
         assert outputs.voltage[saturated - 1] == 10.0
         assert outputs.flags[saturated - 1] & SATURATED
         after.append(outputs.voltage[saturated:])
-    np.testing.assert_allclose(
-        after[0], after[1], atol=0.01
-    )  # an integral that goes on adds 6 V in 12 s
+    # an integral that continued would add 6 V in 12 s
+    np.testing.assert_allclose(after[0], after[1], atol=0.01)

@@ -1,4 +1,4 @@
-"""Requirements, a payload's feed-forward, a refit."""
+"""Requirements, the feed-forward of a payload, and a refit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_requirement_says_what_was_wanted_and_where() -> None:
     assert noise.slack == 0.25
     time = Requirement("settling time", 0.5, 0.75, "s", 0.04, "at most")
     assert str(time) == "settling time: 0.75 s at 40 g, required ≤ 0.5 s: failed"
-    # met with equality is met, to rounding; and rounding is relative above one
+    # equality counts as met, up to rounding; above one the rounding is relative
     assert Requirement("x", 1.0, 1.0 - 0.9e-9, "", 0.0, "at least").passed
     assert not Requirement("x", 1.0, 1.0 - 1.1e-9, "", 0.0, "at least").passed
     assert Requirement("x", 1000.0, 1000.0 + 0.9e-6, "", 0.0, "at most").passed
@@ -70,9 +70,8 @@ def test_masses_count_the_links_own_once() -> None:
     known = replace(MODEL, payload=0.03)
     own = 33 / 140 * 0.014
     computed = replace(known, natural_frequency=heavy.natural_frequency(0.03) * 1.0005)
-    assert masses_of(computed, heavy) == pytest.approx(
-        (0.03, own)
-    )  # eq. (5) knows no mass of the link
+    # eq. (5) does not contain the mass of the link
+    assert masses_of(computed, heavy) == pytest.approx((0.03, own))
     measured = replace(known, natural_frequency=heavy.natural_frequency(0.03) * 0.95)
     assert masses_of(measured, heavy) == pytest.approx((0.03 + own, own))
     assert masses_of(known, None) == (0.03, 0.0)
@@ -107,14 +106,13 @@ def test_tracking_follows_the_motor_loop_and_scales_by_the_mass() -> None:
     z = np.exp(1j * w * 0.004)
     h = found.now + found.next / (z - found.keep)
     model = h / (z - 1 + h)
-    # M(s) = 1/(1 + s/80)² behind a hold and one period of computation: lag and size up
+    # M(s) = 1/(1 + s/80)² with a hold and one period of computation: phase and gain up
     # to twice the resonance
     s = 1j * w
     motor = np.exp(-1.5 * 0.004 * s) / (1 + s / 80.0) ** 2
     assert np.abs(model / motor - 1).max() < 0.02
-    assert (
-        abs(found.now + found.next / (1 - found.keep)) > 0
-    )  # at rest H/(z − 1 + H) is one by its form
+    # at rest H/(z − 1 + H) is identically one
+    assert abs(found.now + found.next / (1 - found.keep)) > 0
     for value in (found.now, found.next, found.keep):
         assert value == float(np.float32(value))
     assert track(replace(link, payload=None)) is None

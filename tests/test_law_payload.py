@@ -1,5 +1,5 @@
-"""The payload as an input of the law: what it changes, what it cannot, and that no
-value of it harms.
+"""The payload as an input of the law: what it changes, what it cannot change, and that
+no value of it does harm.
 """
 
 from __future__ import annotations
@@ -81,8 +81,7 @@ def test_feed_forward_and_error_are_those_of_the_payload(
     tolerance = 1e-11 if precision == "double" else 2e-5
     error = expected(made, rows[0]) - np.asarray(out.tip_estimate)
     np.testing.assert_allclose(out.error, error, atol=tolerance)
-    # what the correction makes of these errors is what it makes of them without a
-    # payload
+    # the correction of these errors is the same as without a payload
     change = np.diff(np.concatenate([[rows[3][0] / made.stiffness], error]))
     c = made.correction
     correction = c.direct * change
@@ -132,8 +131,8 @@ def test_a_payload_that_flickers_does_no_more_than_its_slew_limit(
         1 + 1e-6
     )
     assert np.all(np.asarray(out.mode) == 1)
-    # within a move the scale follows slowly: 20 ms of another payload do not tear the
-    # motor reference away
+    # within a move the scale follows slowly: another payload for 20 ms does not make
+    # the motor reference jump
     steady, moved = (
         given(made, 0.03),
         given(made, np.where(np.arange(600) // 5 % 2 == 0, 0.03, 0.04)),
@@ -155,9 +154,8 @@ def test_a_payload_that_comes_or_goes_leaves_no_trace(precision: str) -> None:
     out, none = run(made, rows), run(made, rows * [[1], [1], [1], [1], [0]])
     np.testing.assert_allclose(out.error[600:], none.error[600:], atol=1e-12)
     jumps = np.abs(np.diff(np.asarray(out.error) - np.asarray(none.error)))
-    assert (
-        np.max(jumps) < 0.01
-    )  # the model lets go of a lateness of 0.03 rad over many periods
+    # the model reduces a lag of 0.03 rad over many periods
+    assert np.max(jumps) < 0.01
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -1,5 +1,5 @@
-"""The commissioning test of the gauge's wiring: how far the motor must turn, and what
-it then answers.
+"""The commissioning test of the gauge's wiring: how far the motor must turn, and the
+result.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import fraclink as fl
 from fraclink.errors import FieldError
 from law_bench import PERIOD, law
 
-QUARTER = 0.14  # [s] of the link's vibration period at 11 rad/s
-NOISE = 0.01  # [N·m], of the paper's gauge
+QUARTER = 0.14  # [s], a quarter of the vibration period of the link at 11 rad/s
+NOISE = 0.01  # [N·m], for the paper's gauge
 
 
 def log(
@@ -25,8 +25,8 @@ def log(
     made = law()
     time = PERIOD * np.arange(round(duration / PERIOD) + 1)
     motor = fl.smooth_step(angle, duration).angle(time)
-    # Exact for a motor angle held over steps of a tenth of a period: the tip is a
-    # rotation about it.
+    # Exact for a motor angle held over steps of a tenth of a period: each step rotates
+    # the state about it.
     fine = fl.smooth_step(angle, duration).angle(
         np.arange(len(time) * 10) * PERIOD / 10
     )
@@ -85,7 +85,7 @@ def test_the_angle_is_the_least_that_is_enough(duration: float) -> None:
 
 def test_the_paper_s_gauge_asks_for_a_quarter_of_a_radian() -> None:
     assert law().wiring_angle == pytest.approx(0.26, abs=0.01)
-    # no noise: 0.1 rad in 0.1 s
+    # without noise: 0.1 rad in 0.1 s
     assert law(equipped=False).wiring_angle == pytest.approx(0.0946, abs=0.001)
 
 

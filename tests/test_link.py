@@ -60,7 +60,7 @@ def test_resonances_of_equation_14_and_its_correction() -> None:
 @settings(max_examples=60, deadline=None)
 @example(
     frequency=1.0, order=1.328125, ratio=0.25, other=0.875
-)  # a hump, and higher beyond it
+)  # a local maximum, and higher values above it
 @given(
     frequency=st.floats(0.5, 200),
     order=st.floats(1.3, 2.0),

@@ -1,5 +1,5 @@
-"""What is said of a log's columns: units, signs, factors, answers to wrong units, the
-time base.
+"""Statements about the columns of a log: units, signs, factors, answers to wrong units,
+the time base.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def test_sign_scale_and_offset_of_a_channel() -> None:
     ) == pytest.approx([0.0, -0.01, -0.025])
     first = Channel("x", "s", scale=0.5, offset="first")
     assert first.in_si(RAW, "time").tolist() == [0.0, 1.0, 2.5]
-    # a log in SI units is read bit for bit, negative zero included
+    # a log in SI units is read bit for bit, including negative zero
     assert np.signbit(Channel("x", "s").in_si(np.array([-0.0, 1.0]), "time")[0])
     with pytest.raises(FieldError, match="which erases the signal"):
         Channel("x", "s", scale=0.0)
@@ -41,9 +41,9 @@ def test_sign_scale_and_offset_of_a_channel() -> None:
         (
             "deflection=a*b [rad]",
             ("deflection", "a*b", "rad", None, None),
-        ),  # a name with a star
+        ),  # a name with an asterisk
         ("torque=* -3 [Nm]", ("torque", None, "Nm", -1, 3.0)),
-        # As a laboratory writes its calibration: alpha_deg = -1.301 * strain_V.
+        # As a laboratory states its calibration: alpha_deg = -1.301 * strain_V.
         (
             "deflection=strain * -1.301 [deg]",
             ("deflection", "strain", "deg", -1, 1.301),

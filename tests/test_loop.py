@@ -1,4 +1,4 @@
-"""The loop and its sampled twin, against the formula written out and sums of aliases."""
+"""The loop and its sampled twin, against the explicit formula and sums of aliases."""
 
 from __future__ import annotations
 
@@ -301,9 +301,8 @@ def test_an_arms_motor_is_faster_or_slower_than_its_loop_assumes() -> None:
     settings = MotorLoop(80.0, 1, "sampled")
     w = np.array([5.0, 40.0, 300.0])
     j, nu = RIG.motor.inertia / 1.25, RIG.motor.viscous_friction / 1.25
-    true = replace(
-        RIG.motor, inertia=j, viscous_friction=nu
-    )  # A is 1.25 times as large, B the same
+    # A is 1.25 times as large, B is unchanged
+    true = replace(RIG.motor, inertia=j, viscous_friction=nu)
     pid = settings.pid(RIG.motor, 0.004)
     inner = replace(settings.sampled(RIG.motor, 0.004), motor=true)
     assert inner.pid == pid and true.gain == pytest.approx(1.25 * RIG.motor.gain)
@@ -347,7 +346,7 @@ def test_a_box_is_at_least_as_wide_as_the_rigs_tolerances() -> None:
     assert fitted.order == pytest.approx(
         (1.8, 1.93)
     ) and fitted.gauge_delay == pytest.approx((0.001, 0.007))
-    # what a torque log leaves open of c is open in the gauge
+    # the uncertainty of c left by a torque log becomes one of the gauge
     assert fitted.gauge_gain == pytest.approx((0.95 * 1.3 / 1.56, 0.95 * 1.05))
     assert ParameterBox.of(PLAIN, RIG).mode_gain == (0.0, 0.0)
 

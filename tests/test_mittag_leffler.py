@@ -1,5 +1,5 @@
-"""The Mittag-Leffler function against its series and against an integral on rays, both
-by mpmath.
+"""The Mittag-Leffler function against its series and against an integral along rays,
+both by mpmath.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def on_rays(z: complex, alpha: float, beta: float) -> complex:
         turns = int(alpha / 2) + 1
         poles = [(log + 2j * mpmath.pi * k) / a for k in range(-turns, turns + 1)]
         poles = [p for p in poles if abs(p.imag) <= mpmath.pi]
-        # The rays take the widest gap between the poles, the arc keeps away from their
-        # radius.
+        # The rays lie in the widest gap between the poles, and the arc keeps away from
+        # their radius.
         radius = mpmath.mpf(3 if poles and 0.6 < mpmath.exp(poles[0].real) < 1.6 else 1)
         steep = 0.55 * math.pi
         angles = sorted(
@@ -78,8 +78,8 @@ def test_against_the_series_at_random_points() -> None:
     for i in range(280):
         alpha = float(10 ** rng.uniform(math.log10(0.03), math.log10(20)))
         beta = float(rng.uniform(-1, 4) if i % 3 else rng.uniform(4, 100))
-        # Above α = 2 E has large values of both signs and zeros between: relative to E
-        # there is no bound.
+        # Above α = 2, E has large values of both signs and zeros between them: no bound
+        # relative to E exists.
         size = 10 ** rng.uniform(-2, 2 if alpha < 2 else 1.3)
         angle = (
             math.pi,
@@ -106,9 +106,8 @@ def test_against_an_integral_where_the_series_is_too_long() -> None:
 
 
 def test_closed_forms() -> None:
-    x = np.concatenate(
-        [np.linspace(-30, 30, 241), [2.0, -2.0]]
-    )  # 2 is the parabola's vertex: a pole there
+    # 2 is at the vertex of the parabola: a pole there
+    x = np.concatenate([np.linspace(-30, 30, 241), [2.0, -2.0]])
     assert fracsys.mittag_leffler(x, 1.0) == pytest.approx(
         np.exp(x), rel=1e-13, abs=1e-13
     )

@@ -1,5 +1,5 @@
-"""The motor's motor loop against pole placement itself, and its discretisations against
-each other.
+"""The motor loop against pole placement itself, and its discretisations against each
+other.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def test_the_loop_is_stable_at_4_ms_with_one_sample_of_delay() -> None:
 def test_it_approaches_the_double_pole_at_a_short_period() -> None:
     period = 1e-6
     sampled = fl.MotorLoop(80.0, 0).sampled(fl.Rig.named("paper-2023").motor, period)
-    # four poles at one place: a perturbation of size T spreads them by T^(1/4)
+    # four coincident poles: a perturbation of size T spreads them by T^(1/4)
     slowest = -math.log(abs(sampled.poles()[0])) / period
     assert slowest == pytest.approx(80.0, rel=0.25)
 
@@ -106,7 +106,7 @@ def test_partial_fractions_of_the_pid() -> None:
     assert d.angle_direct + d.angle_filter_gain / (s + c) == pytest.approx(
         (loop.b1 * s + loop.b0) / (s + c), rel=1e-12
     )
-    # held for long, without the integral: a2 + ρ1/c
+    # after a long time, without the integral: a2 + ρ1/c
     assert d.stiffness == pytest.approx(loop.a2 + d.filter_gain / c, rel=1e-12)
 
 
@@ -120,7 +120,7 @@ def test_a_held_motor_is_the_integral_of_its_speed() -> None:
     assert (m1, e) == pytest.approx(
         (3000.0 * (0.004 - w) / 15.0, math.exp(-0.06)), rel=1e-12
     )
-    # x (m1 + m2 x)/((1 − x)(1 − e x)) under a step: θ(2T) = m1 + m1 (1 + e) + m2
+    # x (m1 + m2 x)/((1 − x)(1 − e x)) for a step: θ(2T) = m1 + m1 (1 + e) + m2
     after_two = 3000.0 * (0.008 - (1 - math.exp(-0.12)) / 15.0) / 15.0
     assert m1 * (2 + e) + m2 == pytest.approx(after_two, rel=1e-9)
     free = held_motor(SimpleNamespace(gain=3000.0, decay=0.0), 0.004)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What a prompt and a notebook cell show of each result."""
+"""What a prompt and a notebook cell display for each result."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""NPZ and JSON files: what was written comes back, and hostile ones are refused before
-they take memory.
+"""NPZ and JSON files: contents survive a round trip, and hostile files are refused
+before they use memory.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def test_what_was_written_comes_back(tmp_path: Path) -> None:
         assert not arrays[name].flags.writeable
     with np.load(
         tmp_path / "a.npz", allow_pickle=False
-    ) as data:  # anybody else can open it as well
+    ) as data:  # other programs can open it as well
         assert np.array_equal(data["a"], ARRAYS["a"])
 
 

@@ -1,5 +1,5 @@
-"""What ships is what passed: the law's guards count on the motor loop as it was placed,
-and a certificate reads all of the law.
+"""What is shipped is what was tested: the guards of the law assume the motor loop as
+placed, and a certificate covers all of the law.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def test_a_loop_placed_with_its_delay_makes_ordinary_moves(
 
 
 def _stepped(law: Law, called: Callable[[int], bool], periods: int = 1500) -> int:
-    """Mode of a law at rest that is called in some of the periods only."""
+    """Return the mode of a law at rest that is called only in some of the periods."""
     state, mode = law.initial_state(), 0
     for tick in range(1, periods):
         if called(tick):
@@ -219,7 +219,7 @@ def test_the_range_is_about_what_the_encoder_reads_in_its_middle(
     limits = extend.Moves(angle=0.7, velocity=6.0, acceleration=60.0, centre=0.3)
     shifted = dataclasses.replace(design, rig=dataclasses.replace(RIG, moves=limits))
     law = shifted.law()
-    # 0.3 beside its zero, and 0.7 to either side of that.
+    # 0.3 next to its zero, and 0.7 to either side of that.
     assert law.limits.motor_limit == 1.0
     assert fl.Rig.from_toml(shifted.rig.to_toml()) == shifted.rig
     rehearse(shifted, law, fl.smooth_step(0.6, duration=0.8))

@@ -1,5 +1,5 @@
-"""Any two colours of a figure differ, for every kind of colour vision, in grey, and
-from the page.
+"""Any two colours of a figure can be distinguished with every kind of colour vision, in
+grey, and from the page.
 
 Colour vision: Machado, Oliveira and Fernandes (2009), A physiologically-based model for
 simulation of color vision deficiency, IEEE Trans. Vis. Comput. Graph. 15, matrices of
@@ -53,10 +53,11 @@ _XYZ = np.array(
 )
 _WHITE = np.array([0.95047, 1.0, 1.08883])
 CURVES = ("ink", *(f"line-{line}" for line in LINES))
+# the curves that the page of the arm shows together
 ARM = (
     ("ink", "tip", "hub"),
     ("ink", "measured"),
-)  # what the curves of the arm's page show together
+)
 LEVELS = tuple(f"level-{level}" for level in range(4))
 
 
@@ -84,8 +85,8 @@ def distance(first: Real, second: Real) -> float:
     (l1, c1, h1), (l2, c2, h2) = (_polar(colour, g) for colour in (first, second))
     turn = (h2 - h1 + 180) % 360 - 180 if c1 * c2 else 0.0
     hue = 2 * math.sqrt(c1 * c2) * math.sin(math.radians(turn) / 2)
-    # On opposite sides the mean of the hues is taken the way round that the published
-    # formula takes.
+    # For hues on opposite sides the mean is taken in the direction of the published
+    # formula.
     middle = h1 + turn / 2 if c1 * c2 else h1 + h2
     light, chroma = (l1 + l2) / 2, (c1 + c2) / 2
     waves = ((0.17, 1, 30), (-0.24, 2, 0), (-0.32, 3, -6), (0.20, 4, 63))

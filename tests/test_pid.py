@@ -1,4 +1,4 @@
-"""A fractional PID: margins and ITAE by other means, its law against its own
+"""A fractional PID: margins and ITAE computed by other means, its law against separate
 arithmetic, and its exports.
 """
 
@@ -232,8 +232,8 @@ def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
     assert all(requirement.passed for requirement in made.requirements)
     law = made.law(output_limit=1.0, measurement_limit=1.0)
     z = np.exp(-1j * 0.33 * (w := np.linspace(5.0, 10.0, 10_001)))
-    # The plant behind its hold, by the sum over the images of the sampling, and a
-    # period of computation.
+    # The plant with its hold, by the sum over the aliases of the sampling, and a period
+    # of computation.
     images = [w + 2 * math.pi * m / 0.33 for m in range(-200, 201)]
     held = sum((1 - z) / (1j * v) / (0.4 * (1j * v) ** 1.5 + 1) for v in images) / 0.33
     loop = pid_response(law, w) * held * z
@@ -363,9 +363,9 @@ def test_the_law_on_its_plant_is_what_was_tuned(period: float) -> None:
     assert sampled.gain_crossover == pytest.approx(3.0, rel=0.01)
     assert math.degrees(sampled.phase_margin) == pytest.approx(60.0, abs=1.0)
     wanted, step = made.step(), made.step(law=law)
-    # A held output is right in the mean of a period, half a period off at its ends; the
-    # 1 % to which the law's block follows C(s) leaves 0.2 % of the step. (The ITAE
-    # multiplies that by the time: 6 %, whatever the period is.)
+    # A held output is exact in the middle of a period and half a period off at its
+    # ends; the 1 % accuracy of the law's block relative to C(s) leaves 0.2 % of the
+    # step. (The ITAE multiplies that by the time: 6 %, whatever the period is.)
     steepest = np.max(np.abs(np.gradient(wanted.measurement, wanted.time)))
     np.testing.assert_allclose(
         step.measurement,
@@ -387,7 +387,7 @@ def test_nan_holds_and_then_switches_off() -> None:
     assert set(out.mode[:25]) == {1}
     assert out.mode[-1] == 4
     assert out.voltage[-1] == 0.0
-    # three lost samples of a measurement that stands still cost nothing
+    # three lost samples of a constant measurement have no effect
     whole = np.full(25, 0.1)
     _, kept = law.run(
         law.initial_state(), np.zeros(25), np.zeros(25), whole, np.zeros(25)

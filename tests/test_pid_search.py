@@ -1,5 +1,5 @@
 """The search behind `tune_pid` on loops whose margins and errors are known in closed
-form; what it says.
+form, and its remarks.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def test_an_integrator_is_no_instability_and_needs_no_integral() -> None:
     made = fl.tune_pid(
         1 / (s * (0.4 * s + 1)), gain_crossover=2.3, phase_margin=fl.deg(65), form="PD"
     )
-    assert not made.findings  # a lasting error is removed by the plant's own integrator
+    # a steady-state error is removed by the integrator of the plant
+    assert not made.findings
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What the plots draw, read back from their lines."""
+"""The contents of the plots, read back from their lines."""
 
 from __future__ import annotations
 
