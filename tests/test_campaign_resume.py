@@ -258,7 +258,7 @@ def test_every_flipped_byte_is_noticed(copy, whole):
     path = copy / "part-0000002.npz"
     good, wanted = path.read_bytes(), fl.load(path).columns
     rng = random.Random(5)  # noqa: S311
-    # as well as the footer
+    # bytes of the whole file, and more of them from its end with the directory
     places = rng.sample(range(len(good)), 60) + rng.sample(
         range(len(good) - 4000, len(good)), 200
     )

@@ -43,8 +43,8 @@ def test_free_parameters_are_those_of_table_2() -> None:
 
 
 def test_resonances_of_equation_14_and_its_correction() -> None:
-    # c = 1.56: the values of the checked paper, 12.21 / 10.51 / 15.09 rad/s at 30 / 40
-    # / 20 g.
+    # c = 1.56: the checked values of the paper, 12.21, 10.51 and 15.09 rad/s at 30, 40
+    # and 20 g.
     for frequency, wanted in ((11.0940, 12.21), (9.6077, 10.51), (13.5873, 15.09)):
         assert LinkModel(1.56, frequency, order=1.92).tip_resonance == pytest.approx(
             wanted, abs=0.01

@@ -1,4 +1,4 @@
-"""Oustaloup's filter against its formula, the minimax rational against
+"""Oustaloup's filter against its formula, and the minimax rational function against
 Oustaloup's filter.
 """
 
@@ -242,19 +242,23 @@ GRID = np.geomspace(*BAND, 4000)
 
 
 def _worst(made: RationalApproximation, system: FractionalTransferFunction) -> float:
-    """The largest error, in units of 0.1 dB and 0.5°: the norm that minimax lowers."""
+    """The largest error in units of 0.1 dB and 0.5°: the norm that the minimax fit
+    reduces.
+    """
     error = made.frequency_response(GRID) / system(1j * GRID) - 1.0
     decibels = 20.0 / math.log(10.0) * np.abs(error.real).max()
     return float(max(decibels / 0.1, np.degrees(np.abs(error.imag).max()) / 0.5))
 
 
 def _moved(made: RationalApproximation, step: float) -> list[RationalApproximation]:
-    """The same with the gain, or one root and its conjugate, moved by a share `step`."""
+    """The same with the gain, or one root and its conjugate, changed by a fraction
+    `step`.
+    """
     others = [replace(made, gain=made.gain * (1.0 + step))]
     for name in ("zeros", "poles"):
         roots = getattr(made, name)
         for root in roots[roots.imag >= 0.0]:
-            # A pair may turn as well as grow.
+            # A pair can be rotated as well as scaled.
             for by in (step, 1j * step)[: 1 + (root.imag > 0.0)]:
                 moved = np.where(roots == root, roots * (1.0 + by), roots)
                 pair = (roots == root.conjugate()) & (roots != root)
@@ -271,7 +275,8 @@ def test_no_root_lowers_the_worst_error_of_the_minimax_fit(order: int) -> None:
     lowest = min(
         _worst(each, system) for step in (3e-3, -3e-3) for each in _moved(made, step)
     )
-    # The fit's own grid is coarser than this one: a percent lies between their points.
+    # The grid of the fit is coarser than this one: the maxima between its points are
+    # higher by up to a percent.
     assert lowest > 0.99 * reached
 
 

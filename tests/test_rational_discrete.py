@@ -1,4 +1,4 @@
-"""The discrete minimax fit: its figures, its structure and its bounds."""
+"""The discrete minimax fit: its accuracy, its structure and its bounds."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_the_lowest_sufficient_order_is_chosen(slow_filter: DiscreteRational) ->
     chosen = fit(0.16, None, 785.0)
     assert chosen.order == 4
     np.testing.assert_array_equal(chosen.decays, slow_filter.decays)
-    assert fit(0.16, 3, 785.0).error_db > 0.1  # order 3 misses
+    assert fit(0.16, 3, 785.0).error_db > 0.1  # order 3 is not sufficient
 
 
 def test_no_filter() -> None:
@@ -98,8 +98,8 @@ def test_no_filter() -> None:
         bare, period=PERIOD, band=(0.05, 628.0), order=5, zeros_at_one=1, offset=1.0
     )
     assert high.error_db < 1.0 and high.error_deg < 5.0
-    # Above the band the gain stays bounded by twice the response times the error in
-    # units of its tolerance.
+    # Above the band, the gain is bounded by twice the response times the error in units
+    # of its tolerance.
     w = np.linspace(628.0, math.pi / PERIOD, 400)
     assert np.max(np.abs(high(w))) < 20 * np.max(np.abs(bare(w)))
 

@@ -1,6 +1,4 @@
-"""Binary logs: the same numbers from every format, and files that are damaged or
-hostile.
-"""
+"""Binary logs: the same numbers from every format, and damaged or hostile files."""
 
 from __future__ import annotations
 
@@ -62,8 +60,8 @@ def test_every_format_holds_the_same_numbers(kind: str, tmp_path: Path) -> None:
 def test_a_rosbag_folder_is_a_log_too(kind: str, tmp_path: Path) -> None:
     folder = made_file(kind, tmp_path).parent
     log = read_log(folder, columns=stated(kind))
-    # The header's stamps are used: the bag received the messages 2 to 7 ms late and in
-    # another order.
+    # The time stamps of the header are used: the bag received the messages 2 to 7 ms
+    # later and in another order.
     assert log.findings == ()
     assert np.array_equal(log.motor_angle, made_columns()["motor_angle_rad"])
 
@@ -182,7 +180,8 @@ def test_b66_a_zlib_bomb_stays_within_its_limits(tmp_path: Path) -> None:
         struct.pack("<II", 14, len(matrix) + 8 * count) + matrix
     ) + packer.flush(zlib.Z_FULL_FLUSH)
     block = packer.compress(bytes(10_000_000)) + packer.flush(zlib.Z_FULL_FLUSH)
-    blob = start + 240 * block  # after a full flush the same zeros give the same bytes
+    # after a full flush the same zeros compress to the same bytes
+    blob = start + 240 * block
     header = (
         b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H", 0x0100) + b"IM"
     )

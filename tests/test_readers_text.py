@@ -62,7 +62,7 @@ def test_a_column_s_number_is_the_whole_number(tmp_path: Path) -> None:
     for name in ("#0", "#13", "#123", "#9999999999", "#1.5", "#²"):
         with pytest.raises(FieldError, match="not in the log"):
             read_log(path, columns={**stated, "motor_angle": f"{name} [rad]"})
-    # A column that is called so is meant first.
+    # A column with the name of the quantity takes precedence.
     with pytest.raises(LogError, match="motor_angle: constant"):
         read_log(path, columns={**stated, "motor_angle": "#1 [rad]"})
 
@@ -141,9 +141,8 @@ def test_the_merced_log() -> None:
         "deflection",
     )
     assert log.start_time == 0.002
-    assert np.degrees(log.output).max() == pytest.approx(
-        10.0971
-    )  # alpha_deg has the other sign
+    # alpha_deg has the opposite sign
+    assert np.degrees(log.output).max() == pytest.approx(10.0971)
     assert log.voltage is not None
     assert log.voltage.max() == pytest.approx(5.95488)
 
@@ -157,7 +156,7 @@ def test_the_ist_logs(name: str) -> None:
         "deflection",
     )
     assert log.motor_angle[0] == 0.0
-    # The gauge rests at about -0.09 V, as its authors say.
+    # The gauge reads about −0.09 V at rest, as its authors state.
     assert np.degrees(log.output).mean() / 1.301 == pytest.approx(-0.095, abs=0.01)
 
 
@@ -200,7 +199,8 @@ def test_inspect_shows_hostile_names_without_their_control_characters(
 
 @pytest.mark.slow
 @given(
-    # Further words may name another quantity: theta Nm, theta defl are asked for.
+    # Additional words may name another quantity: theta Nm, theta defl lead to a
+    # question.
     text=st.text(
         re.sub("[A-Za-z]", "", CHARACTERS),
         min_size=1,
@@ -242,14 +242,13 @@ def test_a_cell_is_a_number_exactly_where_its_form_is_one(cell: str) -> None:
 
 def test_resampling_uses_the_stamps(tmp_path: Path) -> None:
     rows = made_rows(800)
-    kept = [
-        row for k, row in enumerate(rows) if k % 97 != 50
-    ]  # about 1 % of the samples lost
+    # about 1 % of the samples are lost
+    kept = [row for k, row in enumerate(rows) if k % 97 != 50]
     log = read_log(write_log(tmp_path / "a.csv", kept), resample=True)
     whole = read_log(write_log(tmp_path / "b.csv", rows))
     assert log.motor_angle.size == 800
-    # Linear interpolation over one lost sample is off by at most h²/8·|θ''| of a double
-    # step.
+    # Linear interpolation over one lost sample is wrong by at most h²/8·|θ''|, where h
+    # is two periods.
     bend = float(np.abs(np.diff(whole.output, 2)).max())
     assert float(np.abs(log.output - whole.output).max()) <= bend
     (finding,) = log.findings
@@ -275,9 +274,8 @@ def test_a_stretch_is_read_and_the_rest_may_have_gaps(tmp_path: Path) -> None:
     (finding,) = read_log(
         write_log(tmp_path / "ends.csv", rows), keep=(1.0, 40.0)
     ).findings
-    assert (
-        "from 1 to 3.196 s were read" in finding.message
-    )  # what there is, not what was asked for
+    # the available names, not the requested one
+    assert "from 1 to 3.196 s were read" in finding.message
     late = [[repr(100.0 + 0.004 * k), *row[1:]] for k, row in enumerate(rows)]
     assert np.array_equal(
         read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output,
@@ -296,8 +294,8 @@ def test_the_angle_before_a_cut_is_kept_as_far_back_as_it_is_uniform(
         cut.earlier_angle, whole.motor_angle[:100]
     )
     assert np.array_equal(cut.whole_angle, whole.motor_angle[:501])
-    # A gap behind sample 29, a stamp that stands twice: what is older moved the link at
-    # an unknown time.
+    # A gap after sample 29, and a repeated time stamp: the samples before it moved the
+    # link at an unknown time.
     gap = read_log(
         write_log(tmp_path / "gap.csv", rows[:30] + rows[35:]), keep=(0.4, 2.0)
     )
@@ -342,8 +340,8 @@ def test_a_cut_in_mid_motion_is_no_warning_where_the_motion_before_is_known() ->
         begins(replace(cut, earlier_angle=np.concatenate([rest, cut.earlier_angle])))[0]
         == "info"
     )
-    # None, too short to be a rest, itself in mid-motion, and in mid-motion where the
-    # fit begins with it.
+    # No earlier samples; too few for a rest; themselves in motion; and in motion where
+    # the fit includes them.
     for earlier in (
         None,
         cut.earlier_angle[-5:],

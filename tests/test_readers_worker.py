@@ -1,4 +1,4 @@
-"""What binary files hold that is a column, what is left, and how it is called."""
+"""Binary files: which contents become columns, which are left out, and their names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fraclink.extend import read_columns
 
 SAMPLES = np.arange(12.0)
 
-pytestmark = pytest.mark.slow  # a process for each file
+pytestmark = pytest.mark.slow  # one process per file
 
 
 def test_what_holds_no_samples_yields_no_column(tmp_path: Path) -> None:
@@ -56,8 +56,8 @@ def test_hdf5_datasets_that_are_no_signals_are_left(tmp_path: Path) -> None:
         file["soft"] = h5py.SoftLink("/group/angle")
         file["char"] = np.arange(5)
         file["char"].attrs["MATLAB_class"] = np.bytes_("char")
-    # "char" says that MATLAB wrote the file: groups are structures then, and arrays
-    # stand transposed.
+    # "char" shows that MATLAB wrote the file: groups are then structures, and arrays
+    # are transposed.
     listed = inspect_log(tmp_path / "a.h5").channels
     assert [(channel.name, channel.unit) for channel in listed] == [
         ("group.angle", "deg"),

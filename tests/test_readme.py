@@ -1,5 +1,5 @@
-"""The README's session runs and prints what it says; its commands exist; its links lead
-somewhere.
+"""The session of the README runs and prints what it says; its commands exist; its links
+lead somewhere.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ def blocks(language: str) -> list[str]:
 def test_the_session_prints_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)  # it writes a folder
+    monkeypatch.chdir(tmp_path)  # the session writes a folder
     sessions = blocks("python")
     assert len(sessions) == 1
-    # What the session prints may not change unnoticed; numbers are compared digit by
+    # The output of the session must not change unnoticed; numbers are compared digit by
     # digit.
     runner = doctest.DocTestRunner(optionflags=doctest.REPORT_NDIFF)
     test = doctest.DocTestParser().get_doctest(

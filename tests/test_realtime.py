@@ -1,9 +1,9 @@
 """The real-time loop around two functions: the same law, missed periods, lost samples,
 a stop at the end.
 
-On a virtual clock, which goes on only while everybody sleeps: periods are lost on
-purpose, by sleeping in the functions, and never by a busy machine. What a machine keeps
-is measured by benchmarks/bench_realtime.py.
+On a virtual clock, which advances only while all threads sleep: periods are lost on
+purpose, by sleeping in the functions, and never because of a busy machine. The timing
+of a real machine is measured by benchmarks/bench_realtime.py.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
     assert run.time == pytest.approx(PERIOD * (run.tick - 1.0), abs=1e-12)
     assert run.origin == pytest.approx(0.3)
     assert run.reference[-1] == pytest.approx(0.4, abs=1e-6)
-    # what was written is what is recorded, and after it the stop
+    # the record is what was written, followed by the stop
     given = np.array([command.motor_reference for command in board.commands])
     assert given[:-1].tobytes() == run.motor_reference.tobytes()
     assert stopped(board)
@@ -165,7 +165,7 @@ def test_missed_periods_reach_the_law(law: Law) -> None:
     run = live(law, Callback(late, board.write), duration=0.4, clock=clock)
     jump = int(np.flatnonzero(np.diff(run.tick) > 1)[0]) + 1
     # Read 6 is that of period 5 (read 1 found the arm); it ends in the middle of period
-    # 7, and 6 is lost.
+    # 7, so 6 is lost.
     assert (run.tick[jump - 1], run.tick[jump], run.missed, run.overruns) == (
         5,
         7,
@@ -175,7 +175,7 @@ def test_missed_periods_reach_the_law(law: Law) -> None:
     assert run.work[jump - 1] == pytest.approx(2.5 * PERIOD)
     assert run.latency[jump] == pytest.approx(1.5 * PERIOD)
     assert run.flags[jump] & MISSED
-    assert run.mode[jump] == MODES.index("run")  # ridden through
+    assert run.mode[jump] == MODES.index("run")  # the law continues
     assert run.first_difference is None
     assert not run.passed
     assert "overruns, allowed 0" in run.problem
@@ -288,7 +288,7 @@ def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(
     board = Board()
     seen: list[int] = []
     before = signal.signal(signal.SIGUSR1, lambda number, frame: seen.append(number))
-    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as with nohup
 
     def read() -> tuple[float, float] | None:
         if board.reads == 4:
@@ -390,15 +390,14 @@ def test_a_place_that_is_lost_in_the_run_has_a_second_one(
     monkeypatch.setattr(tempfile, "tempdir", str(second))
 
     def read() -> tuple[float, float]:
-        if board.reads == 40:  # the folder gives way to a file while the arm moves
+        if board.reads == 40:  # the folder is replaced by a file while the arm moves
             shutil.rmtree(place)
             place.touch()
         return board.read()
 
     board.reads = 30
-    longest = (
-        "r" * 251 + ".npz"
-    )  # the second place adds to the name, and has no more than 255 bytes either
+    # the alternative folder adds to the name, which is limited to 255 bytes there, too
+    longest = "r" * 251 + ".npz"
     run = live(law, Callback(read, board.write), duration=0.3, out=place / longest)
     assert Path(run.saved).parent == second
     assert fl.load(run.saved, RealtimeRun).tick.tobytes() == run.tick.tobytes()
@@ -482,9 +481,8 @@ def test_an_arm_that_gives_no_sample_is_named(law: Law) -> None:
     }
     assert commands[-1].mode == OFF
     commands.clear()
-    with pytest.raises(
-        FieldError, match="silent"
-    ):  # a sample that is no number starts nothing
+    # an invalid sample does not start the run
+    with pytest.raises(FieldError, match="silent"):
         live(
             law,
             Callback(lambda: (math.nan, 0.0), commands.append),
@@ -579,7 +577,8 @@ def test_what_it_grants_is_given_back(law: Law) -> None:
         law, fl.extend.hold(0.0), Callback(read, board.write), duration=0.1, priority=5
     )
     scheduler, kilobytes = seen[-1]
-    # A container may refuse either: then it is not had, and the result says so.
+    # A container may refuse either of them: then it is not in effect, which the result
+    # states.
     assert (run.scheduling == "SCHED_FIFO 5") == (scheduler == os.SCHED_FIFO)
     assert (run.memory == "locked") == (kilobytes > 0)
     assert (os.sched_getscheduler(0), locked_kilobytes()) == (before, 0)

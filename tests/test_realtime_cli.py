@@ -1,8 +1,8 @@
-"""run-realtime and serve-arm, as a user calls them: an arm of two functions, and one in
-another process.
+"""run-realtime and serve-arm, called as by a user: with an arm of two functions, and
+with one in another process.
 
-The loops run on a virtual clock, which two processes may share: a busy machine changes
-nothing.
+The loops run on a virtual clock, which two processes can share: a busy machine has no
+effect.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Board:
         self.reads += 1
         if self.reads >= self.broken:
             raise OSError("board: gone")
-        # Alive: a torque that never changes is a stuck gauge.
+        # The torque varies: a constant one means a stuck gauge.
         return None if self.reads == 5 else (self.angle, 0.001 * (self.reads % 2))
 
     def write(self, command: Command) -> None:
@@ -79,7 +79,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Board:
 def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rig = geared(replace(fl.Rig.named("paper-2023"), period=PERIOD))
     assert rig.model is not None
-    # The pole of 80 rad/s cannot be placed at this period; below it is 20.
+    # The pole of 80 rad/s cannot be placed at this period; 20 is used below.
     asked = {"gain_crossover": 12.0, "phase_margin": fl.deg(20), "filter_time": 0.0}
     design = fl.design(rig.model, rig, **asked, motor_loop="ideal", placement="tustin")
     slow = replace(design.controller, motor_loop=MotorLoop(pole=20.0))
@@ -191,19 +191,19 @@ def test_a_board_is_run_and_left_with_its_drive_off(
     run = fl.load(told["out"], RealtimeRun)
     assert run.motor_angle[-1] > 0.01
     assert board.last is not None and (board.last.mode, board.last.voltage) == (4, 0.0)
-    assert fraclink(line)[0] == 2  # the record is kept
+    assert fraclink(line)[0] == 2  # an existing record is not overwritten
     board.reads = 0
     code, out, err = fraclink(f"{line} --force --log log.csv")
     assert code == 1
     assert "samples); expected 1 %" in err
     assert not (tmp_path / "log.csv").exists()
-    assert "passed" in out  # the run itself
+    assert "passed" in out  # the run itself passed
     assert fraclink(f"{line} --force --no-motor")[0] == 0
     assert not fl.load("realtime.npz", RealtimeRun).voltage.any()
     assert fraclink(f"{line} --force --log log.csv")[0] == 0
     lines = (tmp_path / "log.csv").read_text("utf-8").splitlines()
     assert "time_s,motor_angle_rad,torque_Nm,voltage_V" in lines
-    # a record among the results of the other stages does not hinder their report
+    # a record among the results of the other stages does not prevent their report
     assert load_study(tmp_path).design is not None
 
 
@@ -257,7 +257,7 @@ def test_a_process_that_crashes_leaves_a_stop_behind() -> None:
         port = str(plug.getsockname()[1])
         command = [sys.executable, "-c", textwrap.dedent(CRASHING), port]
         with subprocess.Popen(command) as process:  # noqa: S603
-            plug.recv(100)  # it looks for its arm
+            plug.recv(100)  # it is searching for its arm
             process.send_signal(signal.SIGSEGV)
             modes = [0]
             while modes[-1] != 4:
@@ -318,9 +318,8 @@ def test_no_signal_takes_the_motion_of_a_served_arm_away(
         return keep(value, place)
 
     monkeypatch.setattr(boards, "saved", late)
-    handler = signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # ignored in the background of a shell
+    # ignored by processes in the background of a shell
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         code, _, err = fraclink(f"{line} --out whole.npz")
         assert (code, len(fl.load("whole.npz", ServedArm).time)) == (0, 10), err
@@ -349,7 +348,7 @@ def free_port() -> int:
         return int(plug.getsockname()[1])
 
 
-# The command line, with its loop on the clock in a file that this process keeps.
+# The command line, with its loop on the clock in a file of this process.
 ARM = """
     import sys
     from fraclink import _cli, _kernels
@@ -383,9 +382,8 @@ def arm_process(
     ) as arm:
         try:
             assert arm.stderr is not None
-            assert (
-                "an arm at" in arm.stderr.readline()
-            )  # however long it takes to start
+            # however long the start takes
+            assert "an arm at" in arm.stderr.readline()
             yield arm, clock
         finally:
             arm.kill()
@@ -440,9 +438,8 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
         monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock)
 
         def freeze() -> None:
-            clock.sleep(
-                1.0
-            )  # half a second goes by before the run, to see what the machine keeps
+            # half a second passes before the run, to measure the timing of the machine
+            clock.sleep(1.0)
             arm.send_signal(signal.SIGSTOP)
             os.waitid(os.P_PID, arm.pid, os.WSTOPPED | os.WNOWAIT)
             clock.leave()
@@ -455,7 +452,7 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
         )
         frost.join()
         clock.leave()
-        arm.send_signal(signal.SIGTERM)  # waits until it goes on
+        arm.send_signal(signal.SIGTERM)  # pending until the process continues
         arm.send_signal(signal.SIGCONT)
         printed, arms = arm.communicate()
     told, ran = json.loads(printed), json.loads(out)
@@ -467,7 +464,7 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
     ), err
     run = fl.load("realtime.npz", RealtimeRun)
     assert REASONS[run.reason[-1]] == "encoder"
-    assert 20 < len(run.tick) < 40  # up to the frost and five periods more
+    assert 20 < len(run.tick) < 40  # up to the freeze and five more periods
     assert (arm.returncode, told["controllers"]) == (0, 1), arms
 
 
@@ -477,7 +474,7 @@ def test_ctrl_z_ends_an_arm_and_does_not_only_stop_it(fraclink: Line) -> None:
         arm,
         clock,
     ):
-        clock.sleep(0.1)  # it runs
+        clock.sleep(0.1)  # the arm is running
         arm.send_signal(signal.SIGTSTP)
         clock.leave()
         printed, arms = arm.communicate()

@@ -1,5 +1,5 @@
-"""The line to an arm and the guard on it, period by period, against an arm of a few
-lines on a made clock.
+"""The link to an arm and its guard, period by period, with a minimal arm on a simulated
+clock.
 """
 
 from __future__ import annotations
@@ -80,15 +80,17 @@ def test_the_samples_own_numbers_say_how_many_were_missed() -> None:
     way = Way(clock, [(0.0, (0, 0.1, 0.0))], taken=2**32 - 2)
     arm = line(way)
     assert arm.exchange(0.0).periods == 1
+    # the newest of several, and the count starts again
     way.samples, way.taken = (
         [(0.0, (0, 0.4, 0.0))],
         2,
-    )  # the newest of a few, and the count began anew
+    )
     assert arm.exchange(0.0).periods == 4
+    # nothing newer: one period has passed anyway
     way.samples, way.taken = (
         [(0.0, (0, 0.4, 0.0))],
         2,
-    )  # nothing newer: one has passed all the same
+    )
     assert arm.exchange(0.0).periods == 1
 
 
@@ -131,8 +133,8 @@ def test_signals_are_noted_and_given_back() -> None:
         "SIGXCPU",
     )
     numbers = [signal.Signals[name] for name in names]
-    # One that is ignored stays so, as SIGINT is where a shell runs the tests in the
-    # background.
+    # A signal that is ignored stays ignored, like SIGINT when a shell runs the tests in
+    # the background.
     usual = [signal.signal(number, signal.SIG_DFL) for number in numbers]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     before = [signal.getsignal(number) for number in numbers]
@@ -147,9 +149,8 @@ def test_signals_are_noted_and_given_back() -> None:
     seen: list[bool] = []
     try:
         noted_here()
-        thread = threading.Thread(
-            target=noted_here
-        )  # as in a notebook, where Python delivers no signals
+        # as in a notebook, where Python delivers no signals
+        thread = threading.Thread(target=noted_here)
         thread.start()
         thread.join()
         assert seen == [True] * 2 * len(names)
@@ -247,9 +248,8 @@ def test_a_limit_is_kept_before_it_is_reached(
     arm = Arm(readings=[Reading(0.0, 9.0, 1)] * 2)
     guard = arm.guard()
     for _ in range(3):
-        guard.step(
-            0.0
-        )  # an arm that nobody has moved breaks no limit, whatever its sensors show
+        # an arm that has not been moved violates no limit, whatever its sensors read
+        guard.step(0.0)
     arm.readings = list(readings)
     with (
         pytest.raises(LimitReached, match=limit) if limit else contextlib.nullcontext()
@@ -269,17 +269,17 @@ def test_no_voltage_drives_the_motor_beyond_four_fifths_of_the_speed() -> None:
     guard = arm.guard(replace(LIMITS, angle=100.0))
     guard.learn(100.0, 2 * PERIOD)
     sent = [guard.step(5.0) and arm.sent[-1] for _ in range(3)]
+    # 8 rad/s is about to be reached: no more in this direction, but the other is free
     assert sent == [
         5.0,
         3.0,
         0.0,
-    ]  # 8 rad/s on their way: no more, but the other way is free
+    ]
     guard.step(-5.0)
     assert arm.sent[-1] == -5.0
     slow = Arm(readings=angles(0.0)).guard(replace(LIMITS, angle=100.0))
-    slow.learn(
-        100.0, 1.05 * PERIOD
-    )  # one period, and what a clock of a tenth more may be
+    # one period, with the tolerance of a tenth for the clock
+    slow.learn(100.0, 1.05 * PERIOD)
     assert slow._sent.maxlen == 2
     slow.learn(100.0, 1.2 * PERIOD)
     assert slow._sent.maxlen == 3

@@ -1,9 +1,9 @@
-"""Controller and simulated arm by messages: the documented bytes, one controller at a
-time, silence.
+"""Messages between a controller and a simulated arm: the documented bytes, one
+controller at a time, silence.
 
 Arm and controller run in two threads of this process, or one of them is a few lines of
 Python that speak the format of docs/reference/file-formats.md. They take turns on a
-virtual clock, so that no machine is too busy.
+virtual clock, so that the load of the machine has no effect.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ def rig() -> fl.Rig:
 
 @pytest.fixture(scope="module")
 def law(rig: fl.Rig) -> Law:
-    slow_motor = MotorLoop(pole=20.0)  # what a period of 20 ms can close
+    # a loop that can be closed with a period of 20 ms
+    slow_motor = MotorLoop(pole=20.0)
     controller = fl.Controller(
         derivative_gain=0.069876,
         derivative_order=0.612197,
@@ -104,7 +105,7 @@ class Serving:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.clock.leave()  # the arm goes on alone, until its time is over
+        self.clock.leave()  # the arm continues alone until its time is over
         self.thread.join(60.0)
         assert not self.thread.is_alive() and not self.clock.stalled
 
@@ -153,9 +154,8 @@ class Peer(socket.socket):
 
     def pass_on(self, sent: bytes, periods: float = 1.1) -> None:
         """Send bytes as they are."""
-        with contextlib.suppress(
-            ConnectionRefusedError
-        ):  # of the message before, which found no arm yet
+        # caused by the previous message, sent before the arm existed
+        with contextlib.suppress(ConnectionRefusedError):
             self.sendto(sent, self.address)
         self.clock.sleep(periods * PERIOD)
 
@@ -164,7 +164,7 @@ class Peer(socket.socket):
         the run from it.
         """
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-            while self.recv(100):  # samples of the run before
+            while self.recv(100):  # samples of the previous run
                 pass
         for _ in range(100):
             self.say(1, mode=0, run=0)
@@ -227,9 +227,8 @@ def test_a_controller_that_dies_is_replaced_by_the_watchdog(twin: Twin) -> None:
     served = serving.arm
     assert (served.controllers, served.silences, served.passed) == (1, 1, False)
     driven = np.flatnonzero(served.voltage == 3.0)
-    assert (
-        len(driven) >= 17 + 9
-    )  # the watchdog's periods among them, in which the last voltage acts
+    # including the periods of the watchdog, in which the last voltage continues
+    assert len(driven) >= 17 + 9
     assert served.motor_angle.max() > 0.01
     assert set(served.voltage) == {0.0, 3.0}
 
@@ -254,18 +253,18 @@ def test_no_command_of_a_run_that_is_over_moves_the_arm(twin: Twin) -> None:
             message(2, 10_000, 0.0, 4.0, 1, 0),
         ]:
             peer.pass_on(late)
-        # a new run: the next controller is welcome, and its count begins anew
+        # a new run: the next controller is accepted, and its count starts again
         peer.greet()
         assert peer.run not in (0, first)
         for late in recorded:
             peer.pass_on(late, 0.0)
         peer.say(2, 3.0)
-        peer.clock.sleep(15 * PERIOD)  # silent: the watchdog ends this run, too
+        peer.clock.sleep(15 * PERIOD)  # silence: the watchdog ends this run, too
         peer.say(3, 4.0)
     served = serving.arm
     driven = served.time[served.voltage == 4.0]
     assert driven.size and driven.max() < until
-    assert np.count_nonzero(served.voltage == 3.0) == 10  # until the watchdog
+    assert np.count_nonzero(served.voltage == 3.0) == 10  # until the watchdog acts
     assert (served.controllers, served.silences) == (2, 1)
     assert served.rejected == 2 * len(recorded) + 3
 
@@ -326,16 +325,14 @@ def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) 
             drive[:-1],
             drive + b"\0",
             noise.randbytes(len(drive)),
-            message(
-                1, 10_000, 0.0, 5.0, 1, peer.run
-            ),  # a sample where a command is due
-            message(2, 1, 0.0, 5.0, 1, peer.run),  # a step back
+            message(1, 10_000, 0.0, 5.0, 1, peer.run),  # a sample instead of a command
+            message(2, 1, 0.0, 5.0, 1, peer.run),  # an older sequence number
             message(2, 10_000, 0.0, 5.0, 1, peer.run ^ 1),  # another run
             *flipped,
         ]
         peer.say(1000)
         for number, bad in enumerate(wrong):
-            peer.say(1001 + number)  # it is not silent
+            peer.say(1001 + number)  # this controller is not silent
             stranger.pass_on(drive, 0.0)
             peer.pass_on(bad)
         peer.pass_on(message(2, 20_000, math.nan, math.inf, OFF, peer.run))
@@ -403,7 +400,7 @@ def test_without_the_key_nothing_moves_the_arm(law: Law, twin: Twin) -> None:
         1,
         0,
     )
-    # a controller without the key, or with another, is not even answered
+    # a controller without the key or with another one gets no answer
     for key in (None, bytes(32)):
         with Serving(twin, way) as serving, pytest.raises(FieldError, match="silent"):
             run_realtime(
@@ -439,7 +436,7 @@ def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(
         0,
         0,
     )
-    # the second move begins where the first one ended
+    # the second move starts where the first one ended
     assert runs[1].origin == pytest.approx(runs[0].motor_angle[-1], abs=0.05)
 
 

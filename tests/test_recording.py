@@ -1,5 +1,5 @@
-"""Records of any two channels: ring-downs, channels of a log, lines of a response and
-their weights.
+"""Recordings of any two channels: ring-downs, channels of a log, lines of a frequency
+response and their weights.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from fraclink.extend import Recording
 
 T = 0.01
 TIME = T * np.arange(1000)
-SWING = 0.3 + 0.1 * np.cos(6.0 * TIME) * np.exp(
-    -0.5 * TIME
-)  # about 0.3, as a laser reads it
+# about 0.3, as measured by a laser
+SWING = 0.3 + 0.1 * np.cos(6.0 * TIME) * np.exp(-0.5 * TIME)
 
 
 def test_a_ring_down_is_the_step_of_the_force_that_is_taken_away() -> None:
@@ -28,20 +27,19 @@ def test_a_ring_down_is_the_step_of_the_force_that_is_taken_away() -> None:
     assert made.period == T and (made.source, made.sha256) == ("a.csv", "ab")
     assert made.input.tolist() == [1.0] * 1000 and made.input_at_rest == 0.0
     np.testing.assert_allclose(made.output, SWING[0] - SWING)
-    assert made.output[-200:].mean() == pytest.approx(
-        0.1, abs=2e-3
-    )  # where it was bent from
+    # the rest position relative to the initial deflection
+    assert made.output[-200:].mean() == pytest.approx(0.1, abs=2e-3)
 
 
 def test_a_record_that_begins_later_is_cut_where_the_link_turns() -> None:
-    late = SWING[30:]  # in the middle of a swing: it turns at half a period, π/6 s
+    # in the middle of a swing: the velocity is zero at half a period, π/6 s
+    late = SWING[30:]
     made = Recording.ring_down(T, late)
     turn = round(math.pi / 6.0 / T) - 30
     assert made.output.size == pytest.approx(late.size - turn, abs=2)
-    assert (
-        made.output[0] == 0.0 and np.abs(np.diff(made.output[:2]))[0] < 1e-3
-    )  # at rest there
-    # noise at the end, however large, is no swing
+    # zero velocity there
+    assert made.output[0] == 0.0 and np.abs(np.diff(made.output[:2]))[0] < 1e-3
+    # noise at the end, however large, is not a swing
     rest = np.concatenate([late, np.full(400, 0.3)])
     rest[-350] = 1.3
     assert Recording.ring_down(T, rest).output.size == pytest.approx(

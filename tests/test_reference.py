@@ -1,4 +1,4 @@
-"""References: their derivatives against differences, their shapes against the
+"""References: their derivatives against finite differences, their shapes against the
 definition.
 """
 

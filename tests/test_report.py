@@ -1,4 +1,6 @@
-"""The report: complete in itself, the same every time, and deaf to what file names try."""
+"""The report: self-contained, identical every time, and safe against hostile file
+names.
+"""
 
 from __future__ import annotations
 
@@ -164,9 +166,8 @@ def test_the_page_asks_nobody_for_anything() -> None:
         f"{hashes} 'wasm-unsafe-eval'"
     ]
     assert "self-contained: no request to any host." in text
-    assert (
-        len(scripts) == 2
-    )  # values under the pointer, and the arm with the numbers that it reads
+    # values at the pointer, and the arm with the numbers that it reads
+    assert len(scripts) == 2
     assert text.count("<script") == 3
     assert len(scripts[0].encode()) <= 10_000
     assert len(text.encode()) < 700_000
@@ -294,9 +295,8 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
     for requirement in made.requirements:
         assert requirement.name in texts
     assert number(made.controller.derivative_gain, 5) in texts
-    assert (
-        "48.8°" in texts or "50.0°" in texts
-    )  # the sampled margin at 20 g stands beside the one asked for
+    # the sampled margin at 20 g is next to the requested one
+    assert "48.8°" in texts or "50.0°" in texts
 
 
 @pytest.mark.slow
@@ -346,9 +346,8 @@ document.title = JSON.stringify(said);
 def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
     made, _ = design_for(RIG)
     page = render_report(Study(rig=RIG, design=made))
-    page = re.sub(
-        r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page
-    )  # of the copy that is tried
+    # in the copy under test
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
     place = tmp_path / "report.html"
     place.write_text(page.replace("</body>", POINTER + "</body>"), "utf-8")
     answer = subprocess.run(  # noqa: S603
@@ -380,10 +379,9 @@ def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
         timeout=120,
         check=True,
     )
-    assert "alert" in answer.stdout  # the hostile name is on the page, as text
-    assert (
-        "CONSOLE" not in answer.stderr
-    )  # neither a refused style nor a script that ran
+    assert "alert" in answer.stdout  # the hostile name is on the page as text
+    # neither a blocked style nor a script that was executed
+    assert "CONSOLE" not in answer.stderr
     found = parsed(answer.stdout)
     drawn = sum(
         count

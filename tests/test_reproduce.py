@@ -1,5 +1,5 @@
-"""The paper's numbers, statements and equations: our values, and verdicts that follow
-from them.
+"""The paper's numbers, statements and equations: our values, and verdicts derived from
+them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FOLDER = ROOT / "reproduce"
 PUBLISHED = read_published(FOLDER)
 VALUES = computed(PUBLISHED)
 
-# Recomputed independently, by hand-written scripts: the numbers of the checked errata.
+# Recomputed independently by separate scripts: the numbers of the checked errata.
 CHECKED = {
     "design.printed.chi": (1.324873, 6),
     "design.printed.beta": (0.655361, 6),
@@ -94,9 +94,8 @@ def test_what_the_procedure_leaves_out_costs_what_was_checked() -> None:
 def test_every_verdict_follows_from_the_numbers(item: Number) -> None:
     same = agrees(item.value, VALUES[item.ours])
     if item.verdict in {"input", "reproduced"}:
-        assert (
-            same
-        )  # an input is read from where it is used, not from where it is typed
+        # an input is read from where it is used, not from where it is defined
+        assert same
     elif item.verdict in {"corrected", "contradicts"}:
         assert not same
         assert item.reason
@@ -108,14 +107,16 @@ def test_the_pulse_is_the_papers_on_the_arm_of_the_bundled_logs() -> None:
     log = logs.pulse_log()
     assert np.max(log.motor_angle) == pytest.approx(1.0, abs=1e-3)
     assert np.sum(log.motor_angle > 0.5) * 0.004 == pytest.approx(7.0, abs=0.05)
-    assert np.max(np.abs(log.torque)) < 2.5  # the converter's range: nothing is clipped
+    # within the range of the converter: nothing is clipped
+    assert np.max(np.abs(log.torque)) < 2.5
     text = (ROOT / "src/fraclink/data/logs/pulse_30g.csv").read_text("utf-8")
     bundled = dict(re.findall(r"^# (\w+): (.*)$", text, flags=re.MULTILINE))
+    # the noise is the same fraction of a larger torque
     other = {
         "title",
         "source",
         "gauge_noise_Nm",
-    }  # the noise is the same share of a larger torque
+    }
     assert {key: log.header[key] for key in log.header if key not in other} == {
         key: value for key, value in bundled.items() if key not in other
     }

@@ -1,4 +1,4 @@
-"""Time responses against closed forms, exact properties, and the shape of the results."""
+"""Time responses against closed forms, exact properties, and the shapes of the results."""
 
 from __future__ import annotations
 
@@ -399,7 +399,7 @@ def test_several_delays_claim_the_errors_of_all_and_the_least_direct_method() ->
         (0.0, 0),
         (T, 1),
         (1.5 * T, 2),
-        (T * (1 - 1e-10), 1),  # a whole period but for rounding
+        (T * (1 - 1e-10), 1),  # a whole period except for rounding
         (T * (1 + 1e-10), 1),
         (T * (1 + 1e-6), 2),
         (1e-6 * T, 1),
@@ -424,7 +424,8 @@ def test_the_frequency_response_is_the_transform_of_the_samples(
 ) -> None:
     modes = discrete_modes(DAMPED.delayed(delay), 0.01, hold=hold, span=20.0)
     impulse = np.zeros(2000)
-    impulse[1] = 1.0  # the hat of a linear hold begins one sample before
+    # the triangular pulse of a first-order hold starts one sample before
+    impulse[1] = 1.0
     w = np.array([0.0, 0.4, 9.0, 70.0, 314.0])
     transform = np.exp(-1j * np.outer(w, np.arange(2000) - 1) * 0.01) @ modes.respond(
         impulse
@@ -448,9 +449,8 @@ def test_a_run_goes_on_from_the_state_in_which_another_ended() -> None:
     state = np.concatenate((x, np.column_stack((z.real, z.imag)).ravel()))
     assert modes.count == len(state) == len(x) + 2 * len(z) == 3
     rest = modes.respond(SIGNAL[150:400], initial=state)
-    rest[0] += (
-        modes.first * SIGNAL[149]
-    )  # v[k-1] of the first sample, which the state does not hold
+    # v[k-1] of the first sample, which is not part of the state
+    rest[0] += modes.first * SIGNAL[149]
     np.testing.assert_allclose(rest, whole[150:], atol=1e-13)
 
 
@@ -467,12 +467,12 @@ def test_modes_that_a_board_runs() -> None:
         == time_response(LINK, np.ones(25_001), T).modes
     )
     slow, steps = rates[rates < 0.01], np.diff(np.log(rates[rates > 0.01]))
-    # The rule's error is e^(−2π·1.5/h)/2: h is what makes it the tolerance.
+    # The error of the rule is e^(−2π·1.5/h)/2: h makes it equal to the tolerance.
     assert steps == pytest.approx(2 * math.pi * 1.5 / math.log(0.5 / 1e-12), rel=1e-9)
     longest = 100.0 + 2 * T
     chebyshev = 0.5 * (1 + np.cos(np.pi * (2 * np.arange(10) + 1) / 20)) / longest
     assert slow == pytest.approx(np.sort(chebyshev), rel=1e-9)
-    # What has fallen to e^-3 of the tolerance within a period is left out.
+    # Rates whose term decays to e^-3 of the tolerance within a period are left out.
     assert rates[-1] * T < math.log(1e12) + 3
     assert discrete_modes(1 / (s + 1), T, span=10.0).count == 1
     assert discrete_modes(1 / (s**2 + s + 1), T, span=10.0).count == 2

@@ -1,4 +1,4 @@
-"""Requests that are refused: field, value, range and remedy in every message, nothing
+"""Rejected requests: every message names field, value, range and remedy, and nothing is
 allocated.
 """
 

@@ -1,4 +1,4 @@
-"""Error estimates against mpmath: Talbot's contour in many digits, with its own code."""
+"""Error estimates against mpmath: Talbot's contour with many digits, in separate code."""
 
 from __future__ import annotations
 

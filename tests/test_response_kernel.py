@@ -1,5 +1,5 @@
-"""The compiled recursions against the loops that they document, at every remainder of
-the block length.
+"""The compiled recursions against the loops in their documentation, for every remainder
+of the block length.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Random systems: modes against contour integrals, superposition, shifts, and honest
+"""Random systems: modes against contour integrals, superposition, shifts, and reliable
 error estimates.
 """
 
@@ -48,7 +48,7 @@ def test_modes_agree_with_contours(
 ) -> None:
     result = time_response(G, np.ones(count), period)
     index = np.unique(np.geomspace(1, count - 1, 6).astype(int))
-    # The response at one time alone is a contour integral of its own.
+    # The response at a single time is computed by a separate contour integral.
     exact = [float(step_response(G, [k * period]).output[0]) for k in index]
     peak = float(np.max(np.abs(result.output)))
     error = float(np.max(np.abs(result.output[index] - exact)))
@@ -71,7 +71,7 @@ def test_superposition_and_time_invariance(
     u, v = generator.normal(size=(2, 120))
     if hold == "first":
         u[0] = v[0] = (
-            # the jump from rest to u[0] is not a straight line from sample to sample
+            # the jump from rest to u[0] is not linear between samples
             0.0
         )
     y = time_response(G, u, 0.01, hold=hold).output

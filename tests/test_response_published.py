@@ -1,4 +1,4 @@
-"""The field's published benchmark problems, and 40-digit references, against the time
+"""Published benchmark problems of the field, and 40-digit references, against the time
 responses.
 """
 
@@ -53,7 +53,7 @@ def test_link_for_100_s_at_4_ms(case: tuple[str, ...]) -> None:
     values = reference_cases()[case]
     assert len(values) == 10
     error = max(abs(output[index] - value) for index, value in values)
-    assert error <= 1e-11 * np.max(np.abs(output))  # the promise is 1e-10
+    assert error <= 1e-11 * np.max(np.abs(output))  # the documented bound is 1e-10
 
 
 @pytest.mark.parametrize(
@@ -125,10 +125,11 @@ def test_relaxation_and_oscillation(order: float) -> None:
             )
             exact.append(float(mp.fsum(terms)))
     if order == 0.25:
+        # at 2 and later the series needs more terms than are computed
         times, exact = (
             times[:3],
             exact[:3],
-        )  # at 2 and later the series needs more terms than are taken
+        )
     output = step_response(1 / (s**order + 1), times).output
     np.testing.assert_allclose(output, exact, atol=1e-13)
 

@@ -1,5 +1,5 @@
-"""The rig: the paper's values, files that come back equal, and contradictions that are
-named.
+"""The rig: the paper's values, files that survive a round trip, and contradictions that
+are named.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def test_the_paper_rig_holds_table_1() -> None:
     assert rig.period == 0.004
     assert rig.model is not None
     assert rig.model.order == 1.92
-    # A = K/J and B = ν/J as the corrected (19), (20) print them.
+    # A = K/J and B = ν/J as printed in the corrected (19), (20).
     assert rig.motor.gain == pytest.approx(3056.7686, rel=1e-7)
     assert rig.motor.decay == pytest.approx(15.152838, rel=1e-7)
 

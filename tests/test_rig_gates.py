@@ -1,5 +1,5 @@
-"""Gates between a rig and what is used with it: payloads, models, logs. Each names both
-numbers.
+"""Gates between a rig and what is used with it: payloads, models, logs. Each message
+contains both numbers.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def test_arms_that_are_merely_imprecise_are_in_no_doubt() -> None:
                 natural_frequency=factor * LINK.natural_frequency,
             )
             assert doubts_of(RIG, model, (0.010, 0.080)) == ()
-    # A heavy link that the rig states vibrates more slowly than its payload alone
-    # would.
+    # With a heavy link in the rig file, the arm vibrates more slowly than with its
+    # payload alone.
     heavy = replace(RIG, link=replace(RIG.link, mass=0.4))
     slow = replace(
         LINK,

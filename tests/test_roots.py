@@ -43,7 +43,7 @@ def test_integer_orders_agree_with_polynomial_roots(coefficients: list[float]) -
         [found, found[np.abs(found.imag) > 1e-9 * np.abs(found)].conj()]
     )
     assert len(both) == degree
-    for root in expected:  # clusters are known to ε^(1/m) in both methods
+    for root in expected:  # clusters are accurate to ε^(1/m) in both methods
         assert np.min(np.abs(both - root)) < 2e-4 * max(abs(root), 1e-3)
 
 
@@ -84,7 +84,7 @@ def test_zeros_on_the_positive_axis_are_real_and_on_the_cut_exactly_there() -> N
     z = log_zeros([1, -3, 2], [2, 1, 0], angle=PI)
     assert np.all(z.imag == 0.0)
     np.testing.assert_allclose(np.exp(z.real), [1, 2], rtol=1e-15)
-    # (s + 1)(√s + 1): −1 lies on the cut, the zero of √s + 1 on the next sheet.
+    # (s + 1)(√s + 1): −1 lies on the cut, and the zero of √s + 1 on the next sheet.
     z = log_zeros([1, 1, 1, 1], [1.5, 1, 0.5, 0], angle=PI)
     assert z.tolist() == [complex(z[0].real, PI)]
     assert abs(z[0].real) < 1e-15
@@ -109,7 +109,7 @@ def test_multiple_zeros_stand_together(
 @pytest.mark.parametrize("multiplicity", [5, 6, 7, 8])
 def test_zeros_of_high_multiplicity_are_counted_and_found(multiplicity: int) -> None:
     # Rounding moves the points of an eightfold zero by ε^(1/8), a hundredth of its
-    # modulus and more.
+    # modulus or more.
     powers = np.arange(multiplicity + 1)
     coefficients = [
         math.comb(multiplicity, int(k)) * 3.0 ** (multiplicity - k) for k in powers
@@ -123,8 +123,8 @@ def test_zeros_of_high_multiplicity_are_counted_and_found(multiplicity: int) -> 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_cluster_of_real_zeros_is_found_whole(sign: float) -> None:
-    # Distinct, so no multiple zero; rounding moves each off the axis by 1e-11, and none
-    # may be lost there.
+    # Distinct zeros, so none is multiple; rounding moves each off the axis by 1e-11,
+    # which must not lose any.
     wanted = sign * np.array([1.0, 1.02, 1.05, 1.08])
     z = log_zeros(np.poly(wanted), [4, 3, 2, 1, 0], angle=PI)
     np.testing.assert_allclose(
@@ -168,11 +168,12 @@ def test_count_and_residues(seed: int) -> None:
     if z.size:
         values, moduli = terms.derivatives(z, 1)
         assert np.max(np.abs(values[0]) / moduli[0]) < 1e-13
+    # the count in the strip against the zeros found, with their conjugates
     for angle in (
         0.7,
         1.9,
         3.3,
-    ):  # the strip count against the zeros found, conjugates added
+    ):
         inside = z[z.imag < angle]
         assert count_strip(terms, angle) == 2 * len(inside) - np.sum(inside.imag == 0)
 

@@ -1,4 +1,4 @@
-"""Whatever a user can hold is written to a file and read back equal."""
+"""Every object a user can obtain is written to a file and read back equal."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Shaped moves: every arm of the set does what the linear loops promise, and every
-limit is kept.
+"""Shaped moves: every arm of the set behaves as predicted by the linear loops, and
+every limit is kept.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fraclink.trials import Campaign
 from needed_tools import tool
 
 PLAIN = fl.Rig.named("paper-2023-geared")
-# the gauge's offset of the paper's figures, of which the law must see nothing
+# the gauge offset of the paper's figures, which the law must not react to
 RIG = replace(PLAIN, gauge=replace(PLAIN.gauge, offset=0.05))
 KNOWN = (0.030, 0.030)
 BAND = 0.02
@@ -153,7 +153,8 @@ def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> 
         natural_frequency=0.85 * design.model.natural_frequency,
         second_mode=fl.SecondMode(frequency=180.0, damping_ratio=0.02, gain=0.1),
     )
-    # without the offset: the model's appears as the move begins, and disturbs it
+    # without the offset: that of the model appears at the start of the move and
+    # disturbs it
     made = fl.design(
         slow,
         PLAIN,
@@ -314,7 +315,7 @@ def test_the_loop_in_real_time_takes_a_table(
         priority=0,
         lock_memory=False,
     )
-    row = np.rint(run.time / 0.004).astype(int)  # a period that came late is left out
+    row = np.rint(run.time / 0.004).astype(int)  # a late period is left out
     assert np.array_equal(run.reference, rows[0][row])
     assert np.array_equal(run.reference_acceleration, rows[2][row])
 
@@ -424,9 +425,8 @@ def test_the_command_line_shapes_and_moves(
         main(["simulate", "design.json", "--payload", "0.03", "--told", "0.03", *move])
         == 0
     )
-    assert (
-        json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.5
-    )  # the model has no link mass
+    # the model has no link mass
+    assert json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.5
     assert (
         main(
             [

@@ -1,5 +1,5 @@
-"""The closed loop: its plant against independent solutions, its verdicts against what
-is known of the design.
+"""The closed loop: its plant against independent solutions, its verdicts against known
+properties of the design.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ OFF = 4  # mode of law.h
 
 
 def _held(transfer: object, held: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Response at the samples to `held`, from step responses by numerical Laplace
-    inversion at 40 digits.
+    """Response to `held` at the samples, from step responses by numerical Laplace
+    inversion with 40 digits.
     """
     mpmath.mp.dps = 40
     step = [0.0] + [
@@ -86,8 +86,8 @@ def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
     run = simulate(
         law(), STEP, rig=EXACT, model=MODEL, duration=0.6, motor_loop="sampled"
     )
-    # the law's voltage contains its compensation of the coupling torque, which is taken
-    # as exact
+    # the voltage of the law includes its compensation of the coupling torque, which is
+    # assumed to be exact
     voltage = run.voltage - law().coefficients["torque_voltage"] * run.torque_measured
     delayed = np.concatenate([[0.0], voltage[:-1]])
     link, gain, decay = _tip_transfer(MODEL), RIG.motor.gain, RIG.motor.decay
@@ -117,7 +117,7 @@ def test_friction_stops_the_motor_where_the_equation_says() -> None:
             events=(dead,),
             substeps=substeps,
         )
-        # two periods behind the trip the voltage of the last command has acted
+        # two periods after the trip the voltage of the last command has acted
         first = int(np.flatnonzero(run.mode == OFF)[0]) + 2
         angle = run.motor_angle[first:]
         first_step = angle[1] - angle[0]
@@ -189,7 +189,7 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
         gauge_offset=0.05 * MODEL.stiffness,
     )
     error = np.abs(run.tip_angle)
-    assert error.max() > 5e-3  # it is felt first
+    assert error.max() > 5e-3  # the disturbance acts first
     levels = [error[round(t / PERIOD) :].max() for t in (4.0, 6.0, 8.0, 10.0)]
     assert levels[0] < 1e-3
     assert levels[0] > levels[1] > levels[2] > levels[3]
@@ -429,7 +429,8 @@ def test_the_printed_controller_fails_within_four_seconds() -> None:
     gentle = simulate(
         made, fl.smooth_step(1.0, 1.0), rig=RIG, model=MODEL, payload=0.030, noise=0.0
     )
-    assert gentle.metrics.settling_time < 2.0  # by its size alone it would have passed
+    # judged by its size alone it would have passed
+    assert gentle.metrics.settling_time < 2.0
     assert gentle.verdict.reason.startswith("unstable: the vibration grows"), (
         gentle.verdict.reason
     )
@@ -447,8 +448,8 @@ def test_the_gauge_shows_the_torque_of_its_delay(delay: float) -> None:
         gauge_gain=-0.7,
         duration=3.0,
     )
-    # A spline through all samples is another interpolation than the kernel's cubic
-    # through four of them.
+    # A spline through all samples differs from the cubic through four samples in the
+    # kernel.
     before = np.arange(-50, 0) * PERIOD
     spline = CubicSpline(
         np.concatenate([before, run.time]), np.concatenate([0 * before, run.torque])
@@ -509,7 +510,7 @@ def test_the_model_brings_its_gauge_and_its_second_mode() -> None:
     late = simulate(
         law(), STEP, rig=EXACT, model=replace(MODEL, gauge_delay=0.057), payload=0.02
     )
-    assert not late.verdict  # a delay that was measured and is not in the design
+    assert not late.verdict  # a delay that was measured but is not part of the design
     twin = fl.Twin.from_rig(EXACT, model=found)
     assert (twin.gauge_delay, twin.gauge_gain) == (0.012, 1.1)
 
@@ -520,8 +521,8 @@ def test_the_second_mode_is_its_transfer_function() -> None:
     options = {"rig": EXACT, "motor_loop": "ideal", "duration": 0.4}
     run = simulate(made, STEP, model=replace(MODEL, second_mode=mode), **options)
     extra = run.torque - MODEL.stiffness * (run.motor_angle - run.tip_angle)
-    # Another way: the mode's state space under the motor angle, which is smooth, at 40
-    # steps a period.
+    # Alternative: the state space of the mode, driven by the smooth motor angle with 40
+    # steps per period.
     fine = np.linspace(0.0, run.time[-1], 40 * (len(run.time) - 1) + 1)
     w, z = mode.frequency, mode.damping_ratio
     system = ([mode.gain, 0.0, 0.0], [1.0, 2 * z * w, w**2])

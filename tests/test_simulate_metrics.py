@@ -1,4 +1,4 @@
-"""Metrics and verdicts on signals whose figures are known by hand."""
+"""Metrics and verdicts on signals whose values are known by hand."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def test_a_vibration_is_unstable_where_it_grows_and_only_after_the_move() -> Non
     growing = judged(vibrating(0.02 * np.exp(0.5 * (TIME - ENDED))))
     assert not growing.passed
     assert "0.5" in growing.reason
-    # Large while the arm moves, quiet behind it: what happened before the rest is no
-    # growth.
+    # Large while the arm moves, small afterwards: what happened before the end of the
+    # move is no growth.
     assert judged(vibrating(np.where(TIME < ENDED, 0.3, 0.001))).passed
 
 
@@ -116,8 +116,8 @@ def test_a_vibration_that_noise_drives_does_not_grow() -> None:
 
 
 def test_a_vibration_that_lasts_without_growing_has_not_settled() -> None:
-    # Quiet until a period after the move, then slowly dying: over that border it would
-    # seem to grow.
+    # Small until a period after the move, then slowly decaying: across this step it
+    # would seem to grow.
     dying = 0.1 * np.exp(-0.05 * TIME)
     verdict = judged(vibrating(np.where(TIME < ENDED + VIBRATION, 0.001, dying)))
     assert not verdict.passed
@@ -134,8 +134,8 @@ def test_a_tip_that_is_held_back_by_the_limit_is_called_saturated() -> None:
 def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_tip() -> (
     None
 ):
-    # An unstable loop above the link's modes: the limit holds it, and the tip moves by
-    # less than 2 %.
+    # An unstable loop above the modes of the link: the limit keeps it bounded, and the
+    # tip moves by less than 2 %.
     for share, passed in ((0.0, True), (0.05, True), (0.5, False)):
         at_limit = (np.arange(TIME.size) % 20 < 20 * share) & (TIME > ENDED)
         verdict = judged(REFERENCE, saturated=at_limit)

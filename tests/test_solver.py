@@ -1,5 +1,5 @@
-"""One solver for every requirement: rows measured anew, gradients, arms of a box,
-offers that pass when they are followed, and the published procedure beside it.
+"""One solver for all requirements: rows measured again, gradients, arms of a box,
+proposals that pass when they are followed, and the published procedure for comparison.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def test_gradients_are_those_of_differences(notch: tuple[float, float] | None) -
         above, below = kept(x + step), kept(x - step)
         for key, figure in rows.items():
             slope = (above[key].value - below[key].value) / 2e-6
-            near = np.abs(figure.value) < 2.0  # the others bind nothing
+            near = np.abs(figure.value) < 2.0  # the others are not binding
             assert slope[near] == pytest.approx(
                 figure.gradient[k][near], rel=1e-2, abs=1e-2
             ), key
@@ -131,7 +131,7 @@ def test_figures_of_a_refusal_are_the_best_together() -> None:
         fl.design(MODEL, RIG, payloads=RANGE, **asked, law=False)
     offer = refused.value.nearest
     assert set(offer) == set(asked)
-    # the crossover is offered 0.5 % below its edge, where that much buys 4° of margin
+    # the proposed crossover is 0.5 % below the limit, where this gains 4° of margin
     for name in offer:
         more = offer | {name: 1.1 * offer[name]}
         with pytest.raises(InfeasibleError):
@@ -223,8 +223,8 @@ def test_a_lightly_damped_second_mode_is_notched_and_the_law_follows() -> None:
     made = fl.design(link, rig, **asked)
     notch = made.controller.notch
     assert made.passed and notch is not None
-    # what the law computes there is what the notch leaves, not what C's tolerance of
-    # 0.1 dB would
+    # the law has the response left by the notch at this frequency, not the tolerance of
+    # 0.1 dB relative to C
     at = np.array([notch.frequency])
     plain = replace(made.controller, notch=None).response(at)
     assert abs(made.law().frequency_response(at)[0]) < 0.2 * abs(plain[0])
@@ -278,5 +278,5 @@ def test_the_last_crossing_is_that_of_the_payload_that_crosses_last() -> None:
     (row,) = (one for one in made.requirements if one.name == "last gain crossing")
     crossings = {m: made.at(m).gain_crossover for m in (0.020, 0.030, 0.040)}
     assert row.at_payload == pytest.approx(0.020)
-    # of the fit's box, so that it is a little later than the model's own
+    # for the box of the fit, and so slightly above the crossover of the model itself
     assert max(crossings.values()) <= row.achieved < 1.1 * max(crossings.values())

@@ -1,4 +1,4 @@
-"""Margins against closed forms, polynomial roots, 30-digit root finding and dense
+"""Margins against closed forms, polynomial roots, root finding with 30 digits and dense
 grids.
 """
 
@@ -219,7 +219,7 @@ def test_stability_agrees_with_closed_loop_roots(
     if len(closed) < len(bottom) - 1 or np.min(np.abs(closed.real)) < 1e-4:
         return
     if len(top) == len(bottom) and abs(top[0] + bottom[0]) < 1e-2:
-        return  # L(∞) = −1: a closed loop that is not proper
+        return  # L(∞) = −1: the closed loop is not proper
 
     def polynomial(c: np.ndarray) -> FractionalTransferFunction:
         total = 0 * s

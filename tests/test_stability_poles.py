@@ -158,7 +158,7 @@ def rightmost_root(gain: float) -> float:
     """
     re, im = np.meshgrid(np.linspace(-3.0, 1.5, 40), np.linspace(0.0, 60.0, 400))
     z = (re + 1j * im).ravel()
-    with np.errstate(all="ignore"):  # starts that run away are dropped below
+    with np.errstate(all="ignore"):  # diverging starts are dropped below
         for _ in range(60):
             late = gain * np.exp(-z)
             z = z - (z + 1.0 + (z + 2.0) * late) / (1.0 + late - (z + 2.0) * late)
@@ -183,8 +183,8 @@ def test_neutral_loops_have_one_verdict(gain: float) -> None:
     assert found.stable == truth or (abs(gain) == 1.0 and found.stable is None)
     if abs(gain) >= 1.0:
         assert verdict.winding == -1 and "infinitely many" in verdict.reason
-    # Its jumps never end: no sample of a numerical inversion is worth the error that it
-    # would claim.
+    # Its jumps never end: no sample of a numerical inversion would be as accurate as
+    # claimed.
     with pytest.raises(FieldError, match="jumps anew"):
         step_response(loop.feedback(), 4.0, 0.01)
 
@@ -199,7 +199,8 @@ def test_what_cannot_be_decided_says_why() -> None:
 def test_a_published_benchmark() -> None:
     """0.8 s^2.2 + 0.5 s^0.9 + 1 (Petráš, Fract. Calc. Appl. Anal. 12 (2009) 269): with
     w = s^(1/10) the pair next to the sector's edge is 1.0045 ± 0.1684j there, found by
-    making the orders commensurate."""
+    making the orders commensurate.
+    """
     found = poles(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
     assert np.exp(np.log(found) / 10).round(4).tolist() == [
         1.0045 + 0.1684j,
@@ -213,9 +214,8 @@ def test_a_pole_and_a_zero_at_the_origin_divide_out() -> None:
     assert is_stable(s**0.3 / (s**0.5 * (s + 1))).integrators == pytest.approx(0.2)
     assert is_stable(s**2 / (s * (s + 1))).integrators == 0.0
     assert poles((s + 2) / (s**2 * (s + 1))).tolist() == pytest.approx([0, 0, -1])
-    assert poles(1 / (s**1.5 * (s + 1))).tolist() == pytest.approx(
-        [-1]
-    )  # a branch point is no pole
+    # a branch point is not a pole
+    assert poles(1 / (s**1.5 * (s + 1))).tolist() == pytest.approx([-1])
     assert is_stable(0 * s).integrators == 0.0
 
 
@@ -227,7 +227,7 @@ def test_a_zero_cancels_one_pole_of_a_double_one_and_only_within_rounding() -> N
     same = (s + 1 + 1e-12) * (s + 7) / ((s + 1) * (s + 2) * (s + 5))
     assert len(poles(same)) == 2
     late = ((s + 1) * (s + 7)).delayed(0.1) / ((s + 1) * (s + 2) * (s + 5))
-    assert len(poles(late)) == 2  # a common delay moves no zero
+    assert len(poles(late)) == 2  # a common delay does not move any zero
     both = (s + (0 * s + 1).delayed(0.1)) / ((s + 1) * (s + 2) * (s + 5))
     assert len(poles(both)) == 3
 

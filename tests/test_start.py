@@ -1,4 +1,4 @@
-"""`start` on logs of many shapes: what it takes each for, what it asks, and how it
+"""`start` on logs of many shapes: how it interprets each, what it asks, and how it
 refuses.
 """
 
@@ -62,8 +62,8 @@ class Shape:
         return path
 
 
-# What each shape is taken for: time, unit; motor angle, unit; kind, column, unit, sign;
-# certainty is below.
+# The interpretation of each shape: time, unit; motor angle, unit; kind, column, unit,
+# sign; the certainty is below.
 Taken = tuple[str, str, str, str, str, str, str, int]
 RAW = "rad"
 THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
@@ -250,7 +250,7 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
     ),
 }
 
-# What is not taken: the words of the error that mend it.
+# Shapes that are refused, with the remedy in the error message.
 REFUSED: dict[str, tuple[Shape, str]] = {
     "decimal commas between commas": (
         Shape({"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}, comma=True),
@@ -364,15 +364,14 @@ def test_an_assumption_is_called_one_and_not_asked(tmp_path: Path) -> None:
 def test_a_gauge_without_a_unit_is_scaled_to_a_gain_of_one(tmp_path: Path) -> None:
     found = guessed(THROUGH["strain in volts"][0], tmp_path / "log.csv")
     assert found.columns is not None
-    # The gauge was made with 0.4 V for each radian of deflection; the scan is good for
-    # a few percent.
+    # The gauge was generated with 0.4 V per radian of deflection; the scan is accurate
+    # to a few percent.
     assert found.columns.output.scale == pytest.approx(1 / 0.4, rel=0.1)
 
 
 def test_a_gauge_that_answers_late_does_not_settle_its_sign(tmp_path: Path) -> None:
-    late = np.concatenate(
-        (np.zeros(22), TORQUE[:-22])
-    )  # 88 ms, a seventh of the vibration
+    # 88 ms, a seventh of the vibration period
+    late = np.concatenate((np.zeros(22), TORQUE[:-22]))
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": late})
     found = guessed(shape, tmp_path / "log.csv")
     assert certainty(found, "sign of the output") == "assumed"
@@ -381,7 +380,7 @@ def test_a_gauge_that_answers_late_does_not_settle_its_sign(tmp_path: Path) -> N
 def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(
     tmp_path: Path,
 ) -> None:
-    # Both columns say rad, but one of them is in degrees: the gain is 57.
+    # Both columns are labelled rad, but one of them is in degrees: the gain is 57.
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": DEG * DEFLECTION})
     found = guessed(shape, tmp_path / "log.csv")
     assert [(question.role, question.part) for question in found.questions] == [
@@ -424,8 +423,8 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_writes_a_rig_file_a_model_and_a_picture(turned: Path) -> None:
     fit = fl.Fit.load(turned / "model.json")
     assert fit.passed
-    # One period of vibration in ten leaves gain and damping correlated; a wrong unit is
-    # a factor of 57.
+    # With one period of vibration in ten, gain and damping are correlated; a wrong unit
+    # is a factor of 57.
     assert fit.gain == pytest.approx(1.5, rel=0.03)
     assert (turned / "fit.svg").read_text("utf-8").startswith("<svg")
     # Without --force nothing is overwritten.
@@ -452,9 +451,8 @@ def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
 ) -> None:
     draft = load_rig_or_draft(turned / "rig.toml")
     assert isinstance(draft, RigDraft)
-    assert (
-        len(draft.blanks) == 5
-    )  # the stiffness is the log's, ν is taken as 0, nominal is the mean
+    # the stiffness comes from the log, ν is set to 0, nominal is the mean
+    assert len(draft.blanks) == 5
     model = str(turned / "model.json")
     assert main(["design", "--rig", str(turned / "rig.toml"), "--model", model]) == 2
     shown = capsys.readouterr().err
@@ -516,7 +514,8 @@ def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
         return {"motor_angle": "enc1 [deg]", "output": "bridge [mNm]"}[question.role]
 
     found = fl.logs.start(shape.write(tmp_path / "log.csv"), ask=answer, payload=0.03)
-    # The bridge is named as one and its unit assumed; that it is a torque is stated.
+    # The bridge is recognised by its name, and its unit is assumed; that it is a torque
+    # is stated.
     assert [question.part for question in seen] == ["column"]
     assert seen[0].choices[:2] == ("enc1", "enc2")
     assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
@@ -548,7 +547,7 @@ def test_three_answers_are_enough_where_nothing_is_named(tmp_path: Path) -> None
 
     found = fl.logs.start(Shape(UNNAMED).write(tmp_path / "log.csv"), ask=answer)
     assert [question.role for question in seen] == ["time", "motor_angle", "output"]
-    # One of two columns of the same numbers, none that stands still, none taken twice.
+    # One of two identical columns, no constant one, none taken twice.
     assert [question.choices for question in seen[1:]] == [
         ("x1", "x2", "x4"),
         ("x1", "x4"),
@@ -604,7 +603,7 @@ def test_the_terminal_asks_again_until_it_understands(
     code, shown = start_with("c\n\na\na [deg]\nb [Nm]\n")
     assert code == 0
     assert "none of these columns" in shown and "without a unit" in shown
-    assert "1  a" not in shown  # examples are no choices
+    assert "1  a" not in shown  # examples are not choices
     code, shown = start_with("a [deg]\n")
     assert code == 2 and "--column" in shown
 

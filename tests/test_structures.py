@@ -1,5 +1,5 @@
-"""Any fractional structure: expressions, recovery without a start, intervals, and what
-must be refused.
+"""Arbitrary fractional structures: expressions, recovery without initial values,
+intervals, and what must be refused.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ def lines(
 # --- recovery -----------------------------------------------------------------------------------------------
 
 
-# From the second pair no start leads there that is ranked as if the cut were a rest,
-# from the third none that is drawn so.
+# In the second case no start leads to the truth if starts are ranked as if the arm had
+# been at rest before the cut; in the third case none if they are drawn on that
+# assumption.
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "late"), [(3, 700), (3, 1300), (7, 1300)])
 def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
@@ -62,7 +63,7 @@ def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
     text, period = "k*s**a/(s**a + w)*exp(-T*s)", 0.004
     levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 26)
     levels[0] = 0.0
-    # 12 ms of a servo: smooth enough for straight lines between the samples.
+    # A servo with 12 ms: smooth enough for linear interpolation between the samples.
     angle = (
         fracsys.time_response(
             1 / (0.012 * fracsys.s + 1) ** 2, np.repeat(levels, 100), period
@@ -82,7 +83,8 @@ def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
     fit = fl.identify_structure(cut, text, details=False)
     for name, value in truth.items():
         assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name], name
-    # Over the whole rest, with what was held out: nothing is missing at the cut.
+    # Over the whole log after the cut, including the held-out part: no part of the
+    # response is missing at the cut.
     assert np.std(fit.predicted - 0.3 - torque[late:]) < 0.1 * noise.std()
 
 
@@ -150,11 +152,12 @@ def test_the_link_structure_is_that_of_identify() -> None:
 
 
 def test_frequency_response_without_a_start() -> None:
+    # improper: no recording could show it
     truth = {
         "K": 20.5,
         "D": 3.7343,
         "m": 1.15,
-    }  # improper: a recording could not show it
+    }
     fit = fl.identify_structure(lines("K + D*s**m", truth), "K + D*s**m")
     assert fit.domain == "frequency"
     for name, value in truth.items():
@@ -461,8 +464,8 @@ def test_a_coefficient_may_have_either_sign() -> None:
     record = recording("k/(s + c*s**a + w)", truth, noise=0.0)
     fit = fl.identify_structure(record, "k/(s + c*s**a + w)", details=False)
     assert fit.parameters == pytest.approx(truth, rel=1e-4)
-    # Where its range says that it is positive the fit is near and not right, and says
-    # so: what is left is as smooth as the output.
+    # If its bounds require it to be positive, the fit is close but not correct, and a
+    # finding says so: the residual is as smooth as the output.
     forced = fl.identify_structure(
         record,
         "k/(s + c*s**a + w)",

@@ -1,4 +1,4 @@
-"""The studio without a browser: what a drag is answered, what is refused, what is kept."""
+"""The studio without a browser: the answers to a drag, what is refused, what is kept."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_preview_has_the_figures_of_design(subject):
     margin = next(row for row in made.requirements if row.name == "phase margin")
     assert sum(phase for _, phase in head["budget"]) + 180 == pytest.approx(
         margin.achieved / fl.deg(1),
-        abs=2e-3,  # of the table that the rows are measured on
+        abs=2e-3,  # accuracy of the table on which the rows are measured
     )
     at_20g = np.interp(0.02, subject.payloads, curves["margin"][0])
     assert at_20g == pytest.approx(50.0, abs=0.05)
@@ -148,7 +148,7 @@ def test_the_command_line_refuses_the_same_in_the_same_words(
     assert main(["design", "--rig", "paper-2023", *words, "--out", out]) in (1, 2)
     printed = " ".join(capsys.readouterr().err.split())
     assert not head["ok"]
-    # The command line offers the nearest request as its options.
+    # The command line proposes the nearest request as its own options.
     assert " ".join(head["error"].split()).partition("; nearest feasible")[0] in printed
 
 
@@ -178,7 +178,7 @@ def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject
         and len(curves["fan_gain"]) > 8
         and np.ptp(curves["fan_gain"], axis=0).max() > 3.0
     )
-    # of a box that is one point there is one arm, the model's, at both payloads
+    # a box that is a single point contains one arm, that of the model, at both payloads
     made = fl.design(
         subject.model,
         subject.rig,
@@ -269,7 +269,7 @@ def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
 @pytest.mark.parametrize("value", [None, "x", True, math.inf, 1e300, -5.0])
 def test_a_run_of_impossible_settings_is_refused_in_words(made, name, value):
     if (name, value) == ("move", -5.0):
-        return  # a move to the other side
+        return  # a move in the other direction is possible
     with pytest.raises(FraclinkError) as why:
         PLAY_VERBS["play"](made, MOVED | {name: value})
     assert len(str(why.value)) > 10
@@ -287,7 +287,7 @@ def test_the_map_about_minus_one_is_the_true_sampled_loops(made):
         for m in design.payloads
     ]
     assert late == pytest.approx(margins)
-    assert near[-1, 0] > near[0, 0]  # later is nearer, or unstable
+    assert near[-1, 0] > near[0, 0]  # a longer delay is closer, or unstable
     assert (near[-1] == 1.0).any() == any(
         not margins_of(
             law.frequency_response,
@@ -356,7 +356,7 @@ def test_another_host_or_origin_is_refused(client, studio):
     assert client.get("/", headers={"host": "127.0.0.1:9"}).status_code == 421
     assert client.get("/", headers={"origin": "http://evil.example"}).status_code == 403
     for origin in ({"origin": "http://evil.example"}, {"origin": "null"}, {}):
-        refused = pytest.raises(Exception)  # the client's own class for a denial
+        refused = pytest.raises(Exception)  # the client's own exception for a refusal
         with (
             refused as why,
             client.websocket_connect("ws://127.0.0.1:8000/talk", headers=origin),
@@ -412,7 +412,7 @@ def talked(socket, **message) -> tuple[dict, dict]:
     socket.send_text(json.dumps(message))
     while True:
         head, curves = unpacked(socket.receive_bytes())
-        assert "defect" not in head  # of whatever message it is the answer
+        assert "defect" not in head  # whichever message it answers
         if head["seq"] == message["seq"] and head["verb"] != "progress":
             return head, curves
 
@@ -435,7 +435,7 @@ def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
         assert [state for *_, state in exact["verdict"]] == [
             "✓ passed",
             "✓ passed",
-            "✗ failed",  # the link pushes the gearless motor off its model
+            "✗ failed",  # the link pushes the gearless motor away from its model
             "– not run",
         ]
         assert "--gain-crossover 12.5" in exact["copies"]["design"]
@@ -446,7 +446,8 @@ def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
         kept, _ = talked(socket, seq=5, verb="keep")
         assert "design.json" in kept["kept"]
         refused, _ = talked(socket, seq=6, verb="run-realtime")
-        assert refused["error"].startswith("verb: unknown")  # never moves a real arm
+        # the studio never moves a real arm
+        assert refused["error"].startswith("verb: unknown")
 
 
 @pytest.mark.slow
@@ -472,10 +473,11 @@ def test_hostile_messages_end_nothing(client, studio):
             "payload",
         )
         given = {field: junk[int(rng.integers(len(junk)))] for field in fields}
+        # these take half a second each; their states are those of preview
         if verb in (
             "exact",
             "keep",
-        ):  # half a second each; their states are those of preview
+        ):
             given = {"state": junk[int(rng.integers(len(junk)))], "force": None}
         texts.append(
             json.dumps(
@@ -586,7 +588,7 @@ def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     with pytest.raises(FieldError):
         OUTPUT_VERBS["export"](session, {"target": "c"})
     assert OUTPUT_VERBS["zip"](session, {}).head["size"] > 1000
-    # an opened folder shows what it was closed with
+    # a folder that is opened again shows its last state
     again = opened(Path("ours"))
     assert again.study.verdict == session.study.verdict
     assert again.state["gain_crossover"] == pytest.approx(
@@ -605,9 +607,8 @@ def test_a_file_that_changed_outside_is_not_replaced_unasked(tmp_path):
     with pytest.raises(FieldError, match=r"design\.json"):
         session.keep()
     session.keep(force=True)
-    other = opened(
-        None, out=tmp_path / "results"
-    )  # not opened from there: what lies there is another's
+    # not opened from this folder, so its contents belong to another session
+    other = opened(None, out=tmp_path / "results")
     other.exact({**ASKED, "gain_crossover": 12.2})
     with pytest.raises(FieldError, match="already there"):
         other.keep()

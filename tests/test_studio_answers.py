@@ -1,5 +1,5 @@
-"""The studio's answers read number by number: requests, states, messages, pictures,
-files, and refusals.
+"""The answers of the studio, checked number by number: requests, states, messages,
+pictures, files, and refusals.
 """
 
 from __future__ import annotations
@@ -37,9 +37,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """A session with a design."""
     found = opened(None, rig=RIG, out=tmp_path_factory.mktemp("made") / "results")
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(
-            Session, "arm", lambda self, known="": {}
-        )  # its engine takes a second to pack
+        # its engine takes a second to compress
+        patched.setattr(Session, "arm", lambda self, known="": {})
         found.exact(ASKED)
     return found
 
@@ -216,9 +215,8 @@ def test_a_port_that_is_taken_is_named() -> None:
         assert why.value.allowed == "a free port of this machine"
     listener = serving._listening(0)
     assert listener.getsockname()[1] > 0
-    with socket.create_connection(
-        listener.getsockname(), timeout=5
-    ):  # it listens already
+    # it is already listening
+    with socket.create_connection(listener.getsockname(), timeout=5):
         listener.close()
 
 

@@ -1,5 +1,5 @@
-"""The studio in Chromium: every handle, undo, keys, a killed server, and not one
-request to elsewhere.
+"""The studio in Chromium: every handle, undo, keys, a killed server, and no request to
+other hosts.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def page(tmp_path_factory) -> Iterator[Page]:
         yield found
 
 
-# The exact answer to what is asked for now has been shown, and no preview is under way.
+# The exact answer to the current request has been shown, and no preview is in progress.
 _SETTLED = """import('/studio.js').then(
   ({app}) => app.exactly === JSON.stringify(app.state) && !app.link.dragging
 )"""
@@ -90,7 +90,7 @@ def noted(page: Page, place: Path) -> dict:
     return states(place)[-1]["state"]
 
 
-# A busy machine may answer long after the next request: here when the test says so
+# A busy machine may answer long after the next request: here, when the test triggers it
 # (`window.late`).
 _LATE = """((verb, changed) => {
   const hears = Object.getOwnPropertyDescriptor(WebSocket.prototype, 'onmessage');
@@ -108,8 +108,8 @@ _LATE = """((verb, changed) => {
     });
   }});
 })"""
-# With a filter that it borrows from the last design, a refused preview may know of no
-# nearest request.
+# With the filter of the last design, a refused preview may not contain a nearest
+# request.
 _KNOWS_LESS = """(head, event) => {
   if (head.ok) return event;
   window.refusals += 1;
@@ -161,7 +161,7 @@ def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path)
                 "!document.querySelector('#controller').classList.contains('preview')"
             )
         )
-        ask_for(page, "60")  # far beyond what any law of the family reaches
+        ask_for(page, "60")  # far beyond the reach of any law of the family
         page.until("document.querySelector('#refused button')", "the nearest")
         page.until(lambda: handed_on("window.refusals"), "the preview")
         refused = "document.querySelector('#refused')"
@@ -239,7 +239,8 @@ def test_a_request_that_no_design_meets_has_no_command(page, tmp_path):
 def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
     with studio(tmp_path) as (address, process):
         page.open(address)
-        assert page.run("location.hash") == ""  # the token is out of the address bar
+        # the token is no longer in the address bar
+        assert page.run("location.hash") == ""
         page.until("document.querySelector('.armbox')")
         settled(page)
         first = states(tmp_path)[-1]["state"]
@@ -268,7 +269,7 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.key("z", control=True, shift=True)
         page.until(lambda: states(tmp_path)[-1]["at"] == 1, "redone")
         settled(page)
-        # Escape brings a drag back to where it began, and nothing is noted.
+        # Escape returns a drag to its start, and nothing is recorded.
         lines = len(states(tmp_path)) + 1
         page.key("z", control=True)
         page.until(lambda: len(states(tmp_path)) == lines, "the undo before")
@@ -284,7 +285,7 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         assert shown == first["gain_crossover"]
         time.sleep(0.3)
         assert len(states(tmp_path)) == lines
-        # Keys alone: a handle, the steps, Keep.
+        # Keyboard only: a handle, the steps, Keep.
         page.run("document.querySelector('#h-margin-phase').focus()")
         for name in ("ArrowUp", "PageUp"):
             page.key(name)
@@ -304,8 +305,8 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
             page.key(str(number))
             assert page.run(f"!document.querySelector('#step-{step}').hidden"), step
         page.key("4")
-        # The map takes both at once; a state lies over another; a name finds what has
-        # no key.
+        # A click in the map sets both values; a state is overlaid on another; the
+        # palette finds what has no key.
         page.until(
             "document.querySelector('#p-map .cells')?.getAttribute('d')", "the map"
         )
@@ -333,8 +334,8 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
             "document.activeElement.id === 'f-payloads.0'", "the field of that name"
         )
         page.run("document.activeElement.blur()")
-        # A request that cannot be met: pale curves, a sentence, and the nearest that
-        # can.
+        # An infeasible request: pale curves, a sentence, and the nearest feasible
+        # request.
         page.key("4")
         for value in ("60", ""):
             ask_for(page, value)
@@ -346,8 +347,8 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
                 page.until("document.querySelector('#refused button')")
                 page.run("document.querySelector('#refused button').click()")
                 page.until("document.querySelector('#refused').hidden")
-        # Killed in the middle of a drag: what was kept is there, and the history is
-        # back.
+        # Killed in the middle of a drag: the kept state is there, and the history is
+        # restored.
         settled(page)
         bytes_kept, lines = kept.read_bytes(), len(states(tmp_path))
         x, y = page.middle("#h-crossover")
@@ -381,8 +382,8 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
 
 
 def _loses_the_payload(page: Page) -> bool:
-    """Click the payload, which moves: on a busy machine a click may miss it, or last
-    long enough to hold.
+    """Click the moving payload: on a busy machine a click may miss it, or last long
+    enough to count as a hold.
     """
     page.click("#load")
     end = time.monotonic() + 5.0
@@ -430,11 +431,11 @@ def replayed_and_cut(page: Page) -> None:
         "the stretch in the command",
     )
     assert "W237" in page.run("document.querySelector('#log-findings').textContent")
-    page.click("#p-output")  # a click marks nothing
+    page.click("#p-output")  # a click without a drag selects nothing
     page.until("document.querySelector('#cut-keep').disabled")
     page.run("document.querySelector('#cut-all').click()")
     page.until("!document.querySelector('#command').textContent.includes('--keep')")
-    # the numbers of a plot, and its sentence
+    # the numbers of a plot, and its description
     page.run(
         "document.querySelector('#p-angle').closest('figure').querySelector('.numbers').click()"
     )
@@ -455,7 +456,7 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.run(
             "fetch('/upload?name=x.csv', {method: 'POST', body: 'x'}).then(answer => answer.status)"
         )  # without a token
-        # Dropped as a file is: the page's own listener takes it.
+        # Dropped like a file: the listener of the page receives it.
         page.run(
             "(d => { d.items.add(new File([Array.from({length: 5000}, (_, k) => { const t = 0.004 * k,"
             " a = Math.sin(0.4 * t * t); return `${t.toFixed(3)},${a},${1.5 * a}`; }).join('\\n')"
@@ -493,7 +494,7 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.until(
             "document.querySelector('#outcome').textContent.startsWith('Degraded')"
         )
-        # A hand at the tip and a payload that is lost on the way, on the twin.
+        # Holding the tip by hand, and losing the payload during the move, on the twin.
         page.run("document.querySelector('#hold').click()")
         page.until(
             "document.querySelector('#outcome').textContent.startsWith('On the twin: held at')"
@@ -518,7 +519,8 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.until(
             "document.querySelector('#proof-said').textContent.includes('stopped as you asked')"
         )
-        # A red cell shows its run. None of the first faults need fail: one is told of.
+        # A red cell shows its run. As none of the first faults need fail, a failure is
+        # simulated.
         page.run(
             "import('/studio.js').then(({proof}) => proof.cell("
             "{fault: 'F01', severity: 1, payload: 0.02, phase: 'mid', passed: false}))"

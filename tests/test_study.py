@@ -1,4 +1,6 @@
-"""A study: what each step hands to the next, what ends it, and the verdict in words."""
+"""A study: the results passed from step to step, what ends it, and the verdict in
+words.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Tuning an unknown arm: the wiring is found before a loop is closed, limits are kept,
-and a law comes out.
+"""Tuning an unknown arm: the wiring is identified before a loop is closed, limits are
+kept, and the result is a law.
 
-The arm is a twin in this process; each exchange of voltage and reading is one period of
-its life.
+The arm is a twin in this process; each exchange of a voltage and a reading is one
+period.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
         assert guard.count == before + guard.reading.periods
         record = guard.record()
         between = np.diff(record.angle[-guard.reading.periods :])
-        assert np.ptp(between) < 1e-9  # a line stands for what is missing
+        assert np.ptp(between) < 1e-9  # missing samples are interpolated linearly
         assert abs(guard.speed) < 1.2 * np.max(np.diff(record.angle)) / PERIOD
         clock.sleep(12.5 * PERIOD)
         with pytest.raises(FraclinkError, match="the link to the arm is lost"):
@@ -366,13 +366,14 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
         limits, 0.03, (0.02, 0.04), 0.004, certified="proved", design_passed=True
     )
     assert "run-realtime" in _following(proved, "udp:a:1", place)
-    # With the payload that was tuned for, and within the limits from where the arm stands.
+    # With the payload of the tuning, and within the limits from the arm's present
+    # position.
     kept = fl.lab.FirstMove(
         0.3, 0.5, 0.47, 0.48, *(0.001,) * 4, 0.006, *(0.001,) * 2, payload=0.03
     )
     following = _following(replace(proved, moves=(kept,)), "udp:a:1", place)
     assert following.endswith("--payload 0.03 --amplitude -0.300 --move-time 0.500")
-    # A motor that goes on slipping hunts, however well its moves settle.
+    # A motor with persistent stick-slip is hunting, however well its moves settle.
     hunting = replace(kept, measured_unrest=0.003)
     hunted = replace(proved, moves=(hunting, kept))
     assert not hunted.passed and "back and forth" in hunted.verdict.arm.reasons[0]

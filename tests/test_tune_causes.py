@@ -1,5 +1,5 @@
-"""What a record shows against a law: each cause is named where it is, and not where it is
-not.
+"""What a record shows against a law: each cause is named if it is present, and only
+then.
 """
 
 from __future__ import annotations

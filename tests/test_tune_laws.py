@@ -1,4 +1,4 @@
-"""From the measurements of a tuning to a law, and the first moves under it."""
+"""From the measurements of a tuning to a law, and its first moves."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     _, _, wiring, _, link = stages
     rig = rig_of(stages)
     model, fit = link.fit.model, link.motor.fit
-    # ω₀² = c/(mL²), c = 3EI/L: equations (5) and (4), m with the link's share
+    # ω₀² = c/(mL²), c = 3EI/L: equations (5) and (4), where m includes the share of the
+    # link
     mass = 0.030 + rig.link.tip_mass
     assert model.natural_frequency**2 == pytest.approx(
         rig.link.stiffness / (mass * rig.link.length**2)
@@ -52,7 +53,7 @@ def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     ) and rig.motor.decay == pytest.approx(fit.decay)
     assert rig.motor.inertia == fit.inertia and rig.motor.voltage_limit == 10.0
     friction = (fit.coulomb_voltage + fit.dead_zone) * fit.gain * fit.inertia
-    # A law that compensates more than there is anywhere would drive the motor.
+    # A law that compensates more friction than there is anywhere would drive the motor.
     assert 0.7 * friction < rig.motor.coulomb_torque < 0.9 * friction
     assert (rig.payloads.low, rig.payloads.high, rig.payloads.nominal) == (
         0.02,

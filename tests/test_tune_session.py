@@ -1,5 +1,5 @@
-"""What a tuning keeps, says and repeats; what a watch calls a change: the rules around
-the stages.
+"""What a tuning stores, prints and repeats, and what counts as a change: the rules
+around the stages.
 """
 
 from __future__ import annotations

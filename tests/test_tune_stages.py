@@ -1,5 +1,5 @@
-"""The stages of a tuning one by one: wiring, motor, link, each against its own
-expectation.
+"""The stages of a tuning one by one: wiring, motor and link, each against its own
+expected result.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     assert wiring.encoder_noise < 1e-3 and wiring.gauge_noise == pytest.approx(
         RIG.gauge.noise, rel=0.2
     )
-    # Its own moves show it as well as the loop needs, and those of the link the rest.
+    # The moves of the motor stage identify it as accurately as the loop needs, those of
+    # the link stage more accurately.
     assert motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.15)
     assert link.motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.03)
     assert link.motor.fit.decay == pytest.approx(RIG.motor.decay, rel=0.1)
@@ -66,17 +67,18 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     assert link.motor.loop.pole == 60.0
     assert link.fit.model.order == pytest.approx(1.92, abs=0.003)
     assert link.fit.passed and shortfall(link.fit) <= 1.0
-    # In the gauge's units: it reads curvature, and the twin's moment on the hub is D =
-    # (jω)^(2−λ) times that.
+    # In the units of the gauge: it measures curvature, and the moment of the twin on
+    # the hub is D = (jω)^(2−λ) times that.
     stiffened = 11.9 ** (2 - 1.92)  # at the vibration of 11.9 rad/s
     hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
     assert abs(link.fit.model.pole) == pytest.approx(11.9, rel=0.01)
-    # Between D at the vibration and at the doublets' and the burst's 50 rad/s.
+    # Between D at the vibration frequency and D at the 50 rad/s of the doublets and the
+    # burst.
     found = link.motor.fit.inertia
     assert found is not None and hub / 50 ** (2 - 1.92) < found < 1.03 * hub / stiffened
     ((reach, duration, error),) = link.rounds
     assert 0.02 < reach <= 0.12 and error == link.fit.standard_errors["order"]
-    # Four seconds, and a rest on either side.
+    # Four seconds, with a rest before and after.
     assert duration == pytest.approx(4.5, abs=0.5)
     record = made.record
     for column, most in (
@@ -97,15 +99,13 @@ def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(
     motor's fit finds n²J.
     """
     _, guard, _, _, link = stages
-    # The moves of the link's stage with the burst of 2 s behind them.
+    # The moves of the link stage, followed by the burst of 2 s.
     record = guard.record(guard.count - round((link.rounds[0][1] + 2.0) / PERIOD))
-    model = (
-        link.fit.model
-    )  # that of a link with mass, whose ω₀ is below the lumped one of the rig
+    # the model of a link with mass, whose ω₀ is below the lumped one of the rig
+    model = link.fit.model
     reading = simulated_torque(model, record.angle, PERIOD, hold="first")
-    size = (
-        4 * reading.size
-    )  # the material forgets: what wraps around is below a thousandth
+    # the memory of the material decays: what wraps around is below a thousandth
+    size = 4 * reading.size
     w = 2 * np.pi * np.fft.rfftfreq(size, PERIOD)
     moment = np.fft.irfft(
         (1j * w) ** (2 - model.order) * np.fft.rfft(reading, size), size
@@ -113,8 +113,8 @@ def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(
     hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
     found = identify_motor(record.voltage, record.angle, period=PERIOD, torque=moment)
     assert found.inertia == pytest.approx(hub, rel=0.005)
-    # The reading alone is not that moment at all frequencies: it explains a hundred
-    # times less.
+    # The gauge reading is not proportional to that moment at all frequencies: its
+    # residual is a hundred times larger.
     assert (
         found.nmse
         < 0.02
@@ -160,9 +160,10 @@ def test_the_fastest_loop_keeps_its_distance_and_the_next_one_does_not(
             next_loop = replace(loop, pole=faster)
             near = min(distance(next_loop, ratio) for ratio in ratios)
             slowest = np.abs(next_loop.sampled(MOTOR, PERIOD).poles()).max()
-        except FieldError:  # no placement of poles with that delay
+        except FieldError:  # no poles can be placed with that delay
             near, slowest = 0.0, 1.0
-        # A slower pole than those placed is left over, where the distance is kept.
+        # If the distance is sufficient, there is an additional pole slower than those
+        # placed.
         assert near < 0.45 or slowest > 1.001 * math.exp(-faster * PERIOD)
     slow = fastest_loop(MOTOR, delay, PERIOD, ratios=ratios, margin=0.45, most=12.0)
     assert slow.pole == 12.0
@@ -177,8 +178,8 @@ def test_the_fastest_loop_follows_a_step_as_fast_as_its_pole(
     loop = fastest_loop(
         motor, samples * period, period, ratios=(1.0,), margin=0.45, most=80.0
     )
-    # The time of three equal poles to 2 % is 7.5 of theirs; a pole that the delay left
-    # over would take many times that.
+    # Three equal poles settle to 2 % in 7.5 of their time constants; an additional pole
+    # due to the delay would take many times that.
     time = 7.6 / loop.pole + (samples + 1) * period
     step = stepped(motor, loop, period, round(1.5 * time / period) + 200)
     assert abs(step[round(time / period) :] - 1.0).max() < 0.05
@@ -242,8 +243,7 @@ def test_the_motors_law_has_its_loop_and_nothing_else() -> None:
         MOTOR, PERIOD
     )
     assert (law.period, law.precision, law.motor_loop_pole) == (PERIOD, "single", 40.0)
-    # A gauge that shows anything at all changes nothing: the user's own limits are the
-    # guard's.
+    # The reading of the gauge has no effect: the guard enforces the user's own limits.
     voltages = []
     for torque in (0.0, 1e5):
         runs = Follower(law)
@@ -251,8 +251,7 @@ def test_the_motors_law_has_its_loop_and_nothing_else() -> None:
             [runs.step(0.05, 0.0, 0.0, torque * (-1) ** k) for k in range(60)]
         )
     assert voltages[0] == voltages[1] and max(voltages[0]) > 0.3
-    # What it does watch is the reference: the planned speed passes, and three times
-    # that does not.
+    # The reference is monitored: the planned speed passes, three times that does not.
     step = 3.9 * PERIOD
     runs = Follower(law)
     for k in range(20):
@@ -302,7 +301,7 @@ def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -
     record = follow(guard, law, path)
     assert record.angle.size == 300
     assert made.record[-1, 1] == pytest.approx(0.2, abs=0.01)
-    follow(guard, law, path)  # counts from there
+    follow(guard, law, path)  # the ticks are counted from there
     assert made.record[-1, 1] == pytest.approx(0.4, abs=0.015)
     back = np.zeros((2, 400))
     back[0] = np.maximum(0.4 - 0.002 * np.arange(400), 0.1)
@@ -312,9 +311,8 @@ def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -
     shaken = np.where(np.arange(50) % 2, 1.5, -1.5)
     follow(guard, law, np.zeros((2, 50)), shaken=shaken)
     added = np.diff(made.record[before:, 4])
-    assert np.median(np.abs(added)) == pytest.approx(
-        3.0, abs=0.6
-    )  # the law's own voltage hardly changes
+    # the voltage of the law hardly changes
+    assert np.median(np.abs(added)) == pytest.approx(3.0, abs=0.6)
 
 
 def ringing(calmed: bool) -> tuple[float, float]:
@@ -368,7 +366,7 @@ def test_a_gauge_whose_zero_has_drifted_does_not_turn_the_motor() -> None:
     guard.rest(0.8)
     law = motor_law(MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guard)
     calm(guard, law, stiffness=1.5, resonance=12.0, noise=1e-9)
-    # 0.8 · 12 · 0.1/1.5 = 0.64 rad, were it taken for a bent link.
+    # It would be 0.8 · 12 · 0.1/1.5 = 0.64 rad if the drift were taken for a bent link.
     assert float(np.abs(guard.record().angle).max()) < 0.03
 
 
@@ -378,9 +376,8 @@ def test_calming_ends_after_three_vibrations() -> None:
     calm(guard, law, stiffness=1.5, resonance=12.0, noise=1e-9)
     assert guard.count * PERIOD == pytest.approx(6 * math.pi / 12, abs=25 * PERIOD)
     before = guard.count
-    calm(
-        guard, law, stiffness=1.5, resonance=12.0, noise=1.0
-    )  # quiet from the beginning
+    # the link is at rest from the beginning
+    calm(guard, law, stiffness=1.5, resonance=12.0, noise=1.0)
     assert (guard.count - before) * PERIOD == pytest.approx(0.5, abs=25 * PERIOD)
 
 
@@ -466,7 +463,7 @@ def test_what_reaches_a_limit_is_repeated_smaller_twice(
     def read() -> tuple[float, float] | None:
         nonlocal spikes
         angle, torque = own.callback.read() or (0.0, 0.0)
-        # In the middle of a motion, once in every try.
+        # In the middle of a motion, once per attempt.
         moving = min(map(abs, voltages[-50:])) > 0.0
         tries = sum("once more" in line for line in said)
         if "link" in said and moving and spikes == tries < times:

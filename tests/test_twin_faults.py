@@ -1,5 +1,5 @@
-"""Faults of sensors and of the control task, injected between the twin and the shipped
-law.
+"""Faults of the sensors and of the control task, injected between the twin and the
+shipped law.
 """
 
 from __future__ import annotations
@@ -71,9 +71,8 @@ def test_one_nan_encoder_sample_is_ridden_through(law, clean):
 def test_frozen_encoder_in_motion_switches_off(law):
     run = _run(law, "encoder frozen", until=AT + 0.5)
     off = np.flatnonzero(run.mode == 4)
-    assert (
-        off.size and off[0] - ROW <= 60
-    )  # the motor is away from its model, or the samples do not move
+    # the motor deviates from its model, or the samples do not change
+    assert off.size and off[0] - ROW <= 60
     assert np.all(
         run.motor_angle_measured[ROW : off[0]] == run.motor_angle_measured[ROW]
     )
@@ -97,7 +96,7 @@ def test_gains_and_offsets_reach_the_reading(law):
         0.05, abs=2e-3
     )
     run = _run(law, "encoder gain", until=10.0, value=57.3)
-    assert run.mode[-1] == 4  # degrees for radians: switched off
+    assert run.mode[-1] == 4  # degrees instead of radians: switched off
 
 
 @pytest.mark.slow
@@ -115,7 +114,7 @@ def test_missed_and_repeated_ticks(law, clean):
     assert np.all(missed.flags[ROW : ROW + 5] == 0)
     assert missed.flags[ROW + 5] & 8  # periods were missed
     held = missed.voltage[ROW + 1 : ROW + 6]
-    assert np.all(held == held[0])  # the timer goes on with the last voltage
+    assert np.all(held == held[0])  # the timer keeps the last voltage
     assert np.abs(missed.error).max() < 0.1 and missed.mode[-1] == 1
     twice = _run(law, "tick repeated", until=AT + 5 * RIG.period)
     assert np.all(

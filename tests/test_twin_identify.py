@@ -1,5 +1,5 @@
-"""Identification names the material of the twin; what mode 2 does to that is shown, not
-hidden.
+"""Identification finds the material of the twin; the effect of mode 2 on it is
+reported.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def test_the_bundled_log_gives_back_its_order():
     log = fl.read_log(path, rig=fl.Rig.named("paper-2023"))
     fit = fl.identify(log, "UD-FOM")
     assert fit.model.order == pytest.approx(1.92, abs=0.003)
-    # The first mode of the twin, not eq. (5): 10.79 against 11.09.
+    # The first mode of the twin instead of eq. (5): 10.79 instead of 11.09.
     assert fit.model.natural_frequency == pytest.approx(
         ROD.modes(1).frequencies[0], rel=0.003
     )

@@ -1,5 +1,5 @@
-"""Logs of the twin: readable, marked as simulated, and the bundled ones are what the
-script makes.
+"""Logs of the twin: readable, marked as simulated, and the bundled ones are those made
+by the script.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The shipped law on the twin: it holds, and what happens to the arm is physics."""
+"""The shipped law on the twin: it is stable, and the motion of the arm obeys physics."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def test_the_design_holds_on_the_twin(law, payload):
 def test_noise_free_error_vanishes(law):
     run = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=10.0)
     assert abs(run.error[-1]) < 1e-3
-    # The gauge's strain and the link's bend tell the same tip angle but for the modes:
-    # θt = θm − Γ/c.
+    # The strain of the gauge and the deflection of the link give the same tip angle
+    # except for the higher modes: θt = θm − Γ/c.
     estimate = run.motor_angle - run.torque / RIG.link.stiffness
     assert np.abs(estimate - run.tip_angle).max() < 0.03 * np.abs(run.torque).max()
 
@@ -97,7 +97,7 @@ def test_gauge_offset_does_not_stay_in_the_tip(law):
     twin = replace(quiet(), gauge=Gauge(offset=0.05))
     run = fl.simulate(smooth(law), MOVE, arm=twin, duration=12.0)
     assert abs(run.torque_measured[-1] - 0.05) < 2e-3
-    assert abs(run.error[-1]) < 1e-3  # 0.05 N·m reads as 32 mrad of bend
+    assert abs(run.error[-1]) < 1e-3  # 0.05 N·m corresponds to a deflection of 32 mrad
 
 
 @pytest.mark.slow
@@ -117,9 +117,8 @@ def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
     )
     assert np.abs(run.tip_angle).max() > 1e-3
     assert np.all(run.extras["motor_velocity"] == 0.0)
-    assert (
-        np.abs(run.motor_angle).max() < 1e-5
-    )  # within a step the held friction lets it breathe
+    # within a step, held friction allows minute motion
+    assert np.abs(run.motor_angle).max() < 1e-5
     assert np.abs(run.torque).max() < twin.breakaway
 
 
@@ -180,9 +179,8 @@ def test_payload_exchange_conserves_shape_and_speed(law, damping):
         before[:3], abs=1e-4
     )  # hub angle, hub velocity, tip angle
     assert after[4] == pytest.approx(before[4], rel=0.02)  # tip velocity
-    assert after[3] == pytest.approx(
-        before[3], abs=0.05
-    )  # the curvature's tail is in the modes left out
+    # the remaining curvature is in the truncated modes
+    assert after[3] == pytest.approx(before[3], abs=0.05)
     lost = 0.5 * 0.032 * (before[4] * 0.65) ** 2
     left = energy(vessel, energy_matrix(vessel.plant, twin.hub_inertia))
     assert left == pytest.approx(held - lost, rel=0.02)
@@ -216,12 +214,11 @@ def test_obstacle_stops_the_tip_and_pushes_one_way(law):
     inside = run.time < 0.9
     force = run.extras["contact_force"][inside].max()
     assert force > 0.1
-    # A spring of 500 N/m at 0.65 m: no deeper than the force says.
+    # A spring of 500 N/m at 0.65 m: not deeper than the force permits.
     assert run.tip_angle[inside].max() - 0.5 < force / 500.0 / 0.65 + 1e-3
     assert np.all(run.extras["contact_force"][run.time > 0.91] == 0.0)
-    assert (
-        abs(run.error[-1]) < 0.02 or run.mode[-1] != 1
-    )  # it arrives, or the law has tripped and says so
+    # it arrives, or the law has tripped and reports this
+    assert abs(run.error[-1]) < 0.02 or run.mode[-1] != 1
 
 
 def test_restart_mid_motion_has_no_bump(law):

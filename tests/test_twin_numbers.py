@@ -1,5 +1,5 @@
-"""The numbers between a rig and the compiled arm: sensors, inputs of a run, the twin,
-the page's engine.
+"""The numbers passed from a rig to the compiled arm: sensors, inputs of a run, the
+twin, the engine of the page.
 """
 
 from __future__ import annotations
@@ -93,9 +93,8 @@ def test_a_model_that_is_another_arm_is_refused_beyond_a_fifth(
             Twin.from_rig(RIG, model=other)
     else:
         assert Twin.from_rig(RIG, model=other).damping == PowerLaw(1.92)
-    Twin.from_rig(
-        RIG, model=other, damping=KelvinVoigt(0.0)
-    )  # a stated material is not asked
+    # a stated material needs no question
+    Twin.from_rig(RIG, model=other, damping=KelvinVoigt(0.0))
     assert Twin.from_rig(RIG, model=replace(other, payload=None)).beam.payload == 0.030
 
 

@@ -1,4 +1,4 @@
-"""The assembled twin: limits, energy, and exactness of its steps."""
+"""The assembled twin: limits, energy, and the exactness of its steps."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def test_energy_never_grows_on_the_discretised_twin(damping, beam):
     plant = assemble(beam, damping, hub_inertia=6.87e-5, hub_friction=1.041e-3)
     matrix = plant.discretise(1e-3).transition[:, : plant.order].T
     energy = energy_matrix(plant, 6.87e-5)
-    # The hub's angle alone stores nothing; take it and what stores next to nothing out
-    # of the norm.
+    # The angle of the hub alone stores no energy; directions with next to no energy are
+    # excluded from the norm.
     scale, vectors = np.linalg.eigh(energy)
     kept = scale > 1e-9 * scale.max()
     root = vectors[:, kept] * np.sqrt(scale[kept])

@@ -1,5 +1,5 @@
-"""Checks by annotation: what each kind of annotation admits, how it is normalised, and
-how it is refused.
+"""Checks by annotation: what each kind of annotation accepts, how it is normalised, and
+how it is rejected.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fracsys.checks import (
 from fracsys.checks.equality import compared
 
 if TYPE_CHECKING:
-    pass  # a name that does not exist when this file runs
+    pass  # a name that does not exist at run time
 
 
 Series = Annotated[NDArray[np.float64], Array(1)]
@@ -164,10 +164,11 @@ def test_a_series_is_one_column_of_finite_floats(annotation: Any) -> None:
         assert refusal(annotation, junk).problem == "not an array of numbers"
     error = refusal(annotation, [0.0, math.nan])
     assert (error.field, error.problem) == ("x", "not finite (entry 1)")
+    # only their sum overflows
     assert rule(annotation).check("x", [1e308, 1e308]).tolist() == [
         1e308,
         1e308,
-    ]  # only their sum is not
+    ]
 
 
 def test_arrays_keep_the_shape_and_kind_of_their_annotation() -> None:
@@ -190,7 +191,7 @@ def test_arguments_are_not_copied_and_fields_are_read_only_copies() -> None:
     assert kept[0] == 0.0 and not kept.flags.writeable
     assert Channel(0.5, kept).values is kept
     view = values.view()
-    view.flags.writeable = False  # but its base can be written to
+    view.flags.writeable = False  # but the base array is still writable
     assert Channel(0.5, view).values is not view
 
 
@@ -211,7 +212,7 @@ def test_results_are_equal_where_all_their_fields_are() -> None:
     a = Result(np.arange(3.0), "a")
     assert a == Result(np.arange(3.0), "a", "another note")
     assert a != Result(np.arange(3.0), "b")
-    assert a != Result(np.arange(3), "a")  # integers are another answer
+    assert a != Result(np.arange(3), "a")  # integers are a different result
     assert a != Result(np.arange(4.0), "a")
     assert (a == "a") is False
     assert Result(np.array([math.nan])) == Result(np.array([math.nan]))
@@ -302,7 +303,8 @@ class Channel:
     sides: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.values.size * self.period > 100.0:  # fields are plain values by now
+        # fields have been normalised to plain values at this point
+        if self.values.size * self.period > 100.0:
             raise FieldError(
                 "values", self.values.size, "too long", allowed="100 s", remedy="cut it"
             )

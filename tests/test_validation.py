@@ -1,4 +1,4 @@
-"""A fit held against other logs: against independent simulations with known truth."""
+"""A fit validated on other logs: against independent simulations with known truth."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_second_log_of_the_same_link_is_predicted_up_to_its_noise(
     assert found.findings == ()
     power = float(np.var(second.output))
     assert found.nmse == pytest.approx(0.01**2 / power, rel=0.15)
-    # The gauge's drift is no error of the model, and is said.
+    # The drift of the gauge is not an error of the model, and is reported.
     assert found.logs[0].bias == pytest.approx(0.05, abs=1e-3)
     resonance = found.figures_of(found.logs[0])["resonance"]
     assert resonance.low < abs(LINK.pole) < resonance.high
@@ -71,7 +71,7 @@ def test_where_over_frequency_the_prediction_errs_is_said(fit: fl.Fit) -> None:
     hum = 0.03 * np.sin(60.0 * second.time)
     each = fit.validate(replace(second, output=second.output + hum)).logs[0]
     assert each.frequencies[each.share.argmax()] == pytest.approx(60.0, abs=2.0)
-    # The ratio is the gain that the model misses: three quarters of the output.
+    # The ratio is the missing gain of the model: three quarters of the output.
     each = fit.validate(replace(second, output=0.75 * second.output)).logs[0]
     near = np.abs(each.frequencies - 11.0) < 2.0
     assert np.abs(each.ratio[near]) == pytest.approx(0.75, rel=0.02)
@@ -87,7 +87,7 @@ def test_what_differs_by_more_than_both_intervals_is_a_finding(fit: fl.Fit) -> N
     assert "resonance" in finding.message
     low, high = found.spread["resonance"]
     assert high / low == pytest.approx(1.01 ** (2 / 1.92), rel=2e-3)
-    # What two logs show is what the box of a design takes.
+    # The differences between two logs become the box of a design.
     rig = fl.Rig.named("paper-2023")
     box = fl.ParameterBox.of(fit.model, rig, others=found.models)
     assert all(box.holds(model.at_payload(0.030)) for model in found.models)

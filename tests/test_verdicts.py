@@ -128,7 +128,7 @@ def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
 
     outside = int((np.abs(open_poles) > 1.0).sum())
     known: dict[str, Any] = {"limit": math.pi / period, "unstable_poles": outside}
-    # A pole on the circle is a pole of the callable at s = 0, which it does not tell
-    # of.
+    # A pole on the unit circle is a pole at s = 0 of the callable, which does not state
+    # it.
     if seed % 4:
         assert margins(loop, **known).stable is stable

@@ -1,4 +1,4 @@
-"""The vibration that a design leaves, against the loop written out and against the move."""
+"""The residual vibration of a design, against the explicit loop and against the move."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def test_a_move_dies_as_fast_as_the_damping_says() -> None:
     size, time = np.abs(run.tip_angle - 0.2), run.time
     early, late = (size[(time > t) & (time < t + 0.6)].max() for t in (0.8, 2.0))
     resonance = RIG.natural_frequency(0.04) ** (2.0 / 1.97)
-    # The PID at its period stands for M(s), and the root's frequency is near the
-    # resonance: ten per cent or two.
+    # The sampled PID takes the place of M(s), and the frequency of the root is close to
+    # the resonance, within ten or twenty per cent.
     assert np.log(early / late) / 1.2 == pytest.approx(
         row.achieved * resonance, rel=0.35
     )

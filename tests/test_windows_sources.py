@@ -1,5 +1,5 @@
 """The C sources for Windows: parsed for clang-cl and for a compiler without vectors,
-compiled by MinGW. Nothing is run there.
+and compiled by MinGW. Nothing is run there.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ CSRC = ROOT / "csrc"
 SOURCES = sorted([*CSRC.glob("*.c"), *CSRC.glob("kernels/*.c")])
 INCLUDES = [f"-I{CSRC}", f"-I{CSRC / 'kernels'}"]
 
-# What the sources need of C's library: its headers for Windows cannot be shipped here.
+# What the sources need of the C library, whose headers for Windows cannot be shipped
+# here.
 HEADERS = {
     "math.h": """
         #define INFINITY ((float)(1e300 * 1e300))
@@ -41,7 +42,7 @@ HEADERS = {
         void *malloc(size_t), *calloc(size_t, size_t), free(void *);
     """,
 }
-# A compiler that calls itself neither gcc nor clang, as cl.exe does.
+# A compiler that identifies as neither gcc nor clang, like cl.exe.
 PLAIN = ["-U__clang__", "-fgnuc-version=0"]
 
 HARNESS = """
@@ -87,7 +88,7 @@ def test_the_sources_are_c_for_microsofts_compilers(
     dialect: list[str], library: list[str]
 ) -> None:
     command = [tool("clang"), "--target=x86_64-pc-windows-msvc", "-fsyntax-only"]
-    # No arrays of variable length: C11 leaves them open, and cl.exe has none.
+    # No variable-length arrays: they are optional in C11, and cl.exe has none.
     strict = [
         "-std=c11",
         "-pedantic-errors",

@@ -1,5 +1,5 @@
-"""What a design is completed by: the request, then the rig, then the fastest that keeps
-every requirement.
+"""How a design is completed: by the request, then by the rig, then by the fastest
+crossover that keeps every requirement.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""The paper's arm as a tuning meets it: simulated, guarded, and measured stage by
-stage.
-"""
+"""The paper's arm as seen by a tuning: simulated, guarded, and measured stage by stage."""
 
 from __future__ import annotations
 
