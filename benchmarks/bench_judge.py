@@ -416,7 +416,8 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
                 moved = harness.move(study.law, loaded)
                 if not moved.settled:
                     failed.append((seed, round(1e3 * load), int(moved.reason[-1])))
-        # Each rig as it ends: a run of two hundred takes an hour, and may be cut short.
+        # Each rig is printed as it ends: a run of two hundred takes an hour and may be
+        # cut short.
         print(
             f"    {seed} {structure} {1e3 * arm.gauge_delay:.0f} ms: {study.verdict.state}",
             *failed,

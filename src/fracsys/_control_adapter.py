@@ -122,8 +122,8 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
         return f"{self.name}: {self.fractional!r}, exact; default grid 1e{low:.0f} to 1e{high:.0f} rad/s"
 
 
-# --- algebra: with whatever has a transfer function, exact; with measured data, on its
-# own grid
+# --- algebra: exact with anything that has a transfer function; with measured data, on
+# their own grid
 
 
 def _operator(name: str) -> Callable[[FractionalResponse, Any], Any]:

@@ -36,9 +36,8 @@ RESONANCE_MOST = 0.1
 # Vibration periods at the beginning of a log that are compared with the rest, and the
 # largest ratio of their error to that of the rest.
 _START, _FIRST_ERROR = 2.0, 2.0
-# [rad]: the encoder of every rig is finer than this
-_TREMBLE = 1e-3  # p-value below which the residual is reported as coloured
-_COLOURED = 0.01  # p-value below which the residual is said to be coloured
+_TREMBLE = 1e-3  # [rad]: the encoder of every rig is finer than this
+_COLOURED = 0.01  # p-value below which the residual is reported as coloured
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",

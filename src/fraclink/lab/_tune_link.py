@@ -85,9 +85,10 @@ def tune_link(
     law = motor_law(motor.gain, motor.loop, guard, friction=motor.compensation)
     duration = _SHORTEST
     reach = min(FIRST, PLANNED * limits.angle)
-    # The same sequence on the model: near the resonance the limit of the gauge is
-    # reached before that of the angle. Half of what is planned leaves room to grow, and
-    # a link that hardens is bent less beyond its moves.
+    # Plan with the same sequence on the model: near the resonance the limit of the
+    # gauge is reached before that of the angle. Half of the planned torque leaves room
+    # for a larger excitation, and keeps a link that hardens near the deflections of its
+    # moves.
     path = _sequence(guard, motor, model, reach, duration)
     peak = np.abs(simulated_torque(model, path[0], guard.period, hold="first")).max()
     reach *= min(0.5 * PLANNED * limits.torque / float(peak), 1.0)

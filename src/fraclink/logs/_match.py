@@ -485,7 +485,7 @@ class _Matching:
             source += f"; {size:.3g} N·m/rad" if mode else ""
             self.conclude(part, f"torque [{unit}]", "stated", source)
             return "torque", unit, scale
-        # `LogColumns` rejects a unit that is none of its own.
+        # `LogColumns` rejects a unit of another quantity.
         if unit in UNITS["angle"] or (statement.unit and statement.unit != "raw"):
             calibrated = gain * scale * UNITS["angle"].get(unit, 1.0)
             odd = gain and not 1 / _OTHER_UNIT < calibrated < _OTHER_UNIT

@@ -23,7 +23,7 @@ def copies(session: Session) -> dict[str, str]:
     rig, fit = _rig_name(session), session.study.fit
     result, arm = session.study.design, session.study.rig
     design, model = session.folder / "design.json", session.folder / "model.json"
-    # With the heaviest, which moves slowest; 40 g is that of the bundled rig.
+    # With the heaviest payload, which moves slowest; 40 g is that of the bundled rig.
     payload = result.payloads[1] if result else arm.payloads.high if arm else 0.04
     options = ["--structure", fit.structure] if fit else []
     if session.heldout is not None:
@@ -50,13 +50,14 @@ def _log_words(session: Session, verb: str, rig: str = "", *more: str) -> str:
     named: `inspect` lists what is in a file whatever it is taken for.
     """
     source, log = session.source, session.study.experiment
-    # The command line calls the bundled log demo; its path lies in this machine's
+    # The command line calls the bundled log demo; its path belongs to this
     # installation.
     word = "demo" if source == bundled_log("prbs_30g") else str(source)
     if source is None:
         word = "demo" if log is None else Path(log.source).name or "log.csv"
     elif source.is_relative_to(session.draft):
-        word = source.name  # sent by the page, which does not know where it lay
+        # uploaded by the page, which does not know its original place
+        word = source.name
     words = ["fraclink", verb, word]
     if rig:
         words += ["--rig", rig]

@@ -161,8 +161,8 @@ class Session:
         # The moves come last: a request that is already outdated does without them.
         study = moved(study)
         with self.lock:
-            # By identity: an equal log that was read again is another one, whose
-            # findings may differ. It may have been read meanwhile.
+            # Compared by identity: an equal log that was read again is a different one,
+            # whose findings may differ. It may have been read in the meantime.
             inputs = (
                 "rig",
                 "experiment",

@@ -108,7 +108,7 @@ class Job:
         with self._lock:
             if self._cancelled:
                 raise _cancelled(self.verb)
-            # this interpreter, this package
+            # this interpreter and this package
             self._process = subprocess.Popen(  # noqa: S603
                 command,
                 stdin=subprocess.DEVNULL,

@@ -259,7 +259,7 @@ def detail_figure(fit: Fit) -> Figure:
 
 # --- can the model be trusted -----------------------------------------------------------------------------
 
-_LEAST = 300  # samples: of fewer no segment's lines show a resonance
+_LEAST = 300  # samples: with fewer, the lines of a segment do not resolve a resonance
 
 
 def _independent(count: int) -> float:
@@ -267,7 +267,8 @@ def _independent(count: int) -> float:
     some 95 % of them.
     """
     # Welch (1967): var = (1 + 2 (1 − 1/n) ρ²)/n with ρ² = (1/6)², the squared
-    # correlation of half overlapped Hann windows; parts further apart share no sample.
+    # correlation of half-overlapping Hann windows; segments further apart share no
+    # samples.
     return count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
 
 
@@ -294,7 +295,7 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     low, high = (
         float(gammaincinv(0.5 * freedom, p) / (0.5 * freedom)) for p in (0.005, 0.995)
     )
-    # Nyquist's line is real: its statistics are others.
+    # The line at the Nyquist frequency is real, and so has different statistics.
     return frequency[:-1], share[:-1], low, high
 
 
@@ -306,16 +307,16 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
         return None
     welch = welch_response(log, fit)
     count = _independent(len(segments((log.output,), log.period)[1][0]))
-    # Of n parts noise alone has a coherence beyond this with 1 %: such lines say
-    # nothing of the link.
+    # With n segments, the coherence of noise alone exceeds this with a probability of 1
+    # %: such lines contain no information about the link.
     good = welch.coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
     if np.count_nonzero(good) < 2:
         return None
     w, coherence = welch.frequency[good], welch.coherence[good]
     measured, predicted = welch.measured[good], welch.predicted[good]
-    # The noise of an averaged response is complex normal, relative to it of variance
-    # (1/γ² − 1)/n: with 95 % it is below sqrt(−ln 0.05) of its root (Bendat and
-    # Piersol).
+    # The relative error of an averaged response is complex normal with variance (1/γ² −
+    # 1)/n: with a probability of 95 % its magnitude is below sqrt(−ln 0.05) times the
+    # root of that (Bendat and Piersol).
     error = np.sqrt(-math.log(0.05) * (1.0 / coherence - 1.0) / count)
     # At 0.95 the lower edge is 26 dB below the model: at 1 it would be −∞, off every
     # scale.
