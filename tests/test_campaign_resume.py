@@ -375,5 +375,5 @@ def test_a_full_disk_is_told(tmp_path, copy):
 @pytest.mark.slow
 def test_an_unwritable_folder_is_told(tmp_path):
     (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(FieldError, match="not writable"):
+    with pytest.raises(FieldError, match="not a folder"):
         run_campaign(small(), tmp_path / "file")

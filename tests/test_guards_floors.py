@@ -198,7 +198,7 @@ CEILINGS = {
     "lab": 1910,
     "logs": 677,
     "studio": 1213,
-    "trials": 1479,
+    "trials": 1481,
     "view": 1690,
 }
 

@@ -90,6 +90,11 @@ class Evidence:
         return float(np.abs(self.clean.error).max())
 
     @property
+    def periods(self) -> int:
+        """Periods of the faulty run: the limit of a reaction without a stated one."""
+        return int(self.faulty.mode.size)
+
+    @property
     def final(self) -> float:
         """|mean tip error| of the last second [rad]."""
         # A mean instead of the last sample: the noise of the gauge alone moves the tip
@@ -326,7 +331,7 @@ def off_at_once(e: Evidence, *periods: float) -> Check:
     """The watchdog has already stopped the drive; the law must detect by itself that it
     was not called, and report it at its first call.
     """
-    reaction = reacts(e, "off", math.inf, "missed periods")
+    reaction = reacts(e, "off", e.periods, "missed periods")
     calls = e.reacted - e.pick(*periods) if reaction.passed else math.inf
     return Check.at_most("calls of the law until off", calls, 1)
 
@@ -384,7 +389,7 @@ def swap_reaction(e: Evidence) -> Check:
     detect the exchange. Only the harm remains to be tested, with the limit of a flipped
     bit.
     """
-    off = reacts(e, "off", math.inf, "encoder", "motor away from its model")
+    off = reacts(e, "off", e.periods, "encoder", "motor away from its model")
     if off.passed or e.detail == "for ever":
         return off
     name = "peak tip error while either reading is credible [rad]"
@@ -405,7 +410,7 @@ def payload_peak(e: Evidence, *factors: float) -> Check:
 def hit_reaction(e: Evidence) -> Check:
     if e.case.severity < 3:
         return settled(e, 1.0)
-    check = reacts(e, "hold", math.inf, "link overloaded")
+    check = reacts(e, "hold", e.periods, "link overloaded")
     torque, limit = float(np.abs(e.faulty.torque).max()), e.law.limits.torque_trip
     name = f"{check.name}; torque reached {torque:.3g} of {limit:.3g} N·m"
     return Check.at_most(name, check.measured, check.limit)
