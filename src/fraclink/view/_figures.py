@@ -263,8 +263,8 @@ _LEAST = 300  # samples: with fewer, the lines of a segment do not resolve a res
 
 
 def _independent(count: int) -> float:
-    """How many independent parts n half overlapped ones under a Hann window count for:
-    some 95 % of them.
+    """Return the equivalent number of independent segments for n half-overlapping ones
+    with a Hann window: about 95 % of n.
     """
     # Welch (1967): var = (1 + 2 (1 − 1/n) ρ²)/n with ρ² = (1/6)², the squared
     # correlation of half-overlapping Hann windows; segments further apart share no
@@ -284,14 +284,14 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     if residual.size < _LEAST or not float(np.ptp(residual)) > 0.0:
         return None
     frequency, (lines,) = segments((residual,), fit.period)
-    # Parseval: the mean of |FFT|² of white noise under a window is its variance times
-    # the window's energy.
+    # Parseval: the mean of |FFT|² of windowed white noise is its variance times the
+    # energy of the window.
     energy = float(np.sum(np.hanning(2 * lines.shape[1]) ** 2))
     power = np.mean(np.abs(lines) ** 2, axis=0)
     share = power / (float(np.var(residual)) * energy)
     freedom = 2 * _independent(len(lines))
-    # χ²_k/k is a gamma variable of shape k/2: its quantiles without loading all of
-    # scipy.stats.
+    # χ²_k/k is a gamma variable of shape k/2: this gives its quantiles without loading
+    # all of scipy.stats.
     low, high = (
         float(gammaincinv(0.5 * freedom, p) / (0.5 * freedom)) for p in (0.005, 0.995)
     )
@@ -307,8 +307,8 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
         return None
     welch = welch_response(log, fit)
     count = _independent(len(segments((log.output,), log.period)[1][0]))
-    # With n segments, the coherence of noise alone exceeds this with a probability of 1
-    # %: such lines contain no information about the link.
+    # With n segments, the coherence of noise alone exceeds this in only 1 % of cases:
+    # lines below it contain no information about the link.
     good = welch.coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
     if np.count_nonzero(good) < 2:
         return None
@@ -318,12 +318,12 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     # 1)/n: with a probability of 95 % its magnitude is below sqrt(−ln 0.05) times the
     # root of that (Bendat and Piersol).
     error = np.sqrt(-math.log(0.05) * (1.0 / coherence - 1.0) / count)
-    # At 0.95 the lower edge is 26 dB below the model: at 1 it would be −∞, off every
+    # At 0.95 the lower edge is 26 dB below the model; at 1 it would be −∞, off every
     # scale.
     spread = np.minimum(error, 0.95)
     gain, level = _decibel(measured), _decibel(predicted)
     at, turn = _same_sheet(_turned(predicted), _turned(measured))
-    # A disk of relative radius e about the response is seen from 0 under ± arcsin e.
+    # A disk of relative radius e about the response subtends ± arcsin e as seen from 0.
     arc = np.degrees(np.arcsin(spread))
     halves = Scale(0.0, 105.0, ticks=((0.0, "0"), (50.0, "50"), (100.0, "100")))
     panels = (
