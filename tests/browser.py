@@ -40,7 +40,9 @@ _CONTROL, _SHIFT = 2, 8
 
 
 class Page:
-    """One tab: `complaints` of its console, and every address in `requests`."""
+    """One tab, with the `complaints` of its console and the addresses of its
+    `requests`.
+    """
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0
@@ -85,7 +87,7 @@ class Page:
             self.complaints.append(str(given["args"])[:300])
 
     def run(self, script: str) -> Any:
-        """The value of an expression of JavaScript; a promise is awaited."""
+        """The value of a JavaScript expression; a promise is awaited."""
         asked = {
             "expression": script,
             "returnByValue": True,
@@ -98,7 +100,7 @@ class Page:
         return found["result"].get("value")
 
     def until(self, condition: str | Callable[[], bool], what: str = "") -> None:
-        """Wait until an expression, or a function, is true."""
+        """Wait until an expression, or the result of a function, is true."""
         end = time.monotonic() + _PATIENCE
         while time.monotonic() < end:
             if (
@@ -127,7 +129,9 @@ class Page:
         dark: bool = False,
         media: str = "screen",
     ) -> None:
-        """Set the window's size, the colours that the user prefers, and the medium."""
+        """Set the size of the window, the colour scheme preferred by the user, and the
+        medium.
+        """
         mobile = {"deviceScaleFactor": 1, "mobile": False}
         self.do(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, **mobile
@@ -173,7 +177,9 @@ class Page:
         moves: int = 20,
         pause: float = 0.016,
     ) -> float:
-        """Drag an element by so many pixels; return how many seconds the moves took."""
+        """Drag an element by a number of pixels; return the duration of the moves in
+        seconds.
+        """
         x, y = self.middle(selector)
         self.mouse("mouseMoved", x, y, 0)
         self.mouse("mousePressed", x, y)
@@ -212,8 +218,9 @@ class Page:
 
 
 def command_line(place: Path, *more: str) -> list[str]:
-    """A headless Chromium with its profile in `place`, as a command that an address
-    follows.
+    """A headless Chromium with its profile in `place`, as a command to be followed by
+    an address. Pop-ups of the address bar and the spare renderer are disabled: together
+    they take 80 MB.
 
     Neither the pop-ups of an address bar that nobody sees, nor a renderer in reserve:
     together 80 MB.

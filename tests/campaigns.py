@@ -14,7 +14,9 @@ from fraclink.trials import Bench, Campaign, run_campaign
 
 @functools.cache
 def small(runs: int = 2500, seed: int = 7) -> Campaign:
-    """The paper's arm under our own order-4 law: three parts, the last one half full."""
+    """The paper's arm under our own law of order 4: three parts, the last one half
+    full.
+    """
     rig = fl.Rig.named("paper-2023")
     law = fl.discretize(
         fl.Controller(
@@ -43,16 +45,16 @@ def fault_bench() -> Bench:
 
 
 def computed(campaign: Campaign, folder: Path) -> Path:
-    """Every part of a campaign, one after the other, in this process: what nobody
-    disturbed.
+    """Every part of a campaign, computed one after the other in this process without
+    interruption.
     """
     run_campaign(campaign, folder)
     return folder
 
 
 def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
-    """`run_campaign` for the campaign kept in `folder`, as a process in a session of
-    its own.
+    """`run_campaign` for the campaign in `folder`, as a process in a session of its
+    own.
     """
     code = (
         "import sys; from fraclink.trials import load_campaign, run_campaign; f = sys.argv[1]; "

@@ -73,7 +73,7 @@ class Engine:
         )
 
     def fill(self, place: int, numbers: NDArray[np.float64]) -> None:
-        """A rig: three whole numbers, and its doubles from byte 16 on."""
+        """Fill in a rig: three integers, and its doubles from byte 16 on."""
         self.write(place, numbers[:3].astype("<i4").tobytes())
         self.write(place + 16, numbers[3:].tobytes())
 
@@ -145,8 +145,8 @@ class Engine:
         faults: NDArray[np.float64] | None = None,
         **changed: float,
     ) -> dict[str, NDArray[Any]]:
-        """Return the signals and marks of one run; `changed`: numbers of the rig by
-        their names.
+        """Return the signals and marks of one run; `changed`: numbers of the rig, by
+        name.
         """
         count = round(duration / law.period) + 1
         model = design.model.at_payload(payload)

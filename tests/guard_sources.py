@@ -28,8 +28,8 @@ class Source:
 
     @property
     def tree(self) -> ast.Module:
-        """Parsed anew each time, a second for all: kept, the trees of the package take
-        100 MB.
+        """The syntax tree, parsed again each time, a second for all modules: keeping
+        the trees of the package would take 100 MB.
         """
         return ast.parse(self.text, filename=str(self.path))
 
@@ -77,7 +77,7 @@ def _inside_functions(tree: ast.Module) -> set[int]:
 
 @cache
 def public_names() -> frozenset[str]:
-    """Every name in the stub of a package: what it promises."""
+    """Every name in the stub of a package, which is its public interface."""
     stubs = (
         ast.parse(path.read_text("utf-8"))
         for package in PACKAGES

@@ -33,7 +33,7 @@ def made_log(
     samples: int = 5001,
     payload: float | None = None,
 ) -> Experiment:
-    """A log simulated on a ten times finer base, so that the motor is not linear
+    """A log simulated with a ten times finer step, so that the motor is not linear
     between two samples.
     """
     fine = smooth_pulse(PERIOD / 10 * np.arange(10 * samples))
@@ -49,7 +49,7 @@ def made_log(
 
 
 def late_cut(seed: int) -> Experiment:
-    """The last 2 s of 32 s of random moves of a link of ω₀ = 10 rad/s and ζ = 0.02,
+    """The last 2 s of 32 s of random moves of a link with ω₀ = 10 rad/s and ζ = 0.02,
     with 1 % of noise.
     """
     levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 81)

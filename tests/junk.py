@@ -112,7 +112,7 @@ def twin() -> fl.Twin:
 
 
 def fields_of(noun: object) -> dict[str, Any]:
-    """The arguments that make a frozen noun."""
+    """The constructor arguments of a frozen object."""
     return {
         field.name: getattr(noun, field.name)
         for field in dataclasses.fields(noun)
@@ -121,8 +121,8 @@ def fields_of(noun: object) -> dict[str, Any]:
 
 
 def take_or_refuse(call: Call, field: str, values: Iterable[object] = JUNK) -> None:
-    """Hand every value over as `field`: the call works, or raises an error of fraclink
-    of one line.
+    """Pass every value as `field`: the call works, or raises an error of fraclink with
+    one line.
     """
     function, usual = call
     for value in values:

@@ -42,7 +42,7 @@ def law(precision: str = "double", *, equipped: bool = True) -> Law:
 
 def with_pair(precision: str = "double") -> Law:
     """The default law with a complex pair added by hand: not every fit has one, and
-    every line must count.
+    every line must be covered.
     """
     made = law(precision)
     paired = made.correction._replace(
@@ -73,8 +73,9 @@ def closed_loop(
     *,
     frequency: float = 11.0,
 ) -> tuple[NDArray[np.float64], LawOutputs]:
-    """Run the law on an undamped link (λ = 2) behind M(s); return the tip angle and the
-    law's outputs.
+    """Run the law on an undamped link (λ = 2) with M(s); return the tip angle and the
+    law's outputs. Written independently of the package's simulation. The drive stops at
+    once in mode "off".
 
     Written apart from the package's simulation. The drive stops at once in mode "off".
     """

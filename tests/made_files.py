@@ -32,7 +32,7 @@ def write_mat5(path: Path, columns: Columns, *, compressed: bool = True) -> Path
 
 
 def write_mat73(path: Path, columns: Columns) -> Path:
-    """MATLAB v7.3: HDF5 behind 512 bytes that say so, arrays transposed."""
+    """MATLAB v7.3: HDF5 after a header of 512 bytes, with transposed arrays."""
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in columns.items():
@@ -120,7 +120,7 @@ def write_rosbag(folder: Path, columns: Columns, kind: str) -> Path:
 
 
 def made_file(kind: str, folder: Path, count: int = 400) -> Path:
-    """A good log of a format; of ROS recordings the file inside the folder."""
+    """A good log in a format; for ROS recordings the file inside the folder."""
     columns = made_columns(count)
     if kind in ("mcap", "db3"):
         bag = write_rosbag(folder / f"bag_{kind}", columns, kind)

@@ -38,7 +38,7 @@ def made_output(
     frequency: float = 10.0,
     damping: float = 0.05,
 ) -> Array:
-    """Base torque c s²/(s² + 2ζωs + ω²) of a held motor angle, exactly at the samples."""
+    """Base torque c s²/(s² + 2ζωs + ω²) for a held motor angle, exact at the samples."""
     from scipy.linalg import expm
 
     block = np.zeros((3, 3))

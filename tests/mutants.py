@@ -38,8 +38,8 @@ SUFFIX = {
 
 
 def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
-    """One change or a few: bits flipped, bytes replaced, pieces cut, doubled, moved or
-    cut off.
+    """Make one change or a few: bits flipped, bytes replaced, pieces removed,
+    duplicated, moved or truncated.
     """
     data = bytearray(raw)
     # half of them have a single change, which penetrates deepest into the reader
@@ -68,7 +68,7 @@ def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
 
 @dataclass
 class Outcome:
-    """What became of the mutants of one format."""
+    """The results of the mutants of one format."""
 
     counts: Counter[str] = field(default_factory=Counter)
     slowest: float = 0.0

@@ -21,7 +21,9 @@ def missing(message: str) -> NoReturn:
 
 
 def tool(name: str, package: str | None = None) -> str:
-    """Return the path of a program, or skip and name the Debian package that brings it."""
+    """Return the path of a program, or skip and name the Debian package that contains
+    it.
+    """
     path = shutil.which(name)
     if path is None:
         missing(f"{name} is not installed (Debian package {package or name})")
@@ -29,8 +31,8 @@ def tool(name: str, package: str | None = None) -> str:
 
 
 def chromium() -> str:
-    """Return the path of Chromium: of its shell without windows, in half the memory, or
-    of the whole.
+    """Return the path of Chromium: preferably its headless shell, which needs half the
+    memory.
     """
     shell = "chromium-headless-shell"
     return shutil.which(shell) or shutil.which("chromium") or tool(shell)

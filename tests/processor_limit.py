@@ -14,8 +14,8 @@ __all__ = ["processor_limit"]
 
 @contextmanager
 def processor_limit(seconds: float) -> Iterator[None]:
-    """Fail what runs inside as soon as this process has computed for `seconds`; waiting
-    does not count.
+    """Fail the enclosed code when this process has used `seconds` of processor time;
+    waiting does not count.
     """
 
     def exceeded(number: int, frame: FrameType | None) -> None:

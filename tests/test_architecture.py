@@ -44,12 +44,12 @@ sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__nam
 
 
 def dense(text: str) -> str:
-    """The text without white space: the formatter may break a row anywhere."""
+    """The text without white space: the formatter may break a line anywhere."""
     return "".join(text.split())
 
 
 def insert(root: Path, path: str, anchor: str, code: str) -> None:
-    """Insert `code` behind the one row that begins with `anchor`; at the end of the
+    """Insert `code` after the one line that begins with `anchor`, or at the end of the
     file without one.
     """
     place = root / "fraclink" / path
@@ -77,7 +77,7 @@ def insert(root: Path, path: str, anchor: str, code: str) -> None:
 
 @pytest.fixture(scope="module")
 def grown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the package with everything that the page adds."""
+    """A copy of the package with everything the page adds."""
     root = tmp_path_factory.mktemp("grown")
     for package in PACKAGES:
         shutil.copytree(
@@ -96,7 +96,7 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(grown: Path, code: str) -> list[str]:
-    """The lines that `code` prints with the grown package."""
+    """The lines printed by `code` with the extended package."""
     search = os.pathsep.join(
         [
             str(grown),

@@ -49,7 +49,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 class Firmware:
-    """The exported C behind its three functions."""
+    """The exported C code with its three functions."""
 
     def __init__(self, library: Any, seed: int = 1) -> None:
         # The struct is private to the board: only its size matters here.
@@ -63,7 +63,7 @@ class Firmware:
     def period(
         self, angle: float = 0.0, torque: float = 0.0
     ) -> tuple[float, tuple[Any, ...] | None]:
-        """The voltage, and the sample's fields where one is sent."""
+        """The voltage, and the fields of the sample if one is sent."""
         message, voltage = self.message(angle, torque)
         if message is None:
             return voltage, None
@@ -91,7 +91,7 @@ def command(sequence: int, voltage: float, mode: int = RUN, visit: int = 0) -> b
 
 
 def visited(library: Any, seed: int = 1) -> tuple[Firmware, int]:
-    """An arm that has been called, and the number of its run."""
+    """An arm that has received a request, and the number of its run."""
     arm = Firmware(library, seed)
     assert arm.period() == (0.0, None)  # without a request there is no reply
     arm.take(command(1, 5.0, IDLE))
@@ -202,7 +202,7 @@ def test_the_sketch_has_the_folders_name_and_nothing_is_overwritten(
 
 @contextlib.contextmanager
 def board(library: Any, period: float, sent: set[float]) -> Iterator[str]:
-    """The firmware on a pseudo-terminal, standing at angles that are noted in `sent`."""
+    """The firmware on a pseudo-terminal, at rest at angles recorded in `sent`."""
     here, there = pty.openpty()
     tty.setraw(there)
     os.set_blocking(here, False)

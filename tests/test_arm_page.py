@@ -51,7 +51,7 @@ def page(study) -> str:
 
 
 def named(study: fl.trials.Study, text: str) -> fl.trials.Study:
-    """The study with `text` wherever a text from outside can stand."""
+    """The study with `text` wherever a text from outside can occur."""
     rig = replace(study.design.rig, name=text, source=text, assumptions=(text,))
     design = replace(study.design, rig=rig)
     return replace(
@@ -250,9 +250,7 @@ FAULTS = [
 
 
 def browsed(page: str, place: Path, settings: str) -> str:
-    """The page as a browser has it at this address, after its script has run without a
-    complaint.
-    """
+    """The page at this address in a browser, after its script has run without an error."""
     (place / "arm.html").write_text(page)
     command = command_line(place, "--enable-logging=stderr", "--dump-dom")
     answer = subprocess.run(  # noqa: S603
@@ -312,8 +310,8 @@ def numbers_of(page: str) -> dict:
 
 @pytest.mark.slow
 def test_the_motor_loop_alone_moves_beside_the_law(study, page, tmp_path):
-    """Alone it is still swinging when the law has long been at rest; a payload so light
-    that both come to rest shows that its time is the package's.
+    """The motor loop alone still swings when the law has long been at rest; with a
+    payload so light that both come to rest, its time is that of the package.
     """
     modes = type(study.law.correction)
     alone = replace(study.law, correction=modes(0.0), feedforward=modes(0.0))

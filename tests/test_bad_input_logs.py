@@ -16,7 +16,7 @@ Rows = list[list[str]]
 
 
 def refused(path: Path, **options: object) -> FieldError:
-    """The error that reading `path` raises; it must be one of ours and complete."""
+    """The error raised by reading `path`; it must be one of ours and complete."""
     with pytest.raises(FieldError) as caught:
         read_log(path, **options)  # type: ignore[arg-type]
     error = caught.value

@@ -99,8 +99,8 @@ def test_b34_a_design_that_needs_an_integral_instead() -> None:
 
 @pytest.mark.slow
 def test_b35_a_slow_link_has_the_paper_s_design_in_another_unit_of_time() -> None:
-    """Theorem 2 asks for ω₀ > 1, a choice of the unit of time: 20 times slower is the
-    same design.
+    """Theorem 2 requires ω₀ > 1, which depends on the unit of time: a link that is 20
+    times slower has the same design.
     """
     slower, scale = 20.0, 20.0 ** (LINK.order / 2)
     fast, slow = (

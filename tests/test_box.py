@@ -50,8 +50,8 @@ def test_no_point_of_a_box_is_closer_to_minus_one_than_its_certificate_claims(
 def test_the_models_of_other_logs_widen_the_box(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What another log found outside the first one's intervals is inside the proof, at
-    the same payload.
+    """Values from another log outside the intervals of the first one are covered by the
+    proof, at the same payload.
     """
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None

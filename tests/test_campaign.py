@@ -94,8 +94,8 @@ def test_impossible_campaigns_are_refused(field, value, error):
 
 
 def link_answers(decay, weight, pair, pair_weight, first, count):
-    """Tip after each of `count` periods of a motor that goes as xʲ in the first, then
-    stands.
+    """Tip after each of `count` periods of a motor that moves as xʲ in the first period
+    and then stands still.
     """
     answers = np.zeros((POWERS, count))
     for j in range(POWERS):
@@ -117,8 +117,8 @@ def link_answers(decay, weight, pair, pair_weight, first, count):
 def test_links_answer_powers_of_time_as_their_step_response_says(
     order, damping, damping_order
 ):
-    """The motor goes as xʲ in one period, then stands: j ∫ x^(j − 1) S(t − xT) dx, by
-    Gauss's rule, with S computed by fracsys.
+    """The motor moves as xʲ in one period and then stands still: j ∫ x^(j − 1) S(t −
+    xT) dx, by Gauss's rule, with S computed by fracsys.
     """
     T, span = 0.004, 6.0
     ends = np.array([0, 1, 7, 80, 1499])
@@ -181,8 +181,8 @@ def test_a_run_of_a_part_is_the_run_that_replay_repeats():
 
 @pytest.mark.slow
 def test_a_vibration_that_passes_through_the_band_has_not_settled():
-    """Part and replay judge by one rule; the settling time alone would let these runs
-    hold.
+    """Part and replay apply the same rule; by the settling time alone these runs would
+    pass.
     """
     rig = fl.Rig.named("paper-2023")
     asked = {
@@ -318,7 +318,9 @@ def _first_look(campaign: Campaign, run: int) -> float:
 
 @pytest.mark.slow
 def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
-    """Of a thousand good arms one seems to grow for four seconds; in eight it does not."""
+    """Of a thousand good arms one seems to grow over four seconds; over eight it does
+    not.
+    """
     rig = fl.Rig.named("paper-2023-geared")
     law = fl.discretize(
         fl.Controller(
@@ -379,8 +381,8 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
 
 
 def test_a_part_has_the_gauges_delay_and_gain_and_the_second_mode():
-    """In groups of eight and one by one: what the kernel of one arm gives, to the last
-    bit.
+    """In groups of eight and one by one the results equal those of the kernel of one
+    arm, to the last bit.
     """
     plain = small()
     model = replace(plain.model, second_mode=SecondMode(frequency=200.0, gain=0.02))

@@ -65,8 +65,8 @@ def test_a_campaign_follows_the_reference_that_it_is_given() -> None:
 
 
 def test_the_fingerprint_is_of_all_that_a_result_depends_on() -> None:
-    """The same for more runs; another for everything else; unchanged by later fields at
-    their defaults.
+    """The fingerprint is the same for more runs, different after any other change, and
+    independent of later fields with default values.
     """
     plain = small()
     assert replace(plain, runs=7).fingerprint == plain.fingerprint

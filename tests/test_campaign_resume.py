@@ -42,7 +42,7 @@ def copy(whole, tmp_path) -> Path:
 
 
 def identities(folder: Path) -> dict[str, tuple[int, int]]:
-    """Inode and time of writing of every part: what changes when it is written again."""
+    """Inode and modification time of every part, which change when it is written again."""
     found = {}
     for path in folder.glob("part-*.npz"):
         about = path.stat()
@@ -56,8 +56,8 @@ Begin = Callable[[Path], subprocess.Popen[str]]
 def kill_after(
     folder: Path, begin: Begin, delay: float, parts: int
 ) -> dict[str, tuple[int, int]]:
-    """Begin, wait for `parts` more parts and `delay` seconds, kill the process and its
-    workers.
+    """Start, wait for `parts` more parts and `delay` seconds, then kill the process and
+    its workers.
     """
     there = len(identities(folder)) if folder.exists() else 0
     process = begin(folder)
@@ -73,8 +73,8 @@ def kill_after(
 
 
 def killed(folder: Path, begin: Begin, kills: int) -> str:
-    """Kill a campaign `kills` times at random and let it finish: no part is done twice.
-    What it printed.
+    """Kill a campaign `kills` times at random and let it finish; no part may be
+    computed twice. Returns its output.
     """
     rng = random.Random(4)  # noqa: S311
     kept: dict[str, tuple[int, int]] = {}
@@ -198,8 +198,8 @@ def take_the_first(path: Path) -> None:
 
 
 def rewrite(path: Path) -> None:
-    """Edit one number with a program that writes good files, and keep what the file
-    says of itself.
+    """Edit one number with a program that writes valid files, and keep the file's
+    description of itself.
     """
     with np.load(path) as part:
         members = dict(part.items())
@@ -321,8 +321,8 @@ def test_impossible_workers_are_refused(tmp_path, workers):
 
 @pytest.mark.slow
 def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
-    """A file that may not grow fails as on a full disk: the write comes back short and
-    then with an error.
+    """A file that may not grow fails as on a full disk: first with a short write, then
+    with an error.
     """
     (copy / "part-0000001.npz").unlink()
     kept = identities(copy)

@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     [(1000, 0.5), (1000, 0.95), (200, 0.05), (2500, 0.99), (50, 0.99), (20, 0.05)],
 )
 def test_quantile_intervals_cover_and_are_the_narrowest_that_do(n, p):
-    """P(x_(l) <= q_p <= x_(u)) is a binomial probability, whatever the distribution."""
+    """P(x_(l) <= q_p <= x_(u)) is a binomial probability for any distribution."""
     from scipy.stats import binom
 
     found = _quantile(

@@ -147,8 +147,8 @@ def test_sampled_motor_loop_is_certified_and_checked(
 
 @pytest.mark.slow
 def test_single_precision_law_and_default_claim(law: Law):
-    """What is claimed of the model itself is more than what is claimed of every arm of
-    its box, and is what the design's own sampled loop has.
+    """The claim for the model itself is stronger than that for every arm of its box,
+    and equals the value of the design's own sampled loop.
     """
     single = law.in_precision("single")
     exact = certify(plan_for("ideal"), law=single, box=ParameterBox.at(RIG.model))
@@ -170,14 +170,14 @@ def test_checker_is_one_short_file_of_mpmath_only():
 
 
 def patient(law: Law) -> Law:
-    """The law with a stuck guard that a gauge late by 80 ms passes: its own is for the
-    link that it was made for.
+    """The law with a stuck guard that accepts a gauge with a delay of 80 ms: its own
+    guard is for the link that it was designed for.
     """
     return replace(law, limits=replace(law.limits, stuck_limit=30))
 
 
 def known(model: LinkModel, placement: str) -> tuple[BoxLoop, Statement, Law]:
-    """The loop of a wide box about `model`, with the statement and the law."""
+    """The loop of a wide box around `model`, with the statement and the law."""
     motor_loop = "ideal" if placement == "ideal" else "sampled"
     law = plan_for(motor_loop, "tustin" if placement == "ideal" else placement).law()
     law = patient(law.in_precision("double"))
@@ -210,7 +210,7 @@ RICH = replace(
 def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     placement: str, model: LinkModel
 ):
-    """Values against a loop written another way; slopes against its difference
+    """Values are compared with a loop in another form, slopes with its difference
     quotients between points.
     """
     loop, claim, law = known(model, placement)
@@ -336,7 +336,7 @@ def test_undamped_integer_link_is_refused(law: Law):
 
 @pytest.mark.parametrize("modulus", [0.05, 0.4, 0.9])
 def test_half_planes_hold_no_forbidden_point(modulus: float):
-    """Of L: the disc about -1 and the ray to its left; of 1/L what becomes of them."""
+    """For L these are the disc about −1 and the ray to its left, for 1/L their images."""
     rng = np.random.default_rng(3)
     middle = rng.normal(size=500) * 3 + 1j * rng.normal(size=500) * 2
     m = np.full(500, modulus)
@@ -376,8 +376,8 @@ def test_what_the_gauge_shows_is_in_the_proof(
     checker: ModuleType,
     tmp_path: Path,
 ):
-    """|1 + L| of the certificate is that of a loop written here, and the checker
-    agrees.
+    """|1 + L| of the certificate agrees with a loop written out here, and the checker
+    confirms it.
     """
     model = replace(RIG.model, **gauge)
     design = plan_for(motor_loop)
@@ -478,8 +478,8 @@ def test_a_law_whose_limits_leave_no_room_is_not_certified(
 def test_no_limit_acts_on_errors_within_the_linear_range(
     certificate: Certificate, law: Law
 ):
-    """Random errors of that size through law.c itself: the correction is the linear
-    filter's.
+    """Random errors of that size through law.c itself: the correction equals that of
+    the linear filter.
     """
     rng = np.random.default_rng(2)
     reach = certificate.statement.linear_range
@@ -780,8 +780,8 @@ def _signed(data: dict[str, Any], *, claim: bool = True) -> None:
 def test_forgeries_are_rejected(
     name: str, document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
-    """The board's own law is forged along with the certificate: the hash of the board
-    is no help here.
+    """The law of the board is forged along with the certificate, so the hash of the
+    board does not help.
     """
     forged = json.loads(json.dumps(document))
     FORGERIES[name](forged)
@@ -792,7 +792,7 @@ def test_forgeries_are_rejected(
 
 
 def slow_claim(lowest: float) -> dict[str, Any]:
-    """1 s, with a second mode at 5.58 rad/s whose alias lies at 0.70 rad/s: |1 + L| is
+    """1 s, with a second mode at 5.58 rad/s whose alias is at 0.70 rad/s: |1 + L| is
     0.09 there.
     """
     mode = SecondMode(2 * math.pi - 0.7, 1.0, 5e-4)
@@ -831,8 +831,8 @@ def slow_claim(lowest: float) -> dict[str, Any]:
 def test_what_lies_below_the_lowest_frequency_is_bounded_with_every_alias(
     lowest: float, checker: ModuleType
 ):
-    """From 0.2 of Nyquist on, 0.63 rad/s, leaves hold aliases in L; none does below the
-    lowest frequency.
+    """From 0.2 of Nyquist on, 0.63 rad/s, the leaves include aliases in L; below the
+    lowest frequency none does.
     """
     statement = slow_claim(lowest)
     with pytest.raises(ValueError, match=r"\|L\| is not small at low frequency"):
@@ -844,7 +844,9 @@ def test_what_lies_below_the_lowest_frequency_is_bounded_with_every_alias(
 def test_a_file_that_is_signed_again_unchanged_is_proved(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
-    """The forgeries above fail for what they changed, not for how they were signed."""
+    """The forgeries above fail because of their changes, not because of the way they
+    were signed.
+    """
     forged = json.loads(json.dumps(document))
     _signed(forged)
     assert forged == document
@@ -967,8 +969,8 @@ def test_statement_survives_json_bit_for_bit(certificate: Certificate):
 def test_the_checker_reads_the_block_where_the_law_wrote_it(
     checker: ModuleType,
 ) -> None:
-    """It knows the block by offsets alone; a field that moves must not be taken for
-    another.
+    """The checker knows the block by offsets alone; a field that moves must not be
+    taken for another one.
     """
     law = plan_for("sampled").law()
     claim = certify(plan_for("sampled"), law=law, modulus_margin=0.35).statement
@@ -1013,8 +1015,8 @@ def test_a_law_alone_says_which_noun_is_missing() -> None:
 
 @pytest.mark.slow
 def test_the_search_for_the_closest_loop_ends_below_random_points_of_the_box() -> None:
-    """What it returns is a loop of the box, and no loop of two thousand random ones is
-    closer to −1.
+    """The result is a loop of the box, and none of two thousand random loops is closer
+    to −1.
     """
     _, statement, law = known(RICH, "tustin")
     least, at = worst_distance(statement, law)
@@ -1053,8 +1055,8 @@ def test_the_law_of_another_plant_is_refused_with_what_computes_its_margins() ->
 
 
 def held(disc: Disc, points: Any, *, tight: float = 0.0) -> None:
-    """Every point lies in its disc, and (with `tight`) some point comes that near to
-    the edge.
+    """Every point lies in its disc, and with `tight` some point is that close to the
+    edge.
     """
     away = np.abs(points - disc.c)
     assert np.all(away <= disc.r), float(np.max(away - disc.r))
@@ -1063,7 +1065,7 @@ def held(disc: Disc, points: Any, *, tight: float = 0.0) -> None:
 
 
 def discs_and_points(seed: int) -> tuple[Disc, Any, Disc, Any]:
-    """Two arrays of discs, and 400 points of each: the edge itself half of the time."""
+    """Two arrays of discs, and 400 points of each, half of them on the edge."""
     rng = np.random.default_rng(seed)
 
     def some() -> tuple[Disc, Any]:
@@ -1157,8 +1159,8 @@ def test_slopes_hold_every_difference_quotient_and_the_mean_value_theorem_its_va
 @pytest.mark.slow
 @pytest.mark.parametrize("motor_loop", ["ideal", "sampled"])
 def test_the_bound_of_the_aliases_holds_their_sum_and_is_near_it(motor_loop: str):
-    """Σ over n of |F H| at ω + 2πn/Ts, summed here to n = 400, for the aliases that L
-    does not hold.
+    """Σ over n of |F H| at ω + 2πn/Ts, summed here to n = 400, for the aliases that are
+    not included in L.
     """
     design = plan_for(motor_loop)
     law_ = design.law().in_precision("double")
@@ -1264,8 +1266,8 @@ def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law:
 
 @pytest.mark.slow
 def test_delays_up_to_what_the_proof_knows(law: Law):
-    """A sampled motor loop is known for a delay of up to a period, an ideal one for
-    eight.
+    """The proof supports delays of up to one period for a sampled motor loop, and eight
+    for an ideal one.
     """
     wanted = {
         "model": RIG.model,
@@ -1349,7 +1351,7 @@ def test_a_proof_that_runs_out_of_nodes_says_where(certificate: Certificate):
 @pytest.mark.slow
 @pytest.mark.parametrize("placement", ["ideal", "tustin"])
 def test_points_are_enclosed_as_the_loop_that_is_written_another_way(placement: str):
-    """L and 1/L of boxes without width, with damping, gauge and second mode, with and
+    """L and 1/L of boxes without extent, with damping, gauge and second mode, with and
     without aliases.
     """
     loop, claim, law = known(RICH, placement)

@@ -132,8 +132,8 @@ def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> 
 def test_no_command_passes_without_having_done_what_it_was_asked(
     fraclink: Command,
 ) -> None:
-    """With the lowest typer that was once declared every command answered with the
-    version and exit code 0.
+    """With the lowest version of typer declared earlier, every command printed the
+    version and exited with code 0.
     """
     for words, _command in _commands():
         answer = fraclink(*words, "--no-such-option")

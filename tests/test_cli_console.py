@@ -20,7 +20,7 @@ from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 
 class Terminal(io.StringIO):
-    """A stream that a person looks at."""
+    """A stream connected to a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -150,8 +150,8 @@ def test_a_file_with_several_faults_gets_a_line_for_each(
 def test_a_reader_that_leaves_a_pipe_is_no_error(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """`fraclink ... | head`: what was printed is lost on purpose, and nothing is
-    flushed into it again.
+    """`fraclink ... | head`: the rest of the output is discarded on purpose. A verdict
+    reached before is the exit code; otherwise it is 128 + SIGPIPE, as for any program.
 
     A verdict that had been reached stands; left before, it is 128 + SIGPIPE, as of any
     program.
@@ -180,7 +180,7 @@ def test_a_reader_that_leaves_a_pipe_is_no_error(
 
 
 def left_pipe(*, buffered: bool) -> TextIO:
-    """A stream into a pipe whose reader has left; unbuffered as with
+    """A stream into a pipe whose reader has exited; unbuffered as with
     PYTHONUNBUFFERED=1.
     """
     reader, writer = os.pipe()
@@ -211,7 +211,7 @@ def test_the_exit_code_outlives_the_reader_of_a_pipe(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """`fraclink ... | true`, and with `2>&1`: what typer makes of it, 1, would be a
+    """`fraclink ... | true`, and with `2>&1`: typer's own exit code of 1 would be a
     verdict.
     """
     stream = left_pipe(buffered=buffered)

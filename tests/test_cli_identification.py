@@ -29,8 +29,8 @@ def test_identify_motor_needs_a_voltage(capsys: pytest.CaptureFixture[str]) -> N
 def test_identify_motor_makes_the_load_of_a_deflection(
     sign: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A motor of J = 0.05 kg·m² that bends a link: without the load K/J is off by a
-    tenth.
+    """A motor with J = 0.05 kg·m² that bends a link: without the load, K/J is wrong by
+    a tenth.
     """
     from made_logs import made_output
 
@@ -105,9 +105,7 @@ def test_a_ring_down_is_fitted_on_the_command_line(
 def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The fit is as good as with the right sign; what the diagnosis says decides the
-    exit code.
-    """
+    """The fit is as good as with the right sign; the diagnosis decides the exit code."""
     log = tmp_path / "reversed.csv"
     lines = bundled_log("pulse_30g").read_text("utf-8").splitlines()
     names = next(line for line in lines if not line.startswith("#")).split(",")

@@ -31,7 +31,7 @@ EASY = ("--gain-crossover", "11", "--phase-margin-deg", "45")
 
 @dataclass(frozen=True)
 class Told:
-    """One call of the command line: where it ran, what it wrote, what it said."""
+    """One call of the command line: its folder, the files it wrote, and its output."""
 
     folder: Path
     out: str
@@ -40,8 +40,8 @@ class Told:
 
 @pytest.fixture(scope="module")
 def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
-    """`fraclink run` for the bundled log, once for all tests that only look at what it
-    left.
+    """`fraclink run` for the bundled log, run once for all tests that only look at its
+    results.
     """
     place = tmp_path_factory.mktemp("run")
     out, err = io.StringIO(), io.StringIO()
@@ -306,7 +306,7 @@ def test_an_error_about_an_option_has_its_name_and_its_unit(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Not those of the function behind it: -7 % is no 'least: -0.07', and -7° no
+    """Not those of the underlying function: -7 % is not 'least: -0.07', and -7° is not
     'phase_margin: -0.122'.
     """
     monkeypatch.chdir(tmp_path)

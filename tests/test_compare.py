@@ -80,7 +80,9 @@ def test_tuned_to_the_same_ms(design: fl.Design, name: str) -> None:
 def test_a_constant_tip_error_leads_to_no_constant_answer_of_lqg(
     design: fl.Design,
 ) -> None:
-    """By its offset state, as Ĉ(0) = 0 does it in the design; a PD answers."""
+    """Because of its offset state, which acts like Ĉ(0) = 0 in the design; a PD
+    controller does respond.
+    """
     link = design.model
     lqg, pd = lqg_correction(link, design, 1.0), pd_correction(link, 0.1, RIG.period)
     assert abs(answer(design, lqg, 1e-5)) < 1e-4
@@ -115,7 +117,7 @@ def test_a_second_mode_that_is_known_is_notched(design: fl.Design) -> None:
 @pytest.mark.parametrize("ratio", [0.0, 0.0654, 0.2])
 def test_a_shaper_leaves_nothing_of_its_mode(ratio: float) -> None:
     def left(impulses: tuple[tuple[float, float], ...], frequency: float) -> float:
-        """Vibration of an undriven mode over that of one impulse."""
+        """Vibration of an undriven mode relative to that after one impulse."""
         pole = frequency * complex(-ratio, math.sqrt(1 - ratio**2))
         return abs(sum(size * np.exp(-pole * time) for time, size in impulses))
 

@@ -43,15 +43,15 @@ def paper_plan(**changes: object) -> Design:
 
 
 def default_plan(**changes: object) -> Design:
-    """Without a filter two parameters are left for crossover and margin: both rows are
-    met with equality, to what a search keeps in reserve.
+    """Without a filter two parameters remain for crossover and margin: both
+    requirements are met with equality, up to the reserve of the search.
     """
     ideal = {"motor_loop": "ideal", "placement": "tustin"}
     return fl.design(RIG.model, RIG, **(DEFAULT | ideal | changes), law=False)
 
 
 def plain_loop(design: Design, w: float, pi: float, *, inside: bool) -> complex:
-    """L written out once more in scalar complex arithmetic, independent of Loop."""
+    """L written out again in scalar complex arithmetic, independent of Loop."""
     c, s, order = design.controller, 1j * w, design.model.order
     value = c.derivative_gain * s**c.derivative_order * pi**2 / (s**order + pi**2)
     if inside:

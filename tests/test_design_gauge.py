@@ -38,8 +38,8 @@ FREQUENCY = np.unique(
 def written_out(
     design: Design, model: LinkModel, payload: float, w: np.ndarray
 ) -> np.ndarray:
-    """L of the design's controller on `model` at `payload` [kg], in plain complex
-    arithmetic.
+    """L with the controller of the design on `model` at `payload` [kg], in plain
+    complex arithmetic.
     """
     c, s = design.controller, 1j * w
     spring = model.natural_frequency**2 * model.payload / payload
@@ -70,7 +70,7 @@ def is_stable(design: Design, model: LinkModel, payload: float) -> bool:
 def designed(
     delay: float, gain: float = 1.0, margin: float = 50.0
 ) -> Design | dict[str, float]:
-    """The design for a late gauge, or the nearest request where there is none."""
+    """The design for a late gauge, or the nearest request if there is none."""
     model = replace(MODEL, gauge_delay=delay, gauge_gain=gain)
     asked = WANTED | {"gain_crossover": 11.0, "phase_margin": fl.deg(margin)}
     try:
@@ -109,7 +109,7 @@ def test_a_late_gauge_is_refused_with_a_request_that_works() -> None:
 def test_a_crossing_on_a_lobe_of_a_very_late_gauge_is_no_crossover(
     delay: float,
 ) -> None:
-    """At 60 rad/s |L| is one again, and the vibration as it was."""
+    """At 60 rad/s |L| is one again, and the vibration is as before."""
     late = replace(MODEL, gauge_delay=delay)
     with pytest.raises(InfeasibleError, match="crosses beyond the resonance") as caught:
         fl.design(late, RIG, **WANTED, law=False)

@@ -24,8 +24,8 @@ class Case:
 
 @st.composite
 def cases(draw: st.DrawFn, *, right_of_39: bool) -> Case:
-    """A loop (34) with 1 < λ <= 2, 0 < β < λ, ω₀ > 1, crossing at ω_c, right of (39) or
-    left of it.
+    """A loop (34) with 1 < λ <= 2, 0 < β < λ, ω₀ > 1 and a crossover ω_c that meets
+    (39) or does not.
     """
     order = draw(st.floats(1.05, 2.0))
     beta = order * draw(st.floats(0.05, 0.95))
@@ -38,14 +38,14 @@ def cases(draw: st.DrawFn, *, right_of_39: bool) -> Case:
 
 
 def last_crossing(loop: Loop, pi: float) -> tuple[float, float]:
-    """(ω_c, φ_m) of the falling crossing."""
+    """(ω_c, φ_m) of the falling crossover."""
     found = loop.crossings(pi)
     last = int(np.argmax(found.frequency))
     return float(found.frequency[last]), float(found.phase[last] + math.pi)
 
 
 def denominator_49(case: Case) -> float:
-    """The denominator of (49): positive right of the peak of |L|."""
+    """The denominator of (49), which is positive above the peak of |L|."""
     loop, pi, w = case.loop, case.pi, case.crossover
     cosine, power = math.cos(0.5 * math.pi * loop.link_order), w**loop.link_order
     return (loop.link_order - loop.order) * power * (
@@ -79,7 +79,7 @@ def test_lemma_1_homothety(case: Case, factor: float):
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=True))
 def test_theorem_1_and_remark_1(case: Case):
-    """With (39): φ_m falls and ω_c rises with ω₀, and the denominator of (49) is
+    """If (39) holds, φ_m falls and ω_c rises with ω₀, and the denominator of (49) is
     positive.
     """
     assert denominator_49(case) > 0.0
@@ -103,8 +103,8 @@ def test_theorem_2_condition_39_is_inherited(case: Case, factor: float):
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=False))
 def test_exact_condition_is_the_slope_and_reaches_further_than_39(case: Case):
-    """Left of (39) too, (49)'s denominator has the sign of minus the slope, and decides
-    monotonicity.
+    """Also where (39) does not hold, the denominator of (49) has the opposite sign of
+    the slope and decides monotonicity.
     """
     # At the pole of an undamped link no finite gain gives a crossover.
     assume(abs(case.crossover / case.pi ** (2.0 / case.loop.link_order) - 1.0) > 1e-6)

@@ -112,7 +112,7 @@ def test_pages_use_public_names_only(page: Path) -> None:
 
 
 def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A module of the documentation's own extensions."""
+    """A module of the documentation's own Sphinx extensions."""
     monkeypatch.syspath_prepend(str(DOCS / "extensions"))
     return importlib.import_module(name)
 
@@ -233,9 +233,7 @@ def resolved(name: str) -> object:
 def test_the_table_of_peers_is_what_the_benchmark_measures(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Rows of tools that are not installed here stand in the table as they were
-    measured elsewhere.
-    """
+    """Rows of tools that are not installed here contain the values measured elsewhere."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     try:
         import bench_peers  # type: ignore[import-not-found]
@@ -257,7 +255,7 @@ def test_the_table_of_peers_is_what_the_benchmark_measures(
     "page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix()
 )
 def test_no_page_shows_the_source_of_a_formula(page: Path) -> None:
-    """Formulas are written in Unicode; TeX would stand on the page as it was typed."""
+    """Formulas are written in Unicode; TeX would appear on the page as typed."""
     text = page.read_text("utf-8")
     assert [mark for mark in ("$$", "\\frac", "\\omega", "\\hat") if mark in text] == []
 

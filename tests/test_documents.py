@@ -200,8 +200,8 @@ def test_signals_come_back_and_anybody_can_open_them(tmp_path: Path) -> None:
 
 
 def stated_and_own_digest(text: str) -> tuple[str, str]:
-    """What a document says its digest is, and what docs/reference/file-formats.md says
-    how to make it.
+    """The digest stated in a document, and the one computed as described in
+    docs/reference/file-formats.md.
     """
     data = json.loads(text)
     covered = {key: item for key, item in data.items() if key not in ("sha256", "tool")}
@@ -281,7 +281,7 @@ def test_an_edited_file_is_refused(change: Any, field: str, tmp_path: Path) -> N
 
 
 def written(tmp_path: Path, text: str) -> Path:
-    """A file whose digest is right, whatever its content."""
+    """A file with a correct digest, whatever its content."""
     path = tmp_path / "written.json"
     head = '{"fraclink": "made-up", "format": 3, "units": "SI, radians"'
     digest = stated_and_own_digest(f'{head}, "sha256": "", "content": {text}}}')[1]
@@ -379,7 +379,7 @@ def test_foreign_files_are_refused(content: bytes, tmp_path: Path) -> None:
 def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(
     ending: str, tmp_path: Path
 ) -> None:
-    """Whoever opens a pipe that nobody writes to waits for ever."""
+    """Opening a pipe that nothing writes to would block forever."""
     os.mkfifo(tmp_path / f"pipe.{ending}")
     (tmp_path / f"folder.{ending}").mkdir()
     with ThreadPoolExecutor() as pool:

@@ -75,7 +75,7 @@ def builder() -> ModuleType:
 
 
 def same(page: dict[str, np.ndarray], run: fl.Run) -> None:
-    """Every signal and mark in every bit; a NaN is a NaN."""
+    """Compare every signal and mark bit by bit; NaNs are equal."""
     for name in SIGNALS:
         assert np.array_equal(page[name], getattr(run, name), equal_nan=True), name
     for name in MARKS:
@@ -190,7 +190,7 @@ def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages
 def twin_of(
     design: Design, payload: float = 0.030, *, delay: int = 1, **gauge: float
 ) -> fl.Twin:
-    """The twin of a page, on a hub heavy enough to be held."""
+    """The twin of a page, with a hub heavy enough to be controlled."""
     rig = replace(design.rig, gauge=replace(design.rig.gauge, **gauge))
     twin = fl.Twin.from_rig(
         rig,

@@ -69,10 +69,10 @@ def over(
 def by_numpy(
     made: PayloadEstimator, angle: Real, torque: Real, changed: NDArray[np.bool_]
 ) -> Real:
-    """Estimates and half widths after each whole sample, from the definition: no sums
-    that are kept up to date, but weighted least squares over all samples; no recursion
-    of the interval's root, but the root. `changed` says behind which samples the
-    estimator forgets half.
+    """Estimates and half widths after each complete sample, from the definition:
+    weighted least squares over all samples instead of updated sums, and the exact root
+    of the interval instead of its recursion. `changed` marks the samples after which
+    the estimator forgets half.
     """
     from scipy.signal import lfilter
 
@@ -193,9 +193,9 @@ def test_both_precisions_agree() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.02, 0.03, 0.04, 0.06, 0.08])
 def test_the_first_move_finds_the_payload(payload: float) -> None:
-    """Issue 16: within 10 % after 350 ms from 20 to 80 g; and never a slower move than
-    without, but for the 12 ms by which a law that is told the nominal payload itself
-    lets the tip follow later.
+    """Issue 16: within 10 % after 350 ms from 20 to 80 g; and no move is slower than
+    without the estimator, except for the 12 ms by which the tip follows later if the
+    nominal payload itself is given.
     """
     run = moved(payload)
     late = run.time >= 0.35
@@ -210,7 +210,7 @@ def test_the_first_move_finds_the_payload(payload: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.012, 0.08])
 def test_a_viscous_arm_is_found_far_from_its_own_payload(payload: float) -> None:
-    """The material damps, so that μ falls with the payload as ω₀² does."""
+    """Damping by the material: μ falls with the payload as ω₀² does."""
     assert GEARED.model is not None
     w = GEARED.model.natural_frequency
     link = replace(GEARED.model, order=2.0, damping=0.131 * w)
@@ -245,8 +245,8 @@ def test_the_second_move_after_a_change_is_fast(before: float, after: float) -> 
 
 
 def test_the_certificate_is_that_of_the_law_alone() -> None:
-    """The estimate enters behind the feedback: law and digest are the same, so what was
-    proved holds.
+    """The estimate acts outside the feedback: law and digest are the same, so the proof
+    remains valid.
     """
     made = designed().law()
     assert (
@@ -360,9 +360,9 @@ def test_no_sample_harms(precision: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_any_memory_is_healed(precision: str) -> None:
-    """Bits of the memory flipped, or all of it random: nothing leaves its limits, and a
-    few moves later the estimate is as ever. (A sum that is too large by a flipped
-    exponent takes the longest to fade.)
+    """Bits of the memory are flipped, or all of it is random: every output stays within
+    its limits, and a few moves later the estimate is as usual. (A sum that is too large
+    because of a flipped exponent takes longest to decay.)
     """
     made = bank(precision)
     angle, torque = sensors(moved(0.03))
@@ -431,7 +431,9 @@ def test_what_cannot_be_estimated_is_refused() -> None:
 
 
 def test_the_memory_fits_a_small_board() -> None:
-    """Issue 16: law and estimator together remember at most 1 kB, in single precision."""
+    """Issue 16: law and estimator together need at most 1 kB of memory, in single
+    precision.
+    """
     from fraclink._export.data import exact_sizes
 
     law = designed().law().in_precision("single")
@@ -439,8 +441,8 @@ def test_the_memory_fits_a_small_board() -> None:
 
 
 def test_the_merced_log_gives_its_own_frequency() -> None:
-    """Issue 16: within 3 % of the offline fit's frequency after half a second, on a
-    real link's log.
+    """Issue 16: within 3 % of the frequency of the offline fit after half a second, on
+    the log of a real link.
     """
     from fraclink._law import discretize_controller
 
@@ -467,8 +469,8 @@ def test_the_merced_log_gives_its_own_frequency() -> None:
 
 
 def test_a_campaign_estimates_the_payload_of_each_arm(tmp_path: Path) -> None:
-    """Eight arms at a time and one alone agree; a folder of it is not one of a law that
-    estimates nothing.
+    """Eight arms at a time and single ones agree; the folder differs from that of a law
+    without an estimator.
     """
     law = designed().law()
     assert GEARED.model is not None
@@ -489,7 +491,7 @@ def test_a_campaign_estimates_the_payload_of_each_arm(tmp_path: Path) -> None:
 
 
 def test_the_loop_in_real_time_gives_the_estimate() -> None:
-    """What the record holds replays through law and estimator, to the last bit."""
+    """The record replays through law and estimator, to the last bit."""
     arm = moved(0.03)
     samples = iter(zip(*sensors(arm), strict=True))
     still = (float(arm.motor_angle_measured[0]), float(arm.torque_measured[0]))
@@ -541,7 +543,9 @@ def test_the_command_line_estimates(
 def test_the_export_has_the_estimator_and_its_self_test(
     precision: str, tmp_path: Path
 ) -> None:
-    """The exported files compile without a warning and give the package's bits."""
+    """The exported files compile without a warning and are bitwise equal to the
+    package.
+    """
     compiler = tool("cc", "gcc")
     law = designed().law().in_precision(precision)  # type: ignore[arg-type]
     written = {path.name for path in fl.export_c(law, tmp_path, estimator=bank())}

@@ -18,7 +18,7 @@ SCRIPTS = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
 
 
 def printed(name: str, folder: Path) -> str:
-    """What a script prints; it may write below `folder` only."""
+    """The output of a script, which may write only below `folder`."""
     answer = subprocess.run(  # noqa: S603
         [sys.executable, str(SCRIPTS[name]), str(folder)],
         cwd=folder,
@@ -32,7 +32,7 @@ def printed(name: str, folder: Path) -> str:
 
 
 def number(pattern: str, text: str) -> float:
-    """The number that stands behind `pattern`."""
+    """The number after `pattern`."""
     found = re.search(pattern + r"\s*([-+]?\d+(?:\.\d+)?)", text)
     assert found, text
     return float(found[1])

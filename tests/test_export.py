@@ -76,8 +76,8 @@ def test_the_same_law_gives_the_same_bytes(
 
 @pytest.mark.slow
 def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
-    """The block as a C compiler builds it from the hex floats is the one the package
-    simulates with.
+    """The block compiled from the hex floats by a C compiler is the one that the
+    package simulates with.
     """
     made, folder = exported
     program = folder / "block.c"
@@ -95,8 +95,8 @@ def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
 def test_the_self_test_tells_a_law_that_is_another(
     exported: tuple[Law, Path],
 ) -> None:
-    """The hash that the package wrote, recomputed by the C of the folder, and one that
-    differs.
+    """The hash written by the package, recomputed by the C code of the folder, and a
+    different one.
     """
     made, folder = exported
     text = (folder / "law_selftest.c").read_text(encoding="utf-8")
@@ -178,8 +178,8 @@ def test_the_self_test_finds_a_compiler_that_contracts(
 def test_machines_that_fuse_are_refused_by_their_own_words(
     machine: str, tmp_path: Path
 ) -> None:
-    """What a cross compiler defines, without one: gnu modes fuse, ISO modes and
-    -ffp-contract=off do not.
+    """The macros of a cross compiler, without the compiler: gnu modes fuse, ISO modes
+    and -ffp-contract=off do not.
     """
     export_c(law("single"), tmp_path)
     command = (tool("gcc"), "-fsyntax-only", "-DLAW_SINGLE", f"-D{machine}", "law.c")

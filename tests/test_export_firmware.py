@@ -78,7 +78,7 @@ def on_board(
 
 
 def on_riscv(folder: Path, made: Law, *sources: str | Path) -> str:
-    """Output of `sources` on an emulated RV32 core; newlib brings headers that serve
+    """Output of `sources` on an emulated RV32 core; the headers of newlib work for
     every machine.
     """
     tool("ld.lld", "lld")
@@ -96,7 +96,7 @@ def on_riscv(folder: Path, made: Law, *sources: str | Path) -> str:
 
 
 def reference_hash(made: Law) -> int:
-    """Hash of the outputs of the law inside the package, on the inputs of long.c."""
+    """Hash of the outputs of the law in the package, for the inputs of long.c."""
     seed, noises = 1, np.empty((PERIODS, 3))
     for k in range(PERIODS):
         for j in range(3):
@@ -167,7 +167,7 @@ def test_fifty_thousand_periods_agree_to_the_bit(
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_a_riscv_core_computes_the_same_bits(precision: str, tmp_path: Path) -> None:
-    """clang for RV32; WebAssembly has tests/test_engine.py."""
+    """clang for RV32; WebAssembly is tested in tests/test_engine.py."""
     made = law(precision)
     export_c(made, tmp_path)
     assert _hash(
@@ -188,7 +188,7 @@ def test_the_self_test_passes_on_the_board(board: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
-    """Compiled for the design alone at -O2: 8 instructions a mode and 15 without
+    """Compiled for this design alone with -O2: 8 instructions per mode, and 15 without
     guards.
     """
     made = law("single")
@@ -212,8 +212,8 @@ def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_payload_estimator_on_a_cortex_m4f(tmp_path: Path) -> None:
-    """The desktop's bits, and with the law at most 1400 instructions a period (issue
-    16).
+    """Bitwise equal to the desktop, and at most 1400 instructions per period including
+    the law (issue 16).
     """
     made, rig = law("single"), fl.Rig.named("paper-2023")
     assert rig.model is not None

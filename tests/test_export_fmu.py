@@ -213,7 +213,7 @@ def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
 def test_a_library_stands_where_importers_look_for_it(
     triple: str, platform: str, place: str, tmp_path: Path
 ) -> None:
-    """A compiler that writes down how it was called, in place of the library."""
+    """In place of a real compiler, a program that records how it was called."""
     compiler = tmp_path / "writes-it-down"
     compiler.write_text(
         f'#!/bin/sh\n[ "$1" = -dumpmachine ] && echo {triple} && exit\necho "$@" > law.library\n',

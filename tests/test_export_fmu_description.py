@@ -94,8 +94,8 @@ def test_every_variable_is_described_as_the_standard_wants(
 
 @pytest.mark.parametrize("of_arm", [True, False])
 def test_another_program_takes_the_description(of_arm: bool, tmp_path: Path) -> None:
-    """FMPy compares it with the schema of the standard and with the rules that a schema
-    cannot hold.
+    """FMPy checks it against the schema of the standard and against rules that a schema
+    cannot express.
     """
     fmpy = fmpy_or_skip()
     made = law() if of_arm else pid()

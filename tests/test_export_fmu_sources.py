@@ -61,8 +61,8 @@ def test_an_importer_builds_the_same_from_the_sources(
 
 @pytest.mark.slow
 def test_the_declarations_are_those_of_the_standard(tmp_path: Path) -> None:
-    """The standard's own header in front: compilers then compare; strict warnings, with
-    and without it.
+    """The header of the standard is included first, so that compilers compare the
+    declarations; strict warnings, with and without it.
     """
     headers = Path(fmpy_or_skip().__file__).parent / "c-code"
     for precision in ("single", "double"):
@@ -120,7 +120,9 @@ def test_checkers_have_nothing_to_say(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_life_under_sanitizers(tmp_path: Path) -> None:
-    """Right and wrong calls in C: no leak, no access outside, nothing undefined."""
+    """Valid and invalid calls in C: no leak, no out-of-bounds access, no undefined
+    behaviour.
+    """
     sources = sources_of(
         export_fmu(law("single"), tmp_path / "arm.fmu", compilers=()),
         tmp_path / "fmu",
@@ -137,7 +139,7 @@ def test_a_life_under_sanitizers(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
-    """Importers for real-time targets compile sources and link them; each FMU brings
+    """Importers for real-time targets compile and link the sources; each FMU contains
     its own law.
     """
     compiler = tool("gcc")

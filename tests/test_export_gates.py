@@ -123,7 +123,7 @@ def test_clang_tidy_has_nothing_to_say(folder: Path, define: tuple[str, ...]) ->
 
 @pytest.mark.slow
 def test_the_fuzzer_breaks_no_invariant() -> None:
-    """A few seconds of what `make fuzz` does for a minute."""
+    """A few seconds of the fuzzing that `make fuzz` does for a minute."""
     program = Path(__file__).parents[1] / "tools" / "fuzz_law.py"
     answer = run(sys.executable, program, "--seconds", "5", check=False)
     if "not installed" in answer.stderr:
@@ -151,8 +151,8 @@ def test_every_line_and_branch_of_the_law_is_run(folder: Path) -> None:
 
 
 def both_cores(work: Callable[[int], Result], items: Sequence[int]) -> list[Result]:
-    """Compilers are processes of their own: two threads that wait for them keep two
-    cores busy.
+    """Compilers are separate processes: two threads that wait for them keep two cores
+    busy.
     """
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(work, items))
@@ -248,7 +248,9 @@ def test_many_designs_compile_clean_and_pass_their_self_test(tmp_path: Path) -> 
 
 @pytest.fixture(scope="module")
 def with_pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Law]:
-    """A design whose correction has a complex pair, so that every line of law.c counts."""
+    """A design whose correction has a complex pair, so that every line of law.c is
+    covered.
+    """
     made = with_pair("single")
     place = tmp_path_factory.mktemp("pairs")
     export_c(made, place)

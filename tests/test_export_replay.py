@@ -49,8 +49,8 @@ def test_the_export_repeats_the_package_to_the_bit(
 
 @pytest.mark.slow
 def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
-    """Each signal beside the package's: those of the law's own run on the motor's
-    path.
+    """Each signal is compared with that of the package's own run of the law on the
+    motor's path.
     """
     made = law("single")
     export_c(made, tmp_path, name="arm_2")
@@ -116,9 +116,7 @@ _RUN = '__attribute__((constructor)) static void ran(void) {{ fclose(fopen("{mar
 def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(
     file: str, how: str, tmp_path: Path
 ) -> None:
-    """The changed file writes a mark as soon as it is run: the oracle is the file
-    system.
-    """
+    """The changed file creates a marker file as soon as it is executed."""
     made, mark = law("double"), tmp_path / "ran"
     export_c(made, tmp_path / "firmware", title="its title is free")
     path = tmp_path / "firmware" / file

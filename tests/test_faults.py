@@ -234,7 +234,7 @@ def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(
 
 @pytest.mark.slow
 def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> None:
-    """Friction that is compensated thirty times over keeps the motor moving."""
+    """Friction compensation of thirty times the friction keeps the motor moving."""
     case = Case("F28", 1, 0.03, "whole", 1)
     assert run_case(bench, case).passed
     motor_loop = bench.law.motor_loop

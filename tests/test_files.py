@@ -123,7 +123,9 @@ def test_a_place_where_no_file_can_be_made_is_told_before_the_work(
 
 
 def test_an_error_of_the_system_names_the_file_that_was_asked_for() -> None:
-    """And not the temporary one, which nobody knows and which is gone."""
+    """And not the temporary file, whose name is unknown to the user and which no longer
+    exists.
+    """
     missing = Path("/proc/fraclink-test")
     if not Path("/proc/self").exists():
         pytest.skip("this system has no /proc, where no file can be made")

@@ -24,7 +24,7 @@ BODY = PLAIN.split("\n", 1)[1]
 
 
 def stamped(date: str, point: str = ".") -> str:
-    """The rows with a clock's time of day, which passes midnight, for seconds."""
+    """The rows with times of day instead of seconds, which pass midnight."""
     start = datetime.datetime(2026, 3, 31, 23, 59, 59, 500_000)
     lines = []
     for row in ROWS:
@@ -35,7 +35,7 @@ def stamped(date: str, point: str = ".") -> str:
 
 
 def labview(*, stamps: bool) -> str:
-    """What LabVIEW writes with a measurement file."""
+    """The text that LabVIEW writes in a measurement file."""
     rows = "\n".join(
         "\t".join((row[0] if stamps else "", *row[1:], "")) for row in ROWS
     )
@@ -279,8 +279,8 @@ def test_raw_numbers_are_refused_with_the_way_to_read_them(tmp_path: Path) -> No
 def test_three_digits_behind_a_comma_may_be_thousands(
     cells: tuple[str, str], value: float | None, tmp_path: Path
 ) -> None:
-    """1,125 is one and an eighth, or more than a thousand; 0,125 is no number of
-    thousands.
+    """1,125 is either one and an eighth or more than a thousand; 0,125 cannot have a
+    thousands separator.
     """
     path = tmp_path / "log.csv"
     path.write_text("a;b\n" + f"{cells[0]};{cells[1]}\n" * 5, "utf-8")

@@ -264,7 +264,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def swept() -> fl.FrequencyResponse:
-    """The arm's response up to a second mode at 150 rad/s and into its noise."""
+    """The response of the arm up to a second mode at 150 rad/s and down to its noise."""
     rng, w = np.random.default_rng(3), np.geomspace(2.0, 500.0, 240)
     p = 1j * w
     mode = 1 + 0.5 * p**2 / (p**2 + 6 * p + 150**2)
@@ -315,7 +315,7 @@ def test_a_table_without_header_ends_in_a_design(
 
 @pytest.fixture(scope="module")
 def driven() -> DrivenLinkFit:
-    """A fit of the motor's angle, to be changed."""
+    """A fit of the motor angle, to be modified."""
     clean = fl.FrequencyResponse(LINES, arm()(1j * LINES))
     return fl.extend.identify_driven_link(clean, details=False)
 

@@ -56,15 +56,15 @@ def test_every_recorded_figure_is_made(topic: str) -> None:
 
 
 def test_every_topic_was_recorded_on_one_arithmetic() -> None:
-    """Of topics recorded apart, one has digests that no machine compares: its numbers
-    alone are checked.
+    """If topics were recorded on different machines, the digests of one of them could
+    not be compared on any machine.
     """
     assert len({recorded(topic)["probe"] for topic in TOPICS}) == 1
 
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Desk:
-    """The folder in which the commands run: each works on what those before it wrote."""
+    """The folder in which the commands run; each uses the results of the earlier ones."""
     return Desk(tmp_path_factory.mktemp("desk"))
 
 

@@ -108,7 +108,9 @@ PRIVATE = {"lab": 27, "logs": 24, "trials": 36, "view": 31, "studio": 34}
 
 
 def private_imports(satellite: str) -> set[str]:
-    """Names that a satellite imports of other packages and that are public nowhere."""
+    """Names that a satellite imports from other packages and that are not public
+    anywhere.
+    """
     taken = {
         f"{node.module}.{alias.name}"
         for source in sources()

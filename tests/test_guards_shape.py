@@ -66,7 +66,7 @@ def test_no_array_of_objects_is_unpickled() -> None:
 
 
 def tracked_files() -> list[Path]:
-    """Files under version control; outside a checkout there is nothing to guard."""
+    """Files under version control; outside a checkout there is nothing to check."""
     try:
         answer = subprocess.run(  # noqa: S603
             ["git", "-C", str(ROOT), "ls-files", "-z"],  # noqa: S607

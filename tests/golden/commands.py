@@ -147,8 +147,8 @@ def _rounded(match: re.Match[str]) -> str:
 
 
 def normalised(text: str, folder: Path) -> str:
-    """`text` without what belongs to the machine: paths, the release, the last digits
-    of long numbers.
+    """`text` without machine-dependent parts: paths, the release, the last digits of
+    long numbers.
     """
     for place, word in (
         (str(fl.bundled_log("prbs_30g").parent), "LOGS"),
@@ -162,7 +162,7 @@ def normalised(text: str, folder: Path) -> str:
 
 
 def answer(line: str, folder: Path) -> str:
-    """Run one command in the folder one is in and return all that it did, as one text."""
+    """Run one command in the current folder and return everything it did as one text."""
     before = {
         path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()
     }
@@ -185,7 +185,7 @@ def answer(line: str, folder: Path) -> str:
 
 
 class Desk:
-    """A folder with the inputs, in which each command runs once, and before it what it
+    """A folder with the inputs, in which each command runs once, after the commands it
     needs.
     """
 
@@ -196,7 +196,7 @@ class Desk:
             _inputs()
 
     def text(self, name: str) -> str:
-        """All that the command did."""
+        """Everything the command did."""
         if name in NEEDS:
             self.text(NEEDS[name])
         if name not in self._texts:

@@ -97,7 +97,7 @@ Entries = dict[str, Callable[[], Any]]
 
 
 def plain(value: Any) -> Any:
-    """`value` as JSON has it; what is not finite becomes a word."""
+    """`value` in JSON types; non-finite numbers become words."""
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else str(float(value))
     if isinstance(value, complex):
@@ -127,9 +127,7 @@ def digest(values: ArrayLike | bytes) -> str:
 
 @functools.cache
 def probe() -> str:
-    """Digest of what this machine makes of the functions whose last bit is not the same
-    everywhere.
-    """
+    """Digest of the results of functions whose last bit depends on the machine."""
     x = np.linspace(-3.0, 3.0, 1001)
     z = (0.3 + 1j * np.abs(x) + 1e-3) ** 0.61
     matrix = np.sin(np.outer(np.arange(1.0, 9.0), np.arange(1.0, 9.0)))
@@ -157,7 +155,7 @@ def probe() -> str:
 
 
 def design_of(rig: fl.Rig, **asked: Any) -> fl.Design:
-    """The design that most figures start from."""
+    """The design that most figures are based on."""
     wanted = {
         "payloads": (0.020, 0.040),
         "gain_crossover": 12.0,
@@ -168,12 +166,12 @@ def design_of(rig: fl.Rig, **asked: Any) -> fl.Design:
 
 @functools.cache
 def default_law() -> fl.Law:
-    """The law of the design that most figures start from."""
+    """The law of the design that most figures are based on."""
     return design_of(RIG).law()
 
 
 def unguarded_law() -> fl.Law:
-    """The same with guards that are never met."""
+    """The same law with guards that never act."""
     far = replace(
         default_law().limits,
         torque_trip=1e6,
@@ -230,7 +228,7 @@ SIGNALS = (
 
 
 def run_figures(run: Any) -> Plain:
-    """Digest of every signal that a run has, and what makes a difference readable."""
+    """Digest of every signal of a run, and figures that make a difference readable."""
     figures = {
         name: getattr(run.metrics, name)
         for name in (*METRICS, "peak_voltage", "saturated")
@@ -498,7 +496,7 @@ def paper() -> Entries:
 
 
 def certificate_figures(found: Certificate) -> Plain:
-    """What is claimed and over which ranges; where it fails, the place."""
+    """The claim and its ranges, or the place where it fails."""
     s = found.statement
     ranges = [s.payload_low, s.payload_high, s.delay_low, s.delay_high]
     place = [found.payload, found.frequency, found.delay, found.distance]
@@ -633,8 +631,8 @@ REQUESTS: dict[str, Plain] = {
 
 
 def answer(rig: fl.Rig, asked: Plain) -> Plain:
-    """The figures of a design, or the condition that refuses it with the nearest
-    request.
+    """The figures of a design, or the condition that makes it infeasible with the
+    nearest request.
     """
     try:
         return plan_figures(design_of(rig, **asked))
@@ -692,7 +690,7 @@ FIT_NUMBERS = (
 
 
 def fit_figures(fit: fl.Fit) -> Plain:
-    """Parameters, errors and judgement of a fit."""
+    """Parameters, errors and assessment of a fit."""
     return plain(
         {name: getattr(fit.model, name) for name in LINK_NUMBERS}
         | {f"fit_{name}": getattr(fit, name) for name in FIT_NUMBERS}
@@ -716,7 +714,7 @@ def log_of(name: str) -> fl.Experiment:
 
 
 def structure_figures(name: str) -> Plain:
-    """The four structures fitted to a bundled log, and what the log's diagnosis finds."""
+    """The four structures fitted to a bundled log, and the findings of its diagnosis."""
     found = fl.compare_structures(log_of(name))
     made: Plain = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
     made["preferred"] = found.preferred
@@ -804,8 +802,8 @@ TOKEN = re.compile(rb'FMU_TOKEN "([^"]+)"')
 
 
 def shipped(name: str, content: bytes) -> str:
-    """Digest of an exported file: of C the code without its comments, nowhere the
-    release's number.
+    """Digest of an exported file: of C the code without comments, and without the
+    release number.
     """
     if name.endswith((".c", ".h")):
         content = b" ".join(COMMENT.sub(b"", content).split())
@@ -864,8 +862,8 @@ def law_figures(named: str) -> Plain:
 
 
 def exports() -> Entries:
-    """Bytes of what leaves the package, for laws that are read from files; digests of
-    laws fitted now.
+    """Bytes of exported files, for laws that are read from files; digests of laws
+    fitted now.
     """
     made: Entries = {}
     for named in ("default", "outer", "geared"):
@@ -939,7 +937,7 @@ def differences(
 
 @functools.cache
 def recorded(topic: str) -> Plain:
-    """What was recorded of a topic."""
+    """The record of a topic."""
     return dict(json.loads((HERE / f"{topic}.json").read_text("utf-8")))
 
 

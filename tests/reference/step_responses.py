@@ -54,8 +54,8 @@ DIGITS = 50
 
 
 def denominator(case: tuple[str, ...]) -> list[tuple[mp.mpf, mp.mpf]]:
-    """Pairs (coefficient, order); the decimal strings are read as doubles, which is
-    what the package sees.
+    """Pairs (coefficient, order); the decimal strings are read as doubles, as by the
+    package.
     """
     if len(case) == 2:
         order, frequency = (mp.mpf(float(x)) for x in case)
@@ -90,7 +90,7 @@ def zeros(terms: list[tuple[mp.mpf, mp.mpf]]) -> list[mp.mpc]:
 
 
 def newton(terms: list[tuple[mp.mpf, mp.mpf]], z: complex) -> complex | None:
-    """Newton's method in double precision; None where it leaves the neighbourhood."""
+    """Newton's method in double precision; None if it leaves the neighbourhood."""
     pairs = [(float(c), float(a)) for c, a in terms]
     for _ in range(60):
         slope = sum(c * a * cmath.exp(a * z) for c, a in pairs)
