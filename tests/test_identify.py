@@ -212,8 +212,8 @@ def test_intervals_cover_and_agree_with_standard_errors() -> None:
 def test_standard_errors_are_those_of_differences(
     name: Structure, alpha: float
 ) -> None:
-    """White errors against (JᵀJ)⁻¹ s² with J by central differences of the simulated
-    torque, and the minimum against a gradient of zero.
+    """For white errors they equal (JᵀJ)⁻¹ s², with J by central differences of the
+    simulated torque; at the minimum the gradient is zero.
     """
     truth = replace(TRUTH, order=1.9 if name == "UD-FOM" else 2.0)
     if name in ("D-IOM", "D-FOM"):
@@ -243,8 +243,8 @@ def test_standard_errors_are_those_of_differences(
 
 @pytest.mark.slow
 def test_coverage_of_the_intervals() -> None:
-    """60 logs: fewer than 52 inside (two sided 0.2 %) would mean errors that are wrong
-    by a third.
+    """60 logs: fewer than 52 inside (two-sided 0.2 %) would mean that the errors are
+    wrong by a third.
     """
     clean = made_log(delay=0.003)
     inside = {"order": 0, "natural_frequency": 0}
@@ -412,8 +412,8 @@ def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_smooth_move_has_a_second_valley_in_the_delay(
     resonance: float, order: float, delay: float
 ) -> None:
-    """On a single smooth move λ and the delay trade: the fit with the delay given is no
-    better.
+    """On a single smooth move λ and the delay are interchangeable: the fit with the
+    true delay is no better.
     """
     period = 0.004
     angle = smooth_step(0.5, 1.6).angle(period * np.arange(900))

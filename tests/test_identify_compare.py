@@ -85,8 +85,8 @@ def test_nesting_holds_on_every_log() -> None:
 
 
 def ist_log(name: str) -> Experiment:
-    """IST's columns are volts; its README gives both calibrations, and the strain's
-    sign is opposite.
+    """The columns of IST are in volts; its README gives both calibrations, and the sign
+    of the strain is reversed.
     """
     data = np.genfromtxt(
         shared_data("ist_flexbar", f"2_lab_{name}.csv"), delimiter=",", names=True
@@ -134,8 +134,8 @@ def test_ist_slow_square_wave_prefers_viscous_damping() -> None:
 
 
 def test_sign_of_a_rough_angle_delay() -> None:
-    """Quantised at 5 mrad, an angle rewards half samples of delay; a negative one must
-    not be reported.
+    """With an angle quantised to 5 mrad, delays by half samples improve the fit; a
+    negative one must not be reported.
     """
     log = made_log(noise=0.01)
     rough = replace(log, motor_angle=np.round(log.motor_angle / 0.005) * 0.005)
@@ -175,7 +175,7 @@ def test_identify_says_where_the_log_cannot_tell() -> None:
 def test_noise_that_wanders_makes_no_structure(
     link: LinkModel, structure: str, correlation: float
 ) -> None:
-    """An AIC that counts every sample finds an α of its own in one of ten such logs."""
+    """An AIC that counts every sample finds a spurious α in one of ten such logs."""
     used = []
     for seed in range(8):
         log = made_log(link)
@@ -204,7 +204,7 @@ def test_a_parameter_that_is_held_stays_in_the_model() -> None:
 
 @pytest.fixture(scope="module")
 def fits() -> dict[str, Fit]:
-    """Fits of one log, to be changed."""
+    """Fits of one log, to be modified."""
     return dict(
         compare_structures(made_log(noise=0.05, samples=2501), details=False).fits
     )
@@ -244,9 +244,9 @@ def test_white_errors_are_the_scatter_of_fits() -> None:
 
 
 def test_the_held_out_part_vetoes_a_link_without_damping() -> None:
-    """Somebody pushes the arm in the fitted part: an undamped link fits what is left as
-    well as a damped one can be shown to, and predicts a motion it has not seen five
-    times worse.
+    """The arm is pushed in the fitted part: an undamped link fits the rest so well that
+    a damped one cannot be shown to be better, but its prediction of the held-out motion
+    is five times worse.
     """
     period, count, rate, ratio = 0.001, 10_000, 10.63, 0.0054
     time = period * np.arange(count)

@@ -229,8 +229,8 @@ def test_a_few_samples_at_the_stops_are_no_gate() -> None:
 
 @pytest.mark.slow
 def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
-    """The vibration from before the cut is not in the model: here the delay is 4 ms,
-    and the fit errs.
+    """The vibration from before the cut is not in the model: here the delay is wrong by
+    4 ms.
     """
     late = int(np.flatnonzero(np.diff(ANGLE) != 0)[0]) + 600
     cut = identify(log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:]))
@@ -392,8 +392,8 @@ def test_a_delay_of_the_logger_stays_out_of_the_loop() -> None:
 
 @pytest.mark.slow
 def test_a_ring_down_is_judged_until_it_sinks_into_the_noise() -> None:
-    """What trembles behind the last vibration, be it larger than the noise, speaks
-    neither for the model nor against it.
+    """A disturbance after the vibration has decayed, even if larger than the noise, is
+    no evidence for or against the model.
     """
     swing = simulated_torque(replace(TRUTH, order=1.9), RING, PERIOD)
     quiet = identify(log(RING, swing + 0.01 * swing.std() * WHITE), "UD-FOM")

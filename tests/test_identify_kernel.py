@@ -127,8 +127,8 @@ def test_hold_is_seen_in_the_angle() -> None:
 def test_samples_before_the_first_output_move_the_link(
     delay: float, before: int, hold: str
 ) -> None:
-    """The columns of a log that was cut are those of the whole one from there on,
-    whatever the delay.
+    """The columns of a cut log equal those of the whole log from the cut on, for any
+    delay.
     """
     angle = smooth_pulse(PERIOD * np.arange(900))
     shape = shape_of(TRUTH, delay)

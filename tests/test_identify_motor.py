@@ -86,8 +86,9 @@ def test_the_links_torque_gives_the_inertia() -> None:
 
 
 def test_no_bump_lies_across_the_start_of_another_recording() -> None:
-    """Two recordings one behind the other, with a jump between: told where, the fit is
-    that of a motor; not told, the jump is taken for a motion.
+    """Two recordings one after the other, with a jump between them: if the start of the
+    second is given, the fit is that of a motor; otherwise the jump is taken for a
+    motion.
     """
     voltage, angle = example_motor_log(samples=2000)
     both = np.concatenate([angle[:1200], angle[:1200] + 3.0])
@@ -175,8 +176,8 @@ def test_bad_design_requests(field: str) -> None:
 
 
 def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
-    """An angle of many turns is the same motion: its second derivative is taken under
-    the integral.
+    """An angle of many turns is the same motion, because its second derivative is moved
+    to the weighting function under the integral.
     """
     voltage, angle = example_motor_log(samples=1500)
     here, away = (

@@ -30,7 +30,7 @@ def payload_logs(
 
 @pytest.fixture(scope="module")
 def fit() -> JointFit:
-    """One order, a resonance of its own for each payload."""
+    """One common order, and a separate resonance for each payload."""
     return identify_payloads(payload_logs(LINK))
 
 

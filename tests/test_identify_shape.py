@@ -36,8 +36,8 @@ def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(
 def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(
     seed: int,
 ) -> None:
-    """The last 2 s of 32 s at ζ = 0.02: by 6 s before the cut alone the delay is up to
-    9 ms off.
+    """The last 2 s of 32 s at ζ = 0.02: with only 6 s before the cut the delay is wrong
+    by up to 9 ms.
     """
     cut = late_cut(seed)
     fit = identify(cut)
@@ -50,8 +50,8 @@ def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_vibration_elsewhere_that_fits_as_well_is_said(seed: int) -> None:
-    """One vibration at 4 % of noise, swung by 31 s before it: two links a few percent
-    apart explain it.
+    """One vibration with 4 % of noise, excited by 31 s of motion before it: two links
+    that differ by a few percent explain it.
     """
     late = late_cut(seed)
     at, size = late.output.size - 160, late.output.size

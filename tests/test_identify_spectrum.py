@@ -52,8 +52,8 @@ def test_noise_of_every_line_and_its_order_in_the_table() -> None:
 
 @pytest.mark.slow
 def test_standard_errors_are_the_scatter_of_fits() -> None:
-    """Also where the noise of a line does not depend on its size, and a few lines at
-    the resonance err most.
+    """This also holds if the noise of a line does not depend on its magnitude, and a
+    few lines at the resonance have the largest errors.
     """
     fits = [
         fl.identify_structure(

@@ -141,7 +141,7 @@ def test_single_precision_stays_with_double_for_a_million_periods() -> None:
     )  # error of 0.027 rad rms, as in the prototype
 
     def correction_in(precision: str) -> NDArray[np.float64]:
-        """Of a run's record, which is 120 MB, the column that is compared."""
+        """The column of a run's record that is compared; the record takes 120 MB."""
         record = run(law(precision, equipped=False), rows)
         assert np.all(record.mode == 1)
         return record.motor_reference.copy()
@@ -296,7 +296,9 @@ def test_the_law_keeps_the_margins_of_the_exact_controller(
 
 
 def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() -> None:
-    """A pair's state is one complex number, x ← q x + e, of which law.c gives Re(c x)."""
+    """The state of a pair is one complex number, x ← q x + e, of which law.c outputs
+    Re(c x).
+    """
     from fraclink._law.block import modes_of
 
     rng = np.random.default_rng(5)
@@ -335,8 +337,8 @@ def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() ->
 def test_a_fit_is_closest_about_the_crossover(
     gain: float, order: float, filter_time: float, emphasis: float
 ) -> None:
-    """There Ĉ itself is met to C's 0.1 dB and 0.5° over the emphasis: the loop is Ĉ
-    times the plant.
+    """In the emphasised band Ĉ itself is within the 0.1 dB and 0.5° of C, because the
+    loop is Ĉ times the plant.
     """
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
@@ -359,8 +361,8 @@ def test_a_fit_is_closest_about_the_crossover(
 
 @pytest.mark.slow
 def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
-    """M(s) of 80 rad/s and one period of computation, unless the controller was
-    designed for another.
+    """M(s) with 80 rad/s and one period of computation, unless the controller was
+    designed for another one.
     """
     own = default_controller()
     bare = discretize_controller(own, PERIOD)

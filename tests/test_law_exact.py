@@ -16,7 +16,9 @@ BITS = 160
 
 
 def exact_correction(made: Law, torque: list[float]) -> tuple[list[float], float]:
-    """Ĉ(z) of the error Γ/c in exact arithmetic, and the largest radius of its balls."""
+    """Ĉ(z) applied to the error Γ/c in exact arithmetic, and the largest radius of its
+    balls.
+    """
     before, ctx.prec = ctx.prec, BITS
     try:
         poles, gains = map(arb, made.correction.poles), map(arb, made.correction.gains)

@@ -249,9 +249,7 @@ def test_a_repeated_or_backward_period_does_nothing(jump: int) -> None:
 def test_a_clock_that_stands_or_runs_backwards_switches_the_drive_off(
     precision: str, step: int
 ) -> None:
-    """As many repeated calls as missed periods are ridden through; the next one
-    latches.
-    """
+    """The law tolerates as many repeated calls as missed periods; the next one latches."""
     made, rows = law(precision), quiet()
     ticks = np.arange(1, COUNT + 1)
     ticks[200:] = 200 + step * np.arange(1, COUNT - 199)
@@ -300,7 +298,7 @@ def test_a_clock_that_was_set_back_is_followed_at_once_and_one_that_runs_backwar
 def test_a_motor_whose_encoder_is_lost_goes_on_as_its_model_does(
     precision: str,
 ) -> None:
-    """Four lost samples at full speed, in which the motor turns by 0.03 rad."""
+    """Four lost samples at full speed, during which the motor turns by 0.03 rad."""
     made, move = law(precision), fl.smooth_step(1.0, 1.2, 0.1)
     time = made.period * np.arange(COUNT)
     rows = np.array([move.angle(time), move.acceleration(time)])
@@ -325,7 +323,7 @@ def flipped(state: bytes, word: int, bit: int) -> bytes:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
-    """Ten periods later the law is off, or its command moves with the reference again."""
+    """Ten periods later the law is off, or its command follows the reference again."""
     made, rows = law(precision), quiet(120)
     rows[0, 100:] += 0.001 * np.arange(20)
     state, _ = made.run(made.initial_state(), *rows[:, :100])
@@ -347,8 +345,8 @@ def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("mode", [2, 3, 4])
 def test_no_flipped_bit_starts_a_tripped_drive(precision: str, mode: int) -> None:
-    """No upset of any bit of the memory leads back to a less severe mode, nor do two of
-    stamp and mode.
+    """No flip of a single bit of the memory leads back to a less severe mode, nor do
+    flips of two bits of stamp and mode.
     """
     made, rows = law(precision), quiet(104)
     state, _ = made.run(made.initial_state(), *rows[:, :100])
@@ -369,8 +367,8 @@ def test_no_flipped_bit_starts_a_tripped_drive(precision: str, mode: int) -> Non
 def test_memory_that_the_last_period_did_not_leave_begins_anew_in_its_mode(
     precision: str, mode: int
 ) -> None:
-    """The motor reference begins where the motor is, whatever the memory says of it,
-    and no mode is left.
+    """The motor reference restarts at the position of the motor, whatever the memory
+    contains, and no mode is left.
     """
     made, rows = law(precision), quiet(140)
     state, _ = made.run(made.initial_state(), *rows[:, :130])
@@ -398,7 +396,7 @@ def test_a_flipped_bit_of_the_mode_does_not_stop_a_drive_that_runs() -> None:
 def test_nothing_that_has_died_away_is_left_as_a_denormal_number(
     precision: str,
 ) -> None:
-    """A complex pair, too, of which either half would bring the other one back."""
+    """This includes a complex pair, of which either half would restore the other one."""
     made, rows = law(precision), quiet(60_000)
     turning = made.correction._replace(
         pair_poles=(-0.8054407 + 0.5280959j,), pair_gains=(0.02 - 0.03j,)

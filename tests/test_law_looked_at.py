@@ -65,7 +65,7 @@ def test_a_controller_that_no_law_follows_keeps_none_of_the_laws_rows(
 
 
 def test_masses_count_the_links_own_once() -> None:
-    """33/140 of a uniform cantilever's mass moves with its tip (Rayleigh)."""
+    """33/140 of the mass of a uniform cantilever counts at its tip (Rayleigh)."""
     heavy = replace(RIG, link=replace(RIG.link, mass=0.014))
     known = replace(MODEL, payload=0.03)
     own = 33 / 140 * 0.014
@@ -79,7 +79,9 @@ def test_masses_count_the_links_own_once() -> None:
 
 
 def test_the_feed_forward_is_what_the_reference_lacks() -> None:
-    """(1/G − 1)/s² = s^(λ − 2)/ω₀² to 0.3 dB and 1.5° from a fifth of the resonance on."""
+    """(1/G − 1)/s² = s^(λ − 2)/ω₀² to within 0.3 dB and 1.5° from a fifth of the
+    resonance on.
+    """
     link = replace(MODEL, payload=0.03)
     fit = forward_fit(link, 0.004)
     w = np.geomspace(0.2 * abs(link.pole), 200.0, 200)

@@ -24,8 +24,8 @@ GEARED = fl.Rig.named("paper-2023-geared")
 
 
 def moving(count: int = 600) -> NDArray[np.float64]:
-    """Reference, acceleration, motor angle and torque of a move that is small enough
-    for no limit to act.
+    """Reference, acceleration, motor angle and torque of a move so small that no limit
+    acts.
     """
     time = PERIOD * np.arange(count)
     move = fl.smooth_step(0.1, 1.0, 0.2)
@@ -53,7 +53,7 @@ def forward(made: Law, acceleration: NDArray[np.float64]) -> NDArray[np.float64]
 
 def expected(made: Law, reference: NDArray[np.float64]) -> NDArray[np.float64]:
     """The reference model from its definition H/(z − 1 + H), H = now + next/(z − keep),
-    at rest before.
+    initially at rest.
     """
     t = made.tracking
     assert t is not None
@@ -143,8 +143,8 @@ def test_a_payload_that_flickers_does_no_more_than_its_slew_limit(
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_payload_that_comes_or_goes_leaves_no_trace(precision: str) -> None:
-    """Once everything rests, the error of a law that was given a payload is that of one
-    that never was.
+    """Once everything is at rest, the error of a law that was given a payload equals
+    that of one that was not.
     """
     made = law(precision)
     rows = np.zeros((5, 900))
@@ -160,8 +160,8 @@ def test_a_payload_that_comes_or_goes_leaves_no_trace(precision: str) -> None:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_damaged_memory_of_the_payload_is_healed(precision: str) -> None:
-    """Every bit of the state flipped in turn: outputs stay in their limits, and agree
-    again after 0.4 s.
+    """Every bit of the state is flipped in turn: outputs stay within their limits, and
+    agree again after 0.4 s.
     """
     made = law(precision)
     rows = np.zeros((5, 400))
@@ -208,8 +208,8 @@ def test_the_reference_model_is_the_sampled_motor_loop(
 
 @pytest.mark.slow
 def test_every_payload_settles_in_half_a_second() -> None:
-    """The figure of issue 16 on the twin of the geared rig, one seed: 2 % within 0.48
-    s, residual 15 mrad.
+    """The requirement of issue 16 on the twin of the geared rig, with one seed: 2 %
+    within 0.48 s, residual 15 mrad.
     """
     assert GEARED.model is not None
     design = fl.design(
@@ -232,8 +232,8 @@ def test_every_payload_settles_in_half_a_second() -> None:
 
 @pytest.mark.slow
 def test_a_wrong_payload_is_no_worse_than_the_same_error_without_one() -> None:
-    """At 28.6 g a law for 30 g errs by 5 %; one that is told 5 % too much errs so, too,
-    and is the faster.
+    """At 28.6 g a law for 30 g has an error of 5 %; a law that is given a payload 5 %
+    too large has the same error, and is faster.
     """
     assert GEARED.model is not None
     request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.02}
@@ -252,9 +252,7 @@ def test_a_wrong_payload_is_no_worse_than_the_same_error_without_one() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("delay", "gain"), [(0.006, 1.2), (0.0, 1.4)])
 def test_a_late_gauge_and_its_gain_are_counted_on(delay: float, gain: float) -> None:
-    """A gauge that is known to be late, or to have a gain, costs a given payload
-    nothing.
-    """
+    """A gauge with a known delay or gain does not impair the effect of a given payload."""
     assert GEARED.model is not None
     model = replace(GEARED.model, gauge_delay=delay, gauge_gain=gain)
     rig = replace(GEARED, model=model)

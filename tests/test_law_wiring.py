@@ -44,7 +44,9 @@ def log(
 
 
 def angle_in(made: fl.Law, duration: float) -> float:
-    """The angle that decides in `duration` [s]: the sum of squared steps is the same."""
+    """The angle needed for a decision in `duration` [s]: the sum of squared steps is
+    the same.
+    """
     return made.wiring_angle * float(np.sqrt(duration / made.wiring_time))
 
 

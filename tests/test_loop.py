@@ -34,7 +34,7 @@ CONTROLLER = Controller(
 
 
 def link_response(link: LinkModel, s: complex) -> complex:
-    """B of the link and its gauge, by its definition."""
+    """B of the link and its gauge, from its definition."""
     drag = link.damping * s**link.damping_order
     torque = s**link.order / (s**link.order + drag + link.natural_frequency**2)
     if link.second_mode is not None:
@@ -130,7 +130,7 @@ def test_a_model_without_a_payload_gets_the_rigs_nominal_one() -> None:
 
 
 def dense(loop: Loop, w: NDArray[np.float64], w0: float) -> NDArray[np.complex128]:
-    """L on a dense grid, a part at a time: 100 MB less."""
+    """L on a dense grid, one part at a time, which saves 100 MB."""
     return np.concatenate([loop(part, w0) for part in np.array_split(w, 20)])
 
 
@@ -160,8 +160,8 @@ def test_crossings_are_all_of_a_dense_scan(name: str) -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.03])
 def test_crossings_about_a_sharp_second_mode_are_not_lost(delay: float) -> None:
-    """ζ = 0.001: |L| is above one over a thousandth of the frequency, far between two
-    points of G's grid.
+    """ζ = 0.001: |L| is above one over a thousandth of the frequency, much less than
+    the spacing of G's grid.
     """
     link = replace(PLAIN, gauge_delay=delay, second_mode=SecondMode(150.0, 0.01, 0.001))
     loop = Loop.of(CONTROLLER, link, RIG)
@@ -174,8 +174,8 @@ def test_crossings_about_a_sharp_second_mode_are_not_lost(delay: float) -> None:
 
 
 def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
-    """With 21 and 22 times the gain: the nearest passage of −1 lies between, on a dense
-    Nyquist curve.
+    """With 21 and 22 times the gain: the closest approach to −1 is between them, on a
+    dense Nyquist curve.
     """
     loop = Loop.of(CONTROLLER, PLAIN, RIG)
     w = np.geomspace(1e-3, math.pi / 0.004, 200_000)
@@ -352,8 +352,8 @@ def test_a_box_is_at_least_as_wide_as_the_rigs_tolerances() -> None:
 
 
 def test_a_box_ends_where_a_link_would_be_none() -> None:
-    """Without damping λ = 2 never rests, and λ <= 1 has no vibration: half way to
-    either at most.
+    """Without damping λ = 2 never comes to rest, and λ <= 1 has no vibration: the box
+    extends at most half way to either.
     """
     stiff = ParameterBox.of(replace(PLAIN, order=1.98), RIG)
     assert stiff.order == pytest.approx((1.95, 1.99))

@@ -17,7 +17,7 @@ import fracsys
 
 
 def series(z: complex, alpha: float, beta: float) -> complex:
-    """Σ z^k/Γ(αk + β) with digits for the largest term."""
+    """Σ z^k/Γ(αk + β) with enough digits for the largest term."""
     size = abs(z) ** (1 / alpha)
     with mpmath.workdps(int(40 + 0.9 * size)):
         a, b, x = mpmath.mpf(alpha), mpmath.mpf(beta), mpmath.mpc(z)

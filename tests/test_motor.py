@@ -130,7 +130,7 @@ def test_a_held_motor_is_the_integral_of_its_speed() -> None:
 
 
 def test_closed_poles_are_the_roots_of_the_loop_written_in_z() -> None:
-    """1 + (Cm1 + Cm2) z^(−d) P = 0, asked of every eigenvalue of the state matrix."""
+    """1 + (Cm1 + Cm2) z^(−d) P = 0 is checked for every eigenvalue of the state matrix."""
     rig = fl.Rig.named("paper-2023")
     for motor in (rig.motor, SimpleNamespace(gain=3000.0, decay=0.0)):
         for delay in (0, 1, 3):

@@ -19,7 +19,7 @@ RIG = fl.Rig.named("paper-2023")
 
 @pytest.fixture(scope="module")
 def results() -> dict[str, Any]:
-    """One result of every class that a notebook shows."""
+    """One result of every class that a notebook can display."""
     log = fl.read_log(fl.bundled_log("pulse_30g"), rig=RIG)
     comparison = fl.compare_structures(log, details=False)
     design = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50))

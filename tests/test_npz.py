@@ -30,7 +30,7 @@ ABOUT = {"payload": 0.03, "names": ["x", "ü"]}
 
 
 def read_npz(path: Path, kind: str) -> tuple[dict[str, object], dict[str, np.ndarray]]:
-    """What stands in a file of this kind: its envelope and its arrays."""
+    """The contents of a file of this kind: its envelope and its arrays."""
     return read_json(path, kind), read_archive(path, f"a {kind} file")[1]
 
 

@@ -33,7 +33,7 @@ def design() -> fl.Design:
 
 
 class Changed(Law):
-    """A law whose block was changed after it was made."""
+    """A law whose block was modified after it was made."""
 
     change: Callable[[dict[str, Any]], None]
 
@@ -124,7 +124,9 @@ def test_a_loop_that_comes_too_close_does_not_pass(design: fl.Design) -> None:
 def test_a_loop_placed_with_its_delay_makes_ordinary_moves(
     pole: float, samples: int, duration: float
 ) -> None:
-    """Its lag is several times that of M(s), which the guard's model has to know."""
+    """Its lag is several times that of M(s), which the model of the guard must take
+    into account.
+    """
     loop = fl.MotorLoop(pole, samples, "sampled", "direct")
     controller = fl.Controller(
         derivative_gain=0.02, derivative_order=0.6, link=RIG.model, motor_loop=loop

@@ -33,7 +33,7 @@ LINK = 100 / (s**1.92 + 100)
 
 
 def angle(value: complex) -> float:
-    """arg(−value) in degrees: the phase margin at that point of the curve."""
+    """arg(−value) in degrees: the phase margin at this point of the curve."""
     return float(np.degrees(np.angle(-value)))
 
 
@@ -54,7 +54,7 @@ def angle(value: complex) -> float:
 def test_margins_are_met(
     plant: FractionalTransferFunction, crossover: float, margin: float, form: Any
 ) -> None:
-    """By the formula of C itself and a dense grid, with no part of the package's
+    """Checked by the formula of C itself and a dense grid, without the package's
     margins.
     """
     made = fl.tune_pid(
@@ -104,7 +104,7 @@ def test_itae_is_that_of_the_exact_response(plant: FractionalTransferFunction) -
 
 @pytest.mark.slow
 def test_itae_cannot_be_lowered_by_other_orders() -> None:
-    """The orders of least ITAE: 60 other pairs that are given, with the same margins."""
+    """The orders of least ITAE against 60 other given pairs with the same margins."""
     made = fl.tune_pid(G1, gain_crossover=2.0, phase_margin=fl.deg(60))
     tried = 0
     for lam in np.linspace(0.5, 1.5, 6):
@@ -221,8 +221,8 @@ def test_a_pd_says_what_it_leaves() -> None:
 
 @pytest.mark.slow
 def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
-    """At 0.33 s the continuous loop has its 60° and the sampled one rises to one again,
-    15° from −1.
+    """At 0.33 s the continuous loop has its 60°, but the sampled one rises to one
+    again, 15° from −1.
     """
     plant = 1 / (0.4 * s**1.5 + 1)
     assert not fl.tune_pid(plant, gain_crossover=2.0, period=0.1).findings
@@ -266,8 +266,8 @@ LAW = {"output_limit": 10.0, "measurement_limit": 2.0}
 
 
 def own_filter(law: fl.Law, error: Real, limit: float = math.inf) -> Real:
-    """u of the law's coefficients, by sums of its own: modes, Tustin's integral, limit
-    and anti-windup.
+    """u from the coefficients of the law, computed by separate sums: modes, Tustin's
+    integral, limit and anti-windup.
     """
     c, loop = law.correction, law.motor_loop.pid  # type: ignore[union-attr]
     poles = np.array([*c.poles, *c.pair_poles], dtype=complex)
@@ -328,7 +328,7 @@ def test_law_follows_the_controller(controller: fl.extend.FractionalPid) -> None
 
 @pytest.mark.slow
 def test_a_lasting_error_is_always_removed() -> None:
-    """λ = 0.5: what the exact integral leaves dies away as t^(-0.5); here it goes
+    """λ = 0.5: the error left by the exact integral decays as t^(-0.5); here it decays
     exponentially.
     """
     plant = 1 / (0.05 * s + 1)

@@ -100,8 +100,8 @@ def made() -> fl.extend.PidTuning:
 
 
 def test_a_step_is_the_closed_loops(made: fl.extend.PidTuning) -> None:
-    """The plant's own delay is inverted numerically; here one without: C = k on 1/(s +
-    1).
+    """A delay of the plant itself is inverted numerically; here is one without: C = k
+    on 1/(s + 1).
     """
     bare = replace(made, period=None, gain_crossover=None, horizon=2.0)
     plain = replace(bare, plant=1 / (s + 1), controller=fl.extend.FractionalPid(3.0))

@@ -207,7 +207,7 @@ def test_bands_up_to_the_nyquist_frequency_and_orders_at_their_bounds() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 def test_sections_in_series_are_the_product_of_their_roots(count: int) -> None:
-    """Real roots and pairs, odd and even in number, fewer zeros than poles."""
+    """Real roots and pairs, odd and even in number, with fewer zeros than poles."""
     rng = np.random.default_rng(count)
     for pairs in range(count // 2 + 1):
         poles = np.concatenate(

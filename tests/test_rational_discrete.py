@@ -85,8 +85,8 @@ def test_the_lowest_sufficient_order_is_chosen(slow_filter: DiscreteRational) ->
 
 
 def test_no_filter() -> None:
-    """Ĉ = k s^β itself: met to 200 rad/s; to 0.8 of the Nyquist frequency only as far
-    as causality allows.
+    """Ĉ = k s^β itself: approximated up to 200 rad/s; up to 0.8 of the Nyquist
+    frequency only as far as causality allows.
     """
     bare = lambda w: 0.06988 * (1j * w) ** 0.6122  # noqa: E731
     low = fit_discrete(
@@ -136,7 +136,7 @@ def test_poles_are_stable_and_apart(
 
 
 def test_an_exact_rational_is_found_again() -> None:
-    """A response that is of the structure itself is met to rounding."""
+    """A response with the structure of the fit is approximated to rounding."""
     p, q = np.array([0.995, 0.6]), 0.9 * np.exp(0.2j)
 
     def exact(w: Array) -> Any:

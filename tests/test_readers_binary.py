@@ -310,8 +310,8 @@ def test_columns_are_called_as_their_program_calls_them(
 
 @pytest.mark.slow
 def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
-    """As ASCII escapes the list of columns was 2 MB, over the parent's limit: it waited
-    60 s for nothing.
+    """With ASCII escapes the list of columns took 2 MB and exceeded the limit of the
+    parent process, which then waited 60 s.
     """
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "n.h5", "w") as file:
@@ -321,7 +321,7 @@ def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
 
 
 def test_a_bag_is_as_large_as_its_files_together(tmp_path: Path) -> None:
-    """Two files of 130 MB each, written as holes: none is too large by itself."""
+    """Two sparse files of 130 MB each: neither is too large by itself."""
     (tmp_path / "metadata.yaml").write_text(
         "rosbag2_bagfile_information: {}\n", "utf-8"
     )

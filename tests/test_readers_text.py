@@ -53,7 +53,7 @@ def test_every_separator_and_line_end_gives_the_same_numbers(
 
 
 def test_a_column_s_number_is_the_whole_number(tmp_path: Path) -> None:
-    """ "#12" is the twelfth, and "#123" none of twelve."""
+    """ "#12" is the twelfth column, and "#123" is none of twelve."""
     rows = [[*row, *["0"] * 9] for row in made_rows()]
     names = [f"c{k}" for k in range(1, 12)]
     path = write_log(tmp_path / "a.csv", rows, header=[*names, "#1"])

@@ -52,8 +52,8 @@ def law() -> Law:
 
 
 class Board:
-    """An arm that stands where it is told to, with a note of everything that was
-    written to it.
+    """An arm that stands where it is told to, and records everything that was written
+    to it.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class Board:
 def live(
     law: Law, board: Callback, reference: Reference | None = None, **options: object
 ) -> RealtimeRun:
-    """Run `law` on a clock of its own; by default to stay where the arm is."""
+    """Run `law` on a clock of its own; by default the arm is to stay where it is."""
     given = {"priority": 0, "lock_memory": False, "clock": VirtualClock(1)} | options
     return run_realtime(law, reference or fl.extend.hold(0.0), board, **given)  # type: ignore[arg-type]
 
@@ -248,8 +248,8 @@ ENDING = (
 
 @pytest.fixture(autouse=True)
 def ordinary_signals() -> Iterator[None]:
-    """Signals as a terminal gives them: a background job ignores some, and what is
-    ignored ends no run.
+    """Signal handlers as in a terminal: a background job ignores some signals, and an
+    ignored one does not end a run.
     """
     numbers = [signal.Signals[f"SIG{name}"] for name in ENDING]
     before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
@@ -314,8 +314,8 @@ def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(
 def test_no_signal_takes_the_record_away(
     law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: bool
 ) -> None:
-    """A second one, as a closed terminal sends, changes nothing; a first one waits for
-    the file.
+    """A second signal, as from a closed terminal, has no effect; a first one is
+    deferred until the file is written.
     """
     board, place = Board(), tmp_path / "run.npz"
 
@@ -404,7 +404,7 @@ def test_a_place_that_is_lost_in_the_run_has_a_second_one(
 
 
 def test_a_run_whose_last_periods_never_ran_does_not_pass(law: Law) -> None:
-    """The law is not called again behind them, and trips on nothing."""
+    """The law is not called after them, and so does not trip."""
     board, clock = Board(), VirtualClock(1)
 
     def asleep() -> tuple[float, float] | None:

@@ -67,7 +67,7 @@ class Board:
 
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Board:
-    """The board that every --io of `run-realtime` leads to, each run to a new visit."""
+    """The board used by every --io of `run-realtime`; each run is a new session."""
     made = Board()
     monkeypatch.setattr(
         boards, "connection_of", lambda *given: Callback(made.read, made.write)
@@ -115,7 +115,7 @@ def fraclink(
 
 @pytest.fixture
 def virtual(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop's clock is one on which this thread is alone."""
+    """The clock of the loop, which only this thread uses."""
     clock = _kernels.RealtimeClock
     monkeypatch.setattr(
         _kernels, "RealtimeClock", lambda threads: clock(max(threads, 1))
@@ -127,8 +127,8 @@ def virtual(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_moves(
     fraclink: Line, board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It says what it measured: 0 µs on the virtual clock, then three of 250 wake-ups a
-    period late.
+    """The measurement is reported: 0 µs on the virtual clock, then three of 250
+    wake-ups late by a period.
     """
     line = (
         "run-realtime design.json --io udp:127.0.0.1:5005 --amplitude 0 --duration 0.1"
@@ -303,8 +303,8 @@ def test_no_file_of_a_run_is_refused_only_when_it_is_over(
 def test_no_signal_takes_the_motion_of_a_served_arm_away(
     fraclink: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two of them, as a closed terminal sends: one that ends the serving, and one as it
-    is written.
+    """Two signals, as from a closed terminal: the first ends the serving, the second
+    arrives while the file is written.
     """
     line = f"serve-arm design.json --io udp:127.0.0.1:{free_port()} --duration 0.2"
     keep, serve = boards.saved, boards.lab.serve_arm
@@ -364,8 +364,9 @@ ARM = """
 def arm_process(
     threads: int, *more: str
 ) -> Iterator[tuple[subprocess.Popen[str], Any]]:
-    """Serve an arm in another process, which ends with the block whatever happens in
-    it.
+    """Serve an arm in another process, which always ends with the block. Yields it and
+    the clock on which `threads` take turns, the arm being one of them, so that none can
+    be late.
 
     Yields it and the clock that `threads` take turns on, the arm's being one of them:
     nobody can be late.

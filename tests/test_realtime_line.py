@@ -37,7 +37,7 @@ Sample = tuple[int, float, float]
 
 @dataclass
 class Clock:
-    """Time that passes while somebody sleeps."""
+    """Time that advances while a thread sleeps."""
 
     now: float = 100.0
     slept: list[float] = field(default_factory=list)
@@ -49,7 +49,7 @@ class Clock:
 
 @dataclass
 class Way:
-    """An arm whose samples are listed by the time from which each can be read."""
+    """An arm whose samples are listed with the times from which they can be read."""
 
     clock: Clock
     samples: list[tuple[float, Sample | None]]
@@ -119,8 +119,8 @@ def test_a_signal_ends_the_exchange_before_anything_is_sent() -> None:
 
 
 def test_signals_are_noted_and_given_back() -> None:
-    """Whatever would end or stop the process, as in `run_realtime`: an arm is tuned by
-    the same rules.
+    """All signals that would end or stop the process, as in `run_realtime`: the same
+    rules apply to tuning.
     """
     names = (
         "SIGINT",
@@ -191,7 +191,7 @@ STILL = Reading(0.0, 0.0, 1)
 
 @dataclass
 class Arm:
-    """A line whose next reading is the next of a list, or stays."""
+    """A link whose next reading is the next one in a list, or the last one again."""
 
     readings: list[Reading] = field(default_factory=list)
     period: float = PERIOD
@@ -242,8 +242,8 @@ def angles(*values: float) -> list[Reading]:
 def test_a_limit_is_kept_before_it_is_reached(
     readings: list[Reading], limit: str
 ) -> None:
-    """At 0.8 of angle and torque, at 0.95 of the speed; the angle is the one at which
-    the arm would rest.
+    """At 0.8 of angle and torque, and 0.95 of the speed; the angle is the one at which
+    the arm would come to rest.
     """
     arm = Arm(readings=[Reading(0.0, 9.0, 1)] * 2)
     guard = arm.guard()
@@ -262,8 +262,8 @@ def test_a_limit_is_kept_before_it_is_reached(
 
 
 def test_no_voltage_drives_the_motor_beyond_four_fifths_of_the_speed() -> None:
-    """K/J = 100 rad/(s²·V): a volt adds 1 rad/s a period; with a delay of two, what was
-    sent counts.
+    """K/J = 100 rad/(s²·V): one volt adds 1 rad/s per period; with a delay of two
+    periods, voltages already sent are taken into account.
     """
     arm = Arm(readings=angles(0.0, 0.0, 0.0, 0.0))
     guard = arm.guard(replace(LIMITS, angle=100.0))

@@ -76,8 +76,8 @@ def free_port() -> int:
 
 
 class Serving:
-    """An arm in a thread of its own, and the clock that it shares with the thread of
-    the test.
+    """An arm in a separate thread, and the clock that it shares with the thread of the
+    test.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Serving:
 
     @property
     def arm(self) -> ServedArm:
-        """What happened there, once the block has ended."""
+        """The result of the arm, once the block has ended."""
         return self.results[0]
 
     def control(
@@ -123,7 +123,9 @@ class Serving:
 
 
 class Peer(socket.socket):
-    """A controller in Python: what it sends, the arm takes at its next period."""
+    """A controller in Python: whatever it sends is received by the arm in its next
+    period.
+    """
 
     def __init__(self, serving: Serving) -> None:
         super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
@@ -144,7 +146,7 @@ class Peer(socket.socket):
         mode: int = 1,
         run: int | None = None,
     ) -> bytes:
-        """Send a command, and wait for a period and a bit."""
+        """Send a command, and wait for slightly more than a period."""
         sent = message(
             2, sequence, 0.0, voltage, mode, self.run if run is None else run
         )
@@ -153,15 +155,15 @@ class Peer(socket.socket):
         return sent
 
     def pass_on(self, sent: bytes, periods: float = 1.1) -> None:
-        """Send bytes as they are."""
+        """Send bytes unchanged."""
         # caused by the previous message, sent before the arm existed
         with contextlib.suppress(ConnectionRefusedError):
             self.sendto(sent, self.address)
         self.clock.sleep(periods * PERIOD)
 
     def greet(self) -> bytes:
-        """Knock until the arm answers; return its first sample and take the number of
-        the run from it.
+        """Send requests until the arm replies; return its first sample and adopt the
+        number of the run.
         """
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             while self.recv(100):  # samples of the previous run
@@ -234,8 +236,8 @@ def test_a_controller_that_dies_is_replaced_by_the_watchdog(twin: Twin) -> None:
 
 
 def test_no_command_of_a_run_that_is_over_moves_the_arm(twin: Twin) -> None:
-    """Late or recorded, from the controller's own address, and however its number
-    stands.
+    """Late or recorded commands, from the address of the controller itself, with any
+    sequence number.
     """
     way = Udp("127.0.0.1", free_port())
     with Serving(twin, way, duration=4.0, once=False) as serving, Peer(serving) as peer:
@@ -306,7 +308,9 @@ def test_the_bytes_on_the_wire_are_the_documented_ones(twin: Twin) -> None:
 
 
 def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) -> None:
-    """Every message that must be dropped would drive the arm with 5 V if it were heard."""
+    """Every message that must be dropped would drive the arm with 5 V if it were
+    accepted.
+    """
     way = Udp("127.0.0.1", free_port())
     with (
         Serving(twin, way, duration=30.0) as serving,
@@ -454,8 +458,8 @@ def test_nobody_there_and_somebody_there_already(
 
 
 def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
-    """An address kept for documentation, which is nobody's; and every address of this
-    machine at once.
+    """An address reserved for documentation, which belongs to nobody, and all addresses
+    of this machine at once.
     """
     for host in ("203.0.113.7", "0.0.0.0", "::"):  # noqa: S104
         for call in (

@@ -22,7 +22,7 @@ SWING = 0.3 + 0.1 * np.cos(6.0 * TIME) * np.exp(-0.5 * TIME)
 
 
 def test_a_ring_down_is_the_step_of_the_force_that_is_taken_away() -> None:
-    """A record that begins at its widest swing: y(0) − y(t), and at once."""
+    """A record that begins at the maximum deflection: y(0) − y(t), without a delay."""
     made = Recording.ring_down(T, SWING, source="a.csv", sha256="ab")
     assert made.period == T and (made.source, made.sha256) == ("a.csv", "ab")
     assert made.input.tolist() == [1.0] * 1000 and made.input_at_rest == 0.0
@@ -132,7 +132,9 @@ def test_columns_of_other_lengths_are_named(name: str) -> None:
 
 
 def test_a_lines_weight_is_one_over_its_spread() -> None:
-    """√((1 − γ²)/γ²)|H| is the spread of a line, but for the number of averages."""
+    """√((1 − γ²)/γ²)|H| is the standard deviation of a line, apart from the number of
+    averages.
+    """
     weights = coherence_weights(np.array([2.0, 4j, 1.0]), np.array([0.5, 0.8, 1.0]))
     assert weights == pytest.approx([0.5, 2.0 / 4.0, 1e3], rel=1e-6)
     with pytest.raises(FieldError, match="zero at a line"):

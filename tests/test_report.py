@@ -74,8 +74,8 @@ RIG = Rig.named("paper-2023")
 
 
 class Elements(HTMLParser):
-    """Counts start tags with the names of their attributes, and keeps what they refer
-    to.
+    """Counts start tags with the names of their attributes, and stores their
+    references.
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ def parsed(text: str) -> Elements:
 
 
 def study(text: str, *, design: bool = False) -> Study:
-    """A study whose every text from outside is `text`."""
+    """A study in which every text from outside is `text`."""
     time = np.arange(400) * 0.004
     log = Experiment(
         period=0.004,
@@ -125,7 +125,7 @@ def study(text: str, *, design: bool = False) -> Study:
 
 
 def faults(text: str) -> FaultTable:
-    """A campaign with a fault that is met and one that is not."""
+    """A campaign with a fault that passes and one that does not."""
     checks = (Check("peak", 1.0, 1.1, passed=True), Check(text, 1.3, 1.1, passed=False))
     cases = (Case("F09", 1, 0.02, "mid", 1), Case("F11", 2, 0.03, "start", 1))
     outcomes = tuple(

@@ -70,8 +70,9 @@ def test_our_values_are_the_checked_ones(name: str, value: float, places: int) -
 
 @pytest.mark.slow
 def test_what_the_procedure_leaves_out_costs_what_was_checked() -> None:
-    """By hand-written scripts, from the printed inputs: 70° becomes 63° and 27.6°; the
-    redesign keeps 48.8°.
+    """Checked by separate scripts from the printed inputs: 70° becomes 63° and 27.6°;
+    the redesign keeps 48.8°. Those scripts simulated the paper's own sums, which add a
+    lag; the exact controller keeps the required 50°.
 
     Those scripts simulated the paper's own sums, which lag; the exact controller keeps
     the 50° asked for.
@@ -132,8 +133,8 @@ def test_every_statement_is_judged_by_its_measurement(item: Claim) -> None:
 
 
 def test_margins_of_every_reading_are_the_checked_ones() -> None:
-    """By a hand-written script: LM_M and LM'_M of the printed gains, and of the
-    procedure's with a filter.
+    """Checked by a separate script: LM_M and LM'_M with the printed gains, and with
+    those of the procedure and a filter.
     """
     plain, rescaled, own = (curves(designs.readings()[i]) for i in (1, 2, 4))
     for item, grams, known in (

@@ -80,7 +80,7 @@ def test_triple_complex_pole() -> None:
 
 
 def test_servo_and_link_a_double_pole_on_the_cut() -> None:
-    """LinkModel's plant behind its servo: double pole at -80, on the branch cut of
+    """The plant of LinkModel with its servo: a double pole at −80, on the branch cut of
     s^1.92.
     """
     plant = LINK / (1 + s / 80) ** 2
@@ -116,7 +116,9 @@ def test_undamped_double_resonance() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("detuning", [0.0, 1e-9, 1e-6, 1e-4, 1e-2])
 def test_merging_resonances_are_continuous(detuning: float) -> None:
-    """Two links in series, equal and nearly equal: Talbot's inversion knows no poles."""
+    """Two links in series, equal and nearly equal: Talbot's inversion does not use the
+    poles.
+    """
     pair = (
         LINK
         * (1 + detuning) ** 2
@@ -161,7 +163,9 @@ def test_simple_pole_on_the_cut() -> None:
 
 
 def held_exactly(u: np.ndarray, delay: float, rate: float, hold: str) -> np.ndarray:
-    """Response of e^(-τs) a/(s+a) to a held input, superposed from steps and ramps."""
+    """Response of e^(-τs) a/(s+a) to a held input, as a superposition of steps and
+    ramps.
+    """
     t = np.arange(len(u)) * T - delay
 
     def step(x: np.ndarray) -> np.ndarray:
@@ -195,8 +199,8 @@ def test_holds_and_delays(hold: str, delay: float) -> None:
 def test_integrators_of_held_inputs_seen_between_samples(
     hold: str, delay: float
 ) -> None:
-    """2/s + 3/s²: the sums of held values, of their slopes, and what a jump at 0 adds,
-    late by any time.
+    """2/s + 3/s²: the sums of held values and of their slopes, and the contribution of
+    a jump at 0, with any delay.
     """
     u = RNG.normal(size=60)
     t = np.arange(60) * T - delay
@@ -235,7 +239,7 @@ def test_delay_of_whole_samples_shifts() -> None:
 
 @pytest.mark.parametrize("order", [1.01, 1.37, 1.92, 2.0])
 def test_homothety(order: float) -> None:
-    """The response of ω₀²/(s^λ + ω₀²) depends on t ω₀^(2/λ) only (Lemma 1 of the source
+    """The response of ω₀²/(s^λ + ω₀²) depends only on t ω₀^(2/λ) (Lemma 1 of the source
     paper).
     """
     t = np.linspace(0.01, 3.0, 50)
@@ -254,7 +258,7 @@ def test_impulse_responses_at_the_origin() -> None:
 
 
 def test_link_models_of_every_structure() -> None:
-    """tip + torque/c = motor angle at every sample, whatever the structure."""
+    """tip + torque/c = motor angle at every sample, for every structure."""
     for model in (
         LinkModel(1.56, 11.54),
         LinkModel(1.56, 11.54, order=1.92),
@@ -270,8 +274,8 @@ def test_link_models_of_every_structure() -> None:
 
 
 def test_a_contour_per_lag_where_modes_would_cancel() -> None:
-    """s^-2.9/(1 + 0.035 s^-0.2): its pole at 0.035^5 rad/s is far slower than the 30 ms
-    asked for.
+    """s^-2.9/(1 + 0.035 s^-0.2): its pole at 0.035^5 rad/s is far slower than the
+    requested 30 ms.
     """
     system = 1 / (s**2.9 + 0.0350585 * s**2.7)
     result = time_response(system, np.ones(10), 0.003)
@@ -290,7 +294,7 @@ def test_a_contour_per_lag_where_modes_would_cancel() -> None:
 
 
 def delayed_integrator(gain: float) -> FractionalTransferFunction:
-    """1/(s + gain e^-s), whose step response the method of steps gives in closed form."""
+    """1/(s + gain e^-s), whose step response has a closed form by the method of steps."""
     return (1 / s).feedback((gain + 0 * s).delayed(1.0))
 
 
@@ -307,8 +311,8 @@ def method_of_steps(t: np.ndarray, gain: float, power: int) -> np.ndarray:
 
 @pytest.mark.parametrize("gain", [0.5, 1.5, 2.0])
 def test_delay_in_the_denominator(gain: float) -> None:
-    """Delayed feedback, stable and unstable (gain > π/2): numerical inversion, with an
-    honest estimate.
+    """Delayed feedback, stable and unstable (gain > π/2): numerical inversion, with a
+    reliable estimate.
     """
     result = step_response(delayed_integrator(gain), 10.0, 0.01)
     exact = method_of_steps(result.time, gain, 1)
@@ -353,8 +357,8 @@ def test_inversion_where_poles_are_not_certified(
 
 
 def test_a_sample_on_the_jump_counts_as_after_it() -> None:
-    """0.3 is 2.9999999999999996 periods of 0.1 s: still four samples, and the last one
-    has jumped.
+    """0.3 is 2.9999999999999996 periods of 0.1 s: this still gives four samples, the
+    last one after the jump.
     """
     late = step_response((0 * s + 2).delayed(0.3), 0.3, 0.1)
     assert late.output.tolist() == [0.0, 0.0, 0.0, 2.0]
@@ -455,8 +459,8 @@ def test_a_run_goes_on_from_the_state_in_which_another_ended() -> None:
 
 
 def test_modes_that_a_board_runs() -> None:
-    """A pair for the resonance, exponentials in even steps above 1/span, and ten for
-    all that is slower.
+    """A pair for the resonance, exponentials with evenly spaced logarithms of their
+    rates above 1/span, and ten for all slower rates.
     """
     modes = discrete_modes(LINK, T, span=100.0)
     rates = -modes.log_decays / T

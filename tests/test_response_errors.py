@@ -66,7 +66,7 @@ def inverse(G: FractionalTransferFunction, time: float, degree: int) -> float:
 def worst(
     found: TimeResponse, G: FractionalTransferFunction, degree: int, places: np.ndarray
 ) -> float:
-    """Largest true error at some of the times."""
+    """Largest true error at a selection of the times."""
     return max(
         abs(found.output[k] - inverse(G, float(found.time[k]), degree)) for k in places
     )
@@ -98,8 +98,8 @@ def test_contours_keep_their_digits_where_residues_cancel(
 
 
 def random_system(generator: np.random.Generator) -> FractionalTransferFunction:
-    """A product of 1/(s^a + c), stable for a < 2, with a sum above and at times a
-    singular power.
+    """A product of 1/(s^a + c), stable for a < 2, with a sum in the numerator and
+    sometimes a singular power.
     """
     G = (
         float(generator.choice([-1.0, 1.0])) * math.exp(generator.uniform(-2, 2))
@@ -134,8 +134,8 @@ def test_true_errors_stay_within_their_estimates(
 
 
 def test_the_first_samples_of_a_linear_hold_keep_their_digits() -> None:
-    """The output begins like t^1.1: 1e-6 after 28 samples, beside modes with weights of
-    order one.
+    """The output begins like t^1.1: it is 1e-6 after 28 samples, while modes have
+    weights of order one.
     """
     G = 0.0158 / (s**1.1027 + 0.0158)
     found = time_response(G, np.ones(28), 1e-5, hold="first")
@@ -148,8 +148,8 @@ def test_the_first_samples_of_a_linear_hold_keep_their_digits() -> None:
 def test_the_estimate_of_a_retarded_loop_is_near_its_error(
     gain: float, delay: float, hold: str
 ) -> None:
-    """ẏ = k (u − y) a delay later, whose step response is a polynomial between
-    multiples of the delay.
+    """ẏ = k (u − y) with a delay; its step response is a polynomial between multiples
+    of the delay.
     """
     loop = (gain / s).delayed(delay).feedback()
     count, period = 400, 0.02

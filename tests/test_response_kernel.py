@@ -57,8 +57,8 @@ def test_against_the_loop(reals: int, pairs: int) -> None:
 
 
 def test_slow_modes_keep_their_digits_over_a_million_samples() -> None:
-    """The free decay of e^(-k·1e-6): d^k from repeated products alone would be off by
-    1e-11.
+    """The free decay of e^(-k·1e-6): d^k by repeated multiplication alone would be
+    wrong by 1e-11.
     """
     rate, count = 1.2345678e-6, 1_000_000
     modes = {

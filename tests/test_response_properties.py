@@ -25,8 +25,8 @@ factors = st.builds(lambda a, c: (a, c), orders, st.floats(-3, 6).map(math.exp))
 
 @st.composite
 def stable_systems(draw: st.DrawFn) -> FractionalTransferFunction:
-    """Products of 1/(s^a + c), a < 2, c > 0 (stable for any such a), behind a sum of
-    lower powers.
+    """Products of 1/(s^a + c), a < 2, c > 0 (stable for any such a), with a sum of
+    lower powers in the numerator.
     """
     G = draw(st.floats(-2, 2).filter(lambda g: abs(g) > 0.01)) + 0 * s
     for order, constant in draw(st.lists(factors, min_size=1, max_size=3)):

@@ -146,7 +146,7 @@ def test_basset() -> None:
 
 
 def talbot(G: FractionalTransferFunction, t: float, digits: int = 30) -> float:
-    """Step response by mpmath's Talbot inversion, which knows neither poles nor cut."""
+    """Step response by mpmath's Talbot inversion, which uses neither poles nor cut."""
     with mp.workdps(digits):
 
         def total(terms: tuple, z: mp.mpc) -> mp.mpc:  # type: ignore[type-arg]

@@ -22,7 +22,7 @@ PI = math.pi
 
 
 def polished(coefficients: list[float], orders: list[float], z: complex) -> complex:
-    """The zero next to z in 40 digits."""
+    """The zero closest to z, to 40 digits."""
     with mpmath.workdps(40):
         a = [mpmath.mpf(c) for c in coefficients]
         nu = [mpmath.mpf(o) for o in orders]
@@ -192,8 +192,8 @@ def test_homothety(power: float, scale: float) -> None:
 
 
 def test_conjugate_pair_close_to_the_axis_is_resolved() -> None:
-    """A double real zero split by 1e-9 goes into the right half plane's count and not
-    to the axis.
+    """A double real zero split by 1e-9 is counted in the right half plane and not on
+    the axis.
     """
     z = log_zeros([1.0, -2.0, 1.0 + 1e-10], [2, 1, 0], angle=PI)
     assert len(z) == 1

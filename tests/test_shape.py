@@ -52,7 +52,9 @@ def known(design: fl.Design) -> ShapedMove:
 
 
 def other_arms(payload: float) -> list[Twin]:
-    """Arms at a payload that differ in λ by 0.03, and a viscous one as well damped."""
+    """Arms with the same payload whose λ differs by 0.03, and a viscous one with equal
+    damping.
+    """
     viscous = replace(
         RIG.model,
         order=2.0,
@@ -114,7 +116,7 @@ def test_more_time_than_the_shortest_makes_a_gentler_move(design: fl.Design) -> 
 
 @pytest.mark.slow
 def test_of_all_moves_that_settle_as_soon_none_is_gentler(design: fl.Design) -> None:
-    """Scaled down, a smooth step of the same settling time accelerates harder."""
+    """A smooth step with the same settling time has a larger acceleration."""
     move = fl.shape(
         design, 1.0, payloads=KNOWN, told=True, settle=0.6, over="model"
     ).reference
@@ -145,7 +147,7 @@ def test_a_known_payload_moves_twice_as_fast(known: ShapedMove) -> None:
 
 @pytest.mark.slow
 def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> None:
-    """An arm that is 15 % slower than stiffness and length say, as identified, with a
+    """An identified arm that is 15 % slower than stiffness and length imply, with a
     second mode.
     """
     slow = replace(

@@ -24,7 +24,7 @@ Signals = dict[str, NDArray[np.float64]]
 
 @pytest.fixture(scope="module")
 def motion() -> Signals:
-    """Motor angle and deflection of a link that is not one of the bundled rigs."""
+    """Motor angle and deflection of a link that does not belong to a bundled rig."""
     time = np.asarray(PERIOD * np.arange(COUNT), dtype=np.float64)
     angle = fl.prbs(0.4, 0.24, bits=45, register=9, start=0.3).angle(time)
     angle = np.convolve(angle, np.ones(20) / 20, "same")
@@ -51,8 +51,8 @@ NOISE = np.random.default_rng(3).standard_normal((2, COUNT))
 
 
 def cases(m: Signals) -> dict[str, tuple[Signals, tuple[str, ...], float]]:
-    """Columns of the file, what is said of them, and the gain that a right reading
-    gives.
+    """Columns of the file, the statements about them, and the gain of a correct
+    reading.
     """
     angle, bent = m["angle"], m["deflection"]
     degrees = np.degrees(angle)
@@ -207,8 +207,8 @@ def test_a_column_of_that_name_comes_first(motion: Signals, tmp_path: Path) -> N
     ],
 )
 def test_no_suggestion_crosses_quantities(kind: str, unit: str, words: str) -> None:
-    """Metres were answered by "did you mean 'mrad'?", which is wrong by 1000 over the
-    link's length.
+    """Metres led to "did you mean 'mrad'?", which is wrong by a factor of 1000 over the
+    length of the link.
     """
     with pytest.raises(FieldError) as caught:
         LogColumns(

@@ -96,8 +96,8 @@ def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
 
 
 def test_friction_stops_the_motor_where_the_equation_says() -> None:
-    """A motor that is switched off coasts against Coulomb friction to v/B − (f/B²) ln(1 +
-    B v/f) farther, and stays.
+    """With the voltage off, a motor coasts against Coulomb friction by v/B − (f/B²)
+    ln(1 + B v/f), and stays there.
     """
     rig = replace(EXACT, motor=replace(EXACT.motor, coulomb_torque=0.006))
     decay, gain = rig.motor.decay, rig.motor.gain
@@ -198,9 +198,7 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.02, 0.04])
 def test_friction_is_compensated(payload: float) -> None:
-    """Without a filter: with one the 20 g arm keeps 0.11 of the
-    swing.
-    """
+    """Without a filter, because with one the 20 g arm keeps 0.11 of the vibration."""
     rough = replace(EXACT, motor=RIG.motor)
     design = fl.design(
         MODEL,
@@ -406,8 +404,8 @@ def test_sizes_and_periods_are_checked_first() -> None:
 
 
 def test_the_printed_controller_fails_within_four_seconds() -> None:
-    """Controller (58) at 30 g grows by 0.14 a second, also where its vibration is still
-    small.
+    """With controller (58) at 30 g the vibration grows by 0.14 a second, even while it
+    is still small.
     """
     printed = fl.Controller(
         derivative_gain=0.148,
@@ -462,8 +460,8 @@ def test_the_gauge_shows_the_torque_of_its_delay(delay: float) -> None:
 
 
 def test_a_delay_between_samples_is_a_delay_to_fourth_order() -> None:
-    """The phase of a vibration that lasts, between what was there and what the gauge
-    showed.
+    """The phase of a sustained vibration, between the true torque and the reading of
+    the gauge.
     """
     undamped = LinkModel(1.56, 11.0)
     idle = replace(

@@ -85,8 +85,8 @@ def test_a_vibration_is_unstable_where_it_grows_and_only_after_the_move() -> Non
 
 
 def test_a_vibration_that_grows_fails_while_it_is_still_within_the_band() -> None:
-    """Settled by its size and unstable by its growth: what the size alone calls fine
-    shakes itself apart.
+    """Settled by its size but unstable by its growth: a vibration that is still small
+    will become destructive.
     """
     tip = vibrating(0.004 * np.exp(0.2 * (TIME - ENDED)))
     assert measured(tip).settling_time < 1.5
@@ -102,7 +102,9 @@ def test_a_vibration_that_grows_fails_while_it_is_still_within_the_band() -> Non
 
 @pytest.mark.slow
 def test_a_vibration_that_noise_drives_does_not_grow() -> None:
-    """A resonance that noise rings has an envelope that wanders, up as often as down."""
+    """A resonance excited by noise has a fluctuating envelope, which rises as often as
+    it falls.
+    """
     pole = np.exp((-1.0 + 2j * math.pi / VIBRATION) * PERIOD)
     rng = np.random.default_rng(5)
     wrong = 0
@@ -149,8 +151,8 @@ def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_
 def test_a_voltage_at_its_limit_counts_once_the_reference_rests(
     ended: float, driven: float
 ) -> None:
-    """Of 601 periods the last tenth begins at 5.41 s: a reference that rests then is at
-    rest in all of it.
+    """The last tenth of 601 periods begins at 5.41 s: a reference that is at rest from
+    then on is at rest in all of it.
     """
     at_limit = np.arange(TIME.size) % 2 == 0
     block = replace(signals(REFERENCE, saturated=at_limit), ended=np.array([ended]))

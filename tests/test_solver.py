@@ -25,7 +25,7 @@ RANGE = (0.020, 0.040)
 
 
 def written_out(made: fl.Design, payload: float, w: np.ndarray) -> np.ndarray:
-    """L once more: Ĉ, motor loop, one and a half periods, and the link."""
+    """L written out again: Ĉ, motor loop, one and a half periods, and the link."""
     c, s, order = made.controller, 1j * w, MODEL.order
     stiff = made.natural_frequency(payload) ** 2
     value = (

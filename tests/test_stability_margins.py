@@ -29,7 +29,7 @@ def link_loop(
 def exact_crossings(
     order: float, gain: float = K, beta: float = BETA
 ) -> tuple[list[float], list[float]]:
-    """Frequencies and phase margins of the link loop's crossings in 30 digits."""
+    """Frequencies and phase margins of the crossovers of the link loop, to 30 digits."""
     with mpmath.workdps(30):
         k, b, a, w2 = (mpmath.mpf(v) for v in (gain, beta, order, W**2))
 
@@ -145,7 +145,7 @@ def test_delay_crossings_are_complete() -> None:
 
 def test_a_delay_in_a_loop_that_rolls_off_slowly() -> None:
     """10/√s with a delay is above −60 dB up to 1e8 rad/s: crossings are listed as far
-    as they can matter.
+    as they are relevant.
     """
     loop = (10 / s**0.5).delayed(0.1)
     found = margins(loop)
@@ -167,8 +167,8 @@ def test_more_delay_than_the_delay_margin_destabilises() -> None:
 
 @pytest.mark.slow
 def test_a_peak_just_above_one_is_not_missed() -> None:
-    """The two crossings beside a peak of 1 + 1e-9 lie 1e-5 apart, far between two
-    points of any grid.
+    """The two crossovers next to a peak of 1 + 1e-9 are 1e-5 apart, far less than the
+    spacing of any grid.
     """
     plain = link_loop(1.7, gain=1.0)
     x = np.linspace(math.log(5), math.log(30), 400_001)

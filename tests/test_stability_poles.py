@@ -153,7 +153,7 @@ def test_delayed_integrator_in_the_denominator() -> None:
 
 
 def rightmost_root(gain: float) -> float:
-    """Largest Re s of s + 1 + gain (s + 2) e^(-s) = 0, by Newton from a grid:
+    """Largest Re s of s + 1 + gain (s + 2) e^(-s) = 0, by Newton's method from a grid,
     independent of the counting.
     """
     re, im = np.meshgrid(np.linspace(-3.0, 1.5, 40), np.linspace(0.0, 60.0, 400))
@@ -278,7 +278,7 @@ def test_several_delays_and_orders_are_counted_as_their_roots() -> None:
 
 
 def test_a_neutral_loop_at_its_bound_and_below() -> None:
-    """(s + 1) + g s e^(−s): |g| = 1 has poles as near to the axis as one likes."""
+    """(s + 1) + g s e^(−s): for |g| = 1 there are poles arbitrarily close to the axis."""
     for gain, winding in ((0.999, 0), (-0.999, 0), (1.0, -1), (-1.0, -1), (1.5, -1)):
         assert is_stable(1 / (s + 1 + gain * s.delayed(1.0))).winding == winding
     assert "gain of 1 or more" in is_stable(1 / (s + 1 + s.delayed(1.0))).reason

@@ -39,7 +39,7 @@ DEG = 180 / math.pi
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """A log as a file: columns by header, how cells are separated, and what stands
+    """A log as a file: columns by header, the separator of the cells, and the lines
     before them.
     """
 
@@ -51,7 +51,7 @@ class Shape:
     digits: str = ".7g"
 
     def write(self, path: Path) -> Path:
-        """Write it."""
+        """Write the file."""
         rows = zip(*(values.tolist() for values in self.columns.values()), strict=True)
         cells = [[format(value, self.digits) for value in row] for row in rows]
         lines = [self.separator.join(row) for row in cells]
@@ -313,7 +313,7 @@ REFUSED: dict[str, tuple[Shape, str]] = {
 
 
 def guessed(shape: Shape, path: Path, column: tuple[str, ...] = ()) -> Match:
-    """What is guessed of a shape."""
+    """The interpretation of a shape."""
     return match(shape.write(path), column=column)
 
 
@@ -351,7 +351,7 @@ def test_a_log_that_is_not_clear_is_refused_with_what_mends_it(
 
 
 def certainty(found: Match, part: str) -> str:
-    """How certain the guess of that part is."""
+    """The certainty of one part of the interpretation."""
     return next(guess.certainty for guess in found.guesses if guess.part == part)
 
 
@@ -410,8 +410,8 @@ def test_a_clock_in_milliseconds_that_is_called_seconds_is_a_question(
 
 @pytest.fixture(scope="module")
 def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a log in ms, degrees and mN·m of the wrong sign, and what `start`
-    made of it.
+    """A folder with a log in ms, degrees and mN·m with reversed sign, and the result of
+    `start` for it.
     """
     folder = tmp_path_factory.mktemp("start")
     THROUGH["milliseconds, degrees, a turned sign in mN·m"][0].write(folder / "log.csv")

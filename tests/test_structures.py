@@ -133,8 +133,8 @@ def test_recording_without_a_start(expression: str, truth: dict[str, float]) -> 
 
 @pytest.mark.slow
 def test_the_link_structure_is_that_of_identify() -> None:
-    """Two engines, one answer: the compiled link kernel and exact responses of an
-    expression.
+    """Two methods with the same result: the compiled link kernel and exact responses of
+    an expression.
     """
     log = fl.read_log(fl.bundled_log("prbs_30g"))
     link = fl.identify(log, "UD-FOM")
@@ -184,8 +184,8 @@ def test_weighting_by_coherence() -> None:
 
 @pytest.mark.slow
 def test_intervals_cover() -> None:
-    """95 % intervals of three parameters in 40 noises: 114 of 120 expected, hardly ever
-    fewer than 104.
+    """95 % intervals of three parameters for 40 noise realisations: 114 of 120
+    expected, very rarely fewer than 104.
     """
     truth = {"k": 2.0, "T": 3.0, "a": 0.7}
     inside = 0
@@ -224,8 +224,8 @@ def test_fixed_values_bounds_and_start() -> None:
 
 
 def test_orders_of_exchangeable_terms_fall() -> None:
-    """In a2*s**n2 + a1*s**n1 the terms may change names; the text's order says which is
-    which.
+    """In a2*s**n2 + a1*s**n1 the terms are interchangeable; the order in the text
+    decides which is which.
     """
     data = lines(TWO_TERMS, TRUTH)
     for text in (TWO_TERMS, "1/(a1*s**n1 + a2*s**n2 + a0)"):
@@ -342,8 +342,8 @@ def test_a_band_that_misses_a_corner() -> None:
 def test_every_parameter_at_a_bound(
     text: str, truth: str, bounds: dict[str, tuple[float, float]] | None
 ) -> None:
-    """Nothing is inside its range: no interval, no error, and W301 instead of an end in
-    the algebra.
+    """No parameter is inside its range: no interval and no error, and W301 instead of a
+    failure of the linear algebra.
     """
     fit = fl.identify_structure(lines(truth, {}), text, bounds=bounds)
     assert fit.at_bound == tuple(fit.limits)
@@ -438,8 +438,8 @@ def test_a_formula_in_place_of_a_link_structure_is_sent_where_it_is_fitted() -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_given_orders_and_much_noise(seed: int) -> None:
-    """The noise is 60 % of the output's size: linear least squares alone begin at a
-    wrong sign, and a descent from there ends at a bound.
+    """The noise is 60 % of the size of the output: linear least squares alone start
+    with a wrong sign, and a descent from there ends at a bound.
     """
     generator = np.random.default_rng(seed)
     u = np.repeat(generator.choice([-1.0, 1.0], 107), 15)[:1600]

@@ -48,7 +48,7 @@ def subject() -> Subject:
 
 
 def unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
-    """Head and curves of an answer, as the page reads them; NaN and infinity are no
+    """Head and curves of an answer, as read by the page; NaN and infinity are not valid
     JSON.
     """
 
@@ -377,7 +377,7 @@ def test_a_wrong_token_closes_the_socket(client):
 
 
 def test_a_defect_of_an_answer_ends_nothing(client, studio, monkeypatch, capsys):
-    """Neither the page nor the task that answers the next request of the same kind."""
+    """Neither the page nor the task for the next request of the same kind is ended."""
     broken = iter(
         (
             Reply({"ok": True}, {"gain": np.array([np.nan])}),
@@ -408,7 +408,7 @@ def test_a_defect_of_an_answer_ends_nothing(client, studio, monkeypatch, capsys)
 
 
 def talked(socket, **message) -> tuple[dict, dict]:
-    """One request and its answer; progress is passed over."""
+    """Send one request and return its answer; progress messages are skipped."""
     socket.send_text(json.dumps(message))
     while True:
         head, curves = unpacked(socket.receive_bytes())

@@ -33,7 +33,7 @@ HANDLES = {
 
 @contextmanager
 def studio(place: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """A studio that keeps to `place`/results: its address, and its process."""
+    """A studio restricted to `place`/results: its address and its process."""
     command = [
         sys.executable,
         "-m",
@@ -67,8 +67,8 @@ _SETTLED = """import('/studio.js').then(
 
 
 def settled(page: Page) -> None:
-    """Wait until the exact design stands: before it, tables grow and handles move under
-    the hand.
+    """Wait until the exact design is complete: before that, tables grow and handles
+    move under the pointer.
     """
     page.until(lambda: bool(page.run(_SETTLED)), "an exact design")
 
@@ -79,7 +79,7 @@ def states(place: Path) -> list[dict]:
 
 
 def noted(page: Page, place: Path) -> dict:
-    """Wait until what the page asks for is the last state of its history, and return
+    """Wait until the request of the page is the last state of its history, and return
     it.
     """
     shown = "import('/studio.js').then(({app}) => app.state)"
@@ -125,8 +125,8 @@ _KNOWS_LESS = """(head, event) => {
 def held_back(
     page: Page, verb: str, changed: str = "(head, event) => event"
 ) -> Iterator[Callable[[], object]]:
-    """Hold back the answers to `verb` in pages that are opened; what this yields hands
-    them on.
+    """Hold back the answers to `verb` in pages opened from now on; the yielded function
+    releases them.
     """
     source = f"{_LATE}('{verb}', {changed})"
     kept = page.do("Page.addScriptToEvaluateOnNewDocument", source=source)["identifier"]
@@ -137,7 +137,7 @@ def held_back(
 
 
 def ask_for(page: Page, crossover: str) -> None:
-    """Type a gain crossover into its field, or empty it."""
+    """Type a gain crossover into its field, or clear it."""
     page.run(
         f"(i => {{ i.value = '{crossover}'; i.dispatchEvent(new Event('change')); }})"
         "(document.getElementById('f-gain_crossover'))"
@@ -171,8 +171,8 @@ def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path)
 
 
 def test_the_picture_of_a_state_is_asked_for_once(page, tmp_path):
-    """Each time that the strip is drawn, 64 requests were soon waiting, and the studio
-    hung up.
+    """When pictures were requested each time the strip was drawn, 64 requests were soon
+    pending, and the studio closed the connection.
     """
     with held_back(page, "look") as hand_on, studio(tmp_path) as (address, _process):
         page.open(address)
@@ -397,8 +397,8 @@ def _loses_the_payload(page: Page) -> bool:
 
 
 def replayed_and_cut(page: Page) -> None:
-    """The drawn arm stands as the log says; a stretch is marked by keys, kept, and
-    taken back.
+    """The drawn arm follows the log; a section is selected by keys, kept, and taken
+    back.
     """
     page.key("2")
     page.until("!document.querySelector('#replayed').hidden", "an arm that can replay")

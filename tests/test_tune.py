@@ -46,7 +46,7 @@ def wired(
     torque: float = 1,
     voltage: float = 1,
 ) -> Callback:
-    """The arm with factors on its wires."""
+    """The arm with scale factors on its signals."""
 
     def read() -> tuple[float, float]:
         found = made.read()
@@ -97,8 +97,8 @@ def test_right_wiring_has_evidence() -> None:
 
 @pytest.mark.parametrize("coulomb", [0.5, 1.0, 2.0])
 def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> None:
-    """Seen through friction, a K/J of half made a gauge of 0.7 times the torque one of
-    0.39 times.
+    """With friction ignored, K/J came out half as large, and a gauge reading 0.7 times
+    the torque as one reading 0.39 times.
     """
     twin = fl.Twin.from_rig(RIG, gauge_gain=0.7)
     motor = replace(twin.motor, coulomb_torque=coulomb * twin.motor.coulomb_torque)
@@ -148,8 +148,8 @@ def test_a_lost_link_ends_with_a_stop() -> None:
 
 
 def test_samples_that_came_while_the_process_slept_are_counted() -> None:
-    """A busy machine must not look like a fast arm: the way between two samples took
-    all their periods.
+    """A busy machine must not be mistaken for a fast arm: the motion between two
+    samples took all the periods in between.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
         plug.bind(("127.0.0.1", 0))

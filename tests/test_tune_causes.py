@@ -27,7 +27,9 @@ def record(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Record:
 
 
 def vibration(quantum: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """A gauge of a link that swings by ±0.5 N·m, with noise, in steps of `quantum`."""
+    """The reading of a gauge on a link that vibrates by ±0.5 N·m, with noise, in steps
+    of `quantum`.
+    """
     time = PERIOD * np.arange(5000)
     noise = NOISE * np.random.default_rng(1).standard_normal(time.size)
     torque = 0.5 * np.exp(-0.05 * time) * np.sin(12.0 * time) + noise
@@ -35,7 +37,7 @@ def vibration(quantum: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.float6
 
 
 def motor(delay: float, step: float = 3.8e-4) -> MotorResult:
-    """A motor of K/J = 11 and ν/J = 15, identified behind a delay [s], and its loop."""
+    """A motor with K/J = 11 and ν/J = 15, identified with a delay [s], and its loop."""
     rng = np.random.default_rng(0)
     voltage = np.repeat(rng.choice([-4.0, 4.0], 120), 25)
     speed, angle, angles = 0.0, 0.0, []

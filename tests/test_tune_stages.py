@@ -95,8 +95,8 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
 def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(
     stages: Stages,
 ) -> None:
-    """Under D(s) times the gauge's reading, as the twin's equations have it, the
-    motor's fit finds n²J.
+    """With D(s) times the gauge reading as load, as in the equations of the twin, the
+    fit of the motor gives n²J.
     """
     _, guard, _, _, link = stages
     # The moves of the link stage, followed by the burst of 2 s.
@@ -128,8 +128,8 @@ def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(
 
 
 def distance(loop: MotorLoop, ratio: float) -> float:
-    """From −1 to the loop gain, on a grid of its own, of a motor with `ratio` times the
-    gain.
+    """Distance of −1 from the loop gain, on a separate grid, for a motor with `ratio`
+    times the gain.
     """
     pid = loop.pid(MOTOR, PERIOD)
     true = SampledMotorLoop(
@@ -188,7 +188,9 @@ def test_the_fastest_loop_follows_a_step_as_fast_as_its_pole(
 def stepped(
     motor: MotorGain, loop: MotorLoop, period: float, count: int
 ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """The angle's answer to a reference of 1 rad: difference equations of loop and motor."""
+    """The response of the angle to a reference of 1 rad, from the difference equations
+    of loop and motor.
+    """
     pid = loop.pid(motor, period)
     slow = math.exp(-motor.decay * period)
     angle = speed = integral = filtered = 0.0
@@ -316,8 +318,8 @@ def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -
 
 
 def ringing(calmed: bool) -> tuple[float, float]:
-    """Largest torque in the last half second, and the seconds it took, of a link that
-    was struck.
+    """Largest torque in the last half second for a link that was struck, and the time
+    taken in seconds.
     """
     made = arm(seed=1)
     guard = guarded(made.callback)
@@ -413,8 +415,8 @@ def test_an_arm_that_turns_by_itself_is_no_arm_at_rest() -> None:
 
 @pytest.mark.slow
 def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
-    """The first fit of a motor that is as light as its link takes some of the gauge's
-    lag for its own.
+    """The first fit of a motor as light as its link attributes some of the delay of the
+    gauge to the motor.
     """
     names = ("inertia", "viscous_friction", "torque_constant", "coulomb_torque")
     light = {name: getattr(RIG.motor, name) / 9 for name in names}
@@ -450,9 +452,7 @@ def test_a_motor_of_which_nothing_more_was_recorded_stays_as_it_was(
 def test_what_reaches_a_limit_is_repeated_smaller_twice(
     times: int, ends: bool, tmp_path: Path
 ) -> None:
-    """A gauge that shows a torque near its limit once in each of the link's
-    excitations.
-    """
+    """The gauge reads a torque near its limit once in each excitation of the link."""
     own, said, voltages = arm(seed=2), list[str](), [0.0]
     spikes = 0
 

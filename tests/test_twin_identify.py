@@ -67,7 +67,7 @@ def test_link_with_mass_and_a_hub_slower_than_mode_two(material, samples):
 
 @pytest.mark.slow
 def test_a_fast_hub_lets_mode_two_fake_a_fractional_order():
-    """The finding of docs/explanation/twin.md: a viscous link is taken for a fractional
+    """The result in docs/explanation/twin.md: a viscous link is taken for a fractional
     one.
     """
     assert _chosen(ROD, "D-IOM", 80.0, 5001).get("D-FOM", 0) > SEEDS / 2

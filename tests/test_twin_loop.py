@@ -47,7 +47,7 @@ def law():
 
 
 def quiet(payload=0.030, link_mass=LINK_MASS, **changes):
-    """A twin without noise, quanta and friction: what is left is linear."""
+    """A twin without noise, quantisation and friction, which makes it linear."""
     twin = Twin.from_rig(RIG, payload=payload, link_mass=link_mass, **changes)
     motor = replace(twin.motor, coulomb_torque=0.0)
     return replace(twin, encoder=Encoder(), gauge=Gauge(), motor=motor)
@@ -59,7 +59,7 @@ def smooth(law):
 
 
 def energy(vessel, matrix):
-    """Of hub and link of a running twin [J]."""
+    """Energy of hub and link of a running twin [J]."""
     own = vessel.state[: len(matrix)]
     return own @ matrix @ own
 
@@ -102,8 +102,8 @@ def test_gauge_offset_does_not_stay_in_the_tip(law):
 
 @pytest.mark.slow
 def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
-    """At rest the hub sticks, whatever the link pulls below stiction: its speed is zero
-    to the bit.
+    """At rest the hub sticks as long as the link's torque is below stiction: its speed
+    is exactly zero.
     """
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     still = replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
@@ -139,7 +139,9 @@ def test_stiction_breaks_above_its_level(law):
 
 @pytest.mark.slow
 def test_free_swing_loses_energy_with_friction(law):
-    """A kick, then no voltage: hub and link come to rest, energy falls in every period."""
+    """A kick, then no voltage: hub and link come to rest, and the energy falls in every
+    period.
+    """
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     off = with_motor_loop(
         replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9)), twin=twin
@@ -332,8 +334,8 @@ def test_a_rig_that_contradicts_its_model_is_refused():
 
 @pytest.mark.slow
 def test_single_precision_is_the_law_of_the_board(law):
-    """The float law runs as float: not the double's bits, but the same move to a
-    float's digits.
+    """The law in single precision is computed in floats: not bitwise equal to the
+    double law, but the same move to the accuracy of floats.
     """
     one = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=2.0)
     two = fl.simulate(

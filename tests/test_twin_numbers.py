@@ -33,8 +33,8 @@ assert MODEL is not None
 
 
 def test_a_light_hub_is_a_finding_with_its_numbers() -> None:
-    """A tenth of the arm's own inertia is where the compensation of the coupling torque
-    begins to feed it.
+    """Below a tenth of the arm's own inertia, the compensation of the coupling torque
+    begins to feed back on itself.
     """
     arm = 0.030 * 0.65**2
     for share, codes in ((0.0999, ["W601"]), (0.1001, [])):

@@ -28,8 +28,8 @@ STIFFNESS, OMEGA = MASSLESS.stiffness, MASSLESS.lumped_frequency
 
 @pytest.mark.parametrize("size", [1e-9, 0.3, 40.0, 3e3])
 def test_the_exponential_of_a_matrix_against_mpmath(size):
-    """Of a vibration with its squared frequency as norm, as an arm has it, and of a
-    chain that only grows.
+    """For a vibration whose norm is its squared frequency, as in an arm, and for a
+    growing chain of integrators.
     """
     vibration = [[0.0, 1e-3, 0.0], [-size, -1e-4, 1e-3], [0.0, 0.0, 0.0]]
     chain = [[0.0, size, 0.0], [0.0, 0.0, size], [0.0, 0.0, 0.0]]
@@ -69,8 +69,8 @@ def test_massless_limit_is_the_lumped_model(damping, frequency):
 
 
 def test_power_law_step_response_against_mittag_leffler():
-    """θt of a hub step in the massless limit is 1 − E_λ(−ω₀² t^λ), here at 30 digits; a
-    fast servo is late by twice its time.
+    """θt for a hub step in the massless limit is 1 − E_λ(−ω₀² t^λ), here to 30 digits;
+    a fast servo has a delay of twice its time constant.
     """
     order, period, fast = 1.92, 1e-3, 1e5
     plant = on_servo(assemble(MASSLESS, PowerLaw(order), hub_inertia=1.0), fast)
@@ -88,8 +88,8 @@ def test_power_law_step_response_against_mittag_leffler():
     "beam", [ROD, MASSLESS, ROD.with_payload(0.0)], ids=["rod", "massless", "bare"]
 )
 def test_energy_never_grows_on_the_discretised_twin(damping, beam):
-    """In the norm of the energy the step's matrix is a contraction: for every state,
-    not for one move.
+    """In the energy norm the step matrix is a contraction, which holds for every state,
+    not just for one move.
     """
     plant = assemble(beam, damping, hub_inertia=6.87e-5, hub_friction=1.041e-3)
     matrix = plant.discretise(1e-3).transition[:, : plant.order].T
@@ -125,8 +125,8 @@ def test_energy_rate_is_never_positive(link_mass, payload, order, seed):
 
 @pytest.mark.slow
 def test_steps_compose():
-    """Four steps of 1 ms are one of 4 ms for a held input: the steps are exact, not a
-    scheme.
+    """Four steps of 1 ms equal one of 4 ms for a held input: the steps are exact, with
+    no error of a scheme.
     """
     plant = on_servo(assemble(ROD, PowerLaw(1.92), hub_inertia=1.0))
     reference = np.sin(np.arange(500.0))
@@ -136,8 +136,8 @@ def test_steps_compose():
 
 
 def test_gauge_is_curvature_and_not_the_total_moment():
-    """With the total base moment the material's D multiplies the signal: another phase,
-    another order.
+    """In the total base moment the signal is multiplied by D of the material: another
+    phase, another order.
     """
     s = 12j
     plant = assemble(MASSLESS, PowerLaw(1.92), hub_inertia=0.01)

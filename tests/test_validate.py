@@ -201,7 +201,7 @@ def test_arguments_are_not_copied_and_fields_are_read_only_copies() -> None:
 @compared
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Something with samples."""
+    """An object with samples."""
 
     samples: Any
     name: str = ""
@@ -251,7 +251,7 @@ def move(
     kind: Literal["step", "ramp"] = "step",
     **more: float,
 ) -> tuple[Any, ...]:
-    """Return what it got."""
+    """Return the arguments."""
     return amplitude, duration, rest, kind, more
 
 

@@ -18,7 +18,7 @@ LINK = fl.LinkModel(1.5, 10.0, order=1.92, payload=0.030)
 
 
 def motion(seed: int, count: int = 4000) -> NDArray[np.float64]:
-    """Random steps through a servo of two poles, resting at first."""
+    """Random steps through a servo with two poles, initially at rest."""
     rng = np.random.default_rng(seed)
     angle = np.repeat(rng.choice([-0.2, 0.2], count // 50 + 1), 50)[:count]
     angle[:50] = 0.0
@@ -31,7 +31,9 @@ def motion(seed: int, count: int = 4000) -> NDArray[np.float64]:
 def log(
     seed: int, link: fl.LinkModel = LINK, *, noise: float = 0.01, bias: float = 0.0
 ) -> fl.Experiment:
-    """A log by `time_response`, which shares no code with the fit's kernel."""
+    """A log computed by `time_response`, which shares no code with the kernel of the
+    fit.
+    """
     angle = motion(seed)
     torque = time_response(link.torque(), angle, PERIOD, hold="first").output
     torque = torque + noise * np.random.default_rng(100 + seed).standard_normal(

@@ -47,7 +47,9 @@ def random_loop(generator: np.random.Generator) -> FractionalTransferFunction:
 
 
 def verdicts(loop: FractionalTransferFunction) -> dict[str, bool]:
-    """What each function says about the closed loop; a refusal by name is no verdict."""
+    """The statement of each function about the closed loop; a refusal counts as no
+    verdict.
+    """
     closed, said = loop.feedback(), {}
     try:
         said["is_stable"] = is_stable(closed).stable
@@ -76,8 +78,8 @@ def test_all_verdicts_about_a_random_loop_agree(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.5, 0.99, 1.01, 3.0])
 def test_all_verdicts_about_a_neutral_loop_agree(gain: float) -> None:
-    """Its chain of poles lies left of the axis where the delayed direct path has a gain
-    below 1.
+    """Its chain of poles is to the left of the axis if the delayed direct path has a
+    gain below 1.
     """
     loop = (gain * (s + 2) / (s + 10)).delayed(1.0)
     said = verdicts(loop)
@@ -107,8 +109,8 @@ def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
-    """L(z) with poles inside the unit circle, or one on it or outside: against the
-    closed loop's poles.
+    """L(z) with poles inside the unit circle, or one on or outside it, against the
+    poles of the closed loop.
     """
     generator = np.random.default_rng(seed)
     period, size = 10.0 ** generator.uniform(-3, 0), int(generator.integers(1, 5))

@@ -44,7 +44,7 @@ def test_damping_is_that_of_a_root_of_the_loop_written_out(
     c, w0 = design.controller, design.natural_frequency(payload)
 
     def least(ratio: float) -> float:
-        """The smallest |1 + L(s)| of the vibrations of one damping ratio."""
+        """The smallest |1 + L(s)| over vibrations with one damping ratio."""
         angle = np.exp(1j * (0.5 * np.pi + np.arcsin(ratio)))
         s = resonance * np.geomspace(0.3, 4.0, 200_001) * angle
         correction = (

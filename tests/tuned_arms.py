@@ -20,7 +20,7 @@ Stages = tuple[fl.lab.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
 
 
 def arm(seed: int = 0, **changes: float) -> fl.lab.SimulatedArm:
-    """The paper's arm, or one that differs."""
+    """The paper's arm, or one with other parameters."""
     return fl.lab.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
 
 
@@ -29,8 +29,8 @@ def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:
 
 
 def staged() -> Stages:
-    """Wiring, motor and link of the paper's arm, half a second of work; the arm and its
-    guard, released.
+    """Wiring, motor and link of the paper's arm, half a second of computation; the arm
+    and its guard are released.
     """
     made = arm(seed=1)
     guard = guarded(made.callback)
