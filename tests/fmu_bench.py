@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import Law, Run, Twin
-from fraclink._arm.reference import Path as Trajectory
-from fraclink._law import discretize_controller
-from fraclink._law.law import LawOutputs
-from fraclink.extend import PayloadChange, SensorFault, TipPulse, geared
+from fraclink.extend import PayloadChange, SensorFault, TipPulse, equip, geared
 from law_bench import default_controller
 from needed_tools import missing
 
@@ -31,11 +28,11 @@ INPUTS, REALS, WHOLES = (0, 1, 2, 3), (4, 5, 6), (7, 8, 9)
 def geared_law(precision: str) -> tuple[Twin, Law]:
     """The twin of the geared rig, and a law with its motor loop."""
     rig = geared(fl.Rig.named("paper-2023"))
-    law = discretize_controller(default_controller(), rig.period, rig=rig)
+    law = equip(fl.discretize(default_controller(), rig.period), rig, rig.model)
     return Twin.from_rig(rig, link_mass=0.00735), law.in_precision(precision)  # type: ignore[arg-type]
 
 
-def _moves(count: int) -> Trajectory:
+def _moves(count: int) -> fl.Reference:
     """Back and forth; every tenth move is too fast for the motor, which then saturates."""
     path = fl.smooth_step(1.0, duration=0.6, start=0.4)
     for k in range(1, count):
@@ -44,7 +41,7 @@ def _moves(count: int) -> Trajectory:
     return path
 
 
-def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[Any]:
+def _events(law: Law, reference: fl.Reference, end: float, ending: str) -> list[Any]:
     """Faults that the law rides through, followed by one that it does not: see
     `ending`.
     """
@@ -126,7 +123,7 @@ def sources_of(file: Path, folder: Path) -> Path:
     return folder / "sources"
 
 
-def outputs_of(columns: LawOutputs) -> NDArray[np.float64]:
+def outputs_of(columns: Any) -> NDArray[np.float64]:
     """The law's outputs as `Imported.run` returns an FMU's, shape (N, 6)."""
     names = ("motor_reference", "voltage", "tip_estimate", "mode", "reason", "flags")
     return np.column_stack([getattr(columns, name) for name in names])

@@ -5,15 +5,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import Law
-from fraclink._law import discretize_controller
-from fraclink._law.law import LawOutputs
-from fraclink.extend import LawInputs
+from fraclink.extend import LawInputs, equip
 
 PERIOD = 0.004
 DESIGN = (
@@ -34,9 +33,9 @@ def default_controller() -> fl.Controller:
 @functools.cache
 def law(precision: str = "double", *, equipped: bool = True) -> Law:
     rig = fl.Rig.named("paper-2023")
-    made = discretize_controller(
-        default_controller(), PERIOD, rig=rig if equipped else None
-    )
+    made = fl.discretize(default_controller(), PERIOD)
+    if equipped:
+        made = equip(made, rig, rig.model)
     return made.in_precision(precision)  # type: ignore[arg-type]
 
 
@@ -72,12 +71,11 @@ def closed_loop(
     disturb: Disturb = lambda k, angle, torque: (angle, torque),
     *,
     frequency: float = 11.0,
-) -> tuple[NDArray[np.float64], LawOutputs]:
+) -> tuple[NDArray[np.float64], Any]:
     """Run the law on an undamped link (λ = 2) with M(s); return the tip angle and the
-    law's outputs. Written independently of the package's simulation. The drive stops at
-    once in mode "off".
+    law's outputs.
 
-    Written apart from the package's simulation. The drive stops at once in mode "off".
+    Written independently of the package's simulation. The drive stops at once in mode "off".
     """
     pole, near = 1 - np.exp(-80.0 * PERIOD), 0.0
     motor, tip, speed = 0.0, 0.0, 0.0
@@ -99,8 +97,8 @@ def closed_loop(
             motor + away * cosine + speed * sine / frequency,
             speed * cosine - away * frequency * sine,
         )
-    return np.array(tips), LawOutputs(*map(np.array, zip(*log, strict=True)))
+    return np.array(tips), type(out)(*map(np.array, zip(*log, strict=True)))
 
 
-def run(made: Law, rows: NDArray[np.float64], **options: object) -> LawOutputs:
+def run(made: Law, rows: NDArray[np.float64], **options: object) -> Any:
     return made.run(made.initial_state(), *rows, **options)[1]  # type: ignore[arg-type]

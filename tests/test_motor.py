@@ -6,22 +6,20 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.motor import ContinuousPid, held_motor
-from fraclink._arm.motor_loop import (
-    SampledMotorLoop,
-)
+from fraclink._arm.motor import held_motor
 from fraclink.errors import FieldError
 from fraclink.extend import place_pid
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5
 
 
-def _loop(pole: float = 80.0) -> ContinuousPid:
+def _loop(pole: float = 80.0) -> Any:
     return place_pid(fl.Rig.named("paper-2023").motor, pole)
 
 
@@ -134,8 +132,7 @@ def test_closed_poles_are_the_roots_of_the_loop_written_in_z() -> None:
     rig = fl.Rig.named("paper-2023")
     for motor in (rig.motor, SimpleNamespace(gain=3000.0, decay=0.0)):
         for delay in (0, 1, 3):
-            pid = place_pid(motor, 80.0).discretize(0.004)  # type: ignore[arg-type]
-            loop = SampledMotorLoop(pid, motor, delay)  # type: ignore[arg-type]
+            loop = fl.MotorLoop(80.0, delay).sampled(motor, 0.004)  # type: ignore[arg-type]
             poles = loop.poles()
             assert poles.size == 4 + delay and np.all(np.diff(np.abs(poles)) <= 1e-12)
             x = 1 / poles[np.abs(poles) > 1e-3]

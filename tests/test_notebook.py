@@ -12,7 +12,6 @@ import pytest
 
 import fraclink as fl
 from fraclink import Certificate
-from fraclink.view._pages import DARK, LIGHT, colours
 
 RIG = fl.Rig.named("paper-2023")
 
@@ -86,8 +85,9 @@ def test_a_drawing_needs_no_matplotlib(
 def test_a_drawing_brings_the_colours_of_both_themes(results: dict[str, Any]) -> None:
     style = results["Design"]._repr_svg_().partition("</style>")[0]
     light, dark = style.split("@media (prefers-color-scheme: dark)")
-    assert colours(LIGHT)["line-1"] in light and colours(LIGHT)["line-1"] not in dark
-    assert colours(DARK)["line-1"] in dark and "var(" not in style
+    shown = [set(re.findall(r"#[0-9a-fA-F]{6}", theme)) for theme in (light, dark)]
+    assert shown[0] and len(shown[0]) == len(shown[1]) and shown[0] != shown[1]
+    assert "var(" not in style
 
 
 def test_what_a_certificate_says_is_never_more_than_it_proves(

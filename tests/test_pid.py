@@ -18,7 +18,6 @@ from scipy.optimize import brentq
 import fraclink as fl
 import fracsys
 from fraclink import main
-from fraclink._export.claims import Proof
 from fraclink._law.fractional_pid import pid_response
 from fracsys import FractionalTransferFunction, s
 from needed_tools import tool
@@ -460,7 +459,7 @@ def test_proofs(tmp_path: Path) -> None:
         tool(program)
     law = fl.extend.discretize_pid(pid(), 0.004, **LAW, precision="single")
     fl.export_c(law, tmp_path / "c", prove=True)
-    proof = Proof.load(tmp_path / "c" / "proof.json")
+    proof = fl.load(tmp_path / "c" / "proof.json")
     assert {claim.name: claim.status for claim in proof.claims} == dict.fromkeys(
         ("outputs", "finite", "slew", "rounding"), "proved"
     )

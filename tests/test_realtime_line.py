@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -16,19 +17,17 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import Callback, _kernels
-from fraclink.lab._connections import Command
+from fraclink import Callback
+from fraclink.errors import FraclinkError
 from fraclink.lab._line import (
     ArmLine,
-    ArmLost,
     Reading,
-    Stopped,
     _noted_signals,
     open_line,
 )
-from fraclink.lab._tune_guard import Guard, LimitReached
+from fraclink.lab._tune_guard import Guard
 
-if not _kernels.REALTIME:
+if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 PERIOD = 0.01
@@ -96,7 +95,7 @@ def test_the_samples_own_numbers_say_how_many_were_missed() -> None:
 
 def test_an_arm_that_is_silent_for_five_periods_is_lost() -> None:
     clock = Clock(100.0)
-    with pytest.raises(ArmLost, match="no sample in 5 periods"):
+    with pytest.raises(FraclinkError, match="no sample in 5 periods"):
         line(Way(clock, [])).exchange(0.0)
     assert clock.now - 100.0 == pytest.approx(5 * 1.5 * PERIOD, rel=0.06)
     late = Way(clock := Clock(100.0), [(100.0 + 7.2 * PERIOD, (0, 0.1, 0.0))])
@@ -110,7 +109,7 @@ def test_a_signal_ends_the_exchange_before_anything_is_sent() -> None:
     way = Way(Clock(), [(0.0, (0, 0.1, 0.0))])
     noted = threading.Event()
     noted.set()
-    with pytest.raises(Stopped, match="stopped by a signal; the drive is off"):
+    with pytest.raises(FraclinkError, match="stopped by a signal; the drive is off"):
         ArmLine(way, PERIOD, way.clock, noted).exchange(5.0)
     assert way.written == []
 
@@ -163,7 +162,7 @@ def test_signals_are_noted_and_given_back() -> None:
 
 
 def test_however_a_line_ends_a_stop_is_sent() -> None:
-    sent: list[Command] = []
+    sent: list[Any] = []
     with (
         pytest.raises(ZeroDivisionError),
         open_line(Callback(lambda: (0.1, 0.2), sent.append), PERIOD, clock="none") as (
@@ -252,7 +251,7 @@ def test_a_limit_is_kept_before_it_is_reached(
         guard.step(0.0)
     arm.readings = list(readings)
     with (
-        pytest.raises(LimitReached, match=limit) if limit else contextlib.nullcontext()
+        pytest.raises(FraclinkError, match=limit) if limit else contextlib.nullcontext()
     ):
         for k in range(len(readings) + 1):
             guard.step(0.0 if k else 0.1)

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 import fraclink as fl
 from fraclink import Reference
-from fraclink._arm.reference import Path, sampled
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fracsys.checks import rule
 
 SMOOTH: dict[str, Reference] = {
@@ -92,15 +91,6 @@ def test_paths_are_read_only_and_remember_nothing() -> None:
     path = fl.smooth_step(1.0, 0.5)
     with pytest.raises(ValueError, match="read-only"):
         path.breaks[0] = 1.0
-    assert isinstance(path, Path)
-
-
-def test_sampled_gives_three_rows_and_refuses_by_size() -> None:
-    rows = sampled(fl.smooth_step(1.0, 0.5), 0.1, 6)
-    assert rows.shape == (3, 6)
-    assert rows[:, -1].tolist() == [1.0, 0.0, 0.0]
-    with pytest.raises(SizeError, match="duration"):
-        sampled(fl.extend.hold(0.0), 0.004, 10**9)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ to a model.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 import fraclink as fl
 import fracsys
 from fraclink import Channel, LogColumns, main
-from fraclink._arm.log_columns import parse_columns
 from fraclink.errors import FieldError, LogError
 from fracsys import s
 
@@ -41,10 +41,13 @@ def written(place: Path, **columns: NDArray[np.float64]) -> Path:
     return place
 
 
+def columns_of(stated: Iterable[str]) -> dict[str, str]:
+    return dict(text.split("=", 1) for text in stated)
+
+
 def model_of(path: Path, *stated: str) -> fl.Fit:
-    return fl.identify(
-        fl.read_log(path, columns=parse_columns(stated)), "UD-FOM", details=False
-    )
+    log = fl.read_log(path, columns=columns_of(stated))
+    return fl.identify(log, "UD-FOM", details=False)
 
 
 NOISE = np.random.default_rng(3).standard_normal((2, COUNT))
@@ -122,15 +125,6 @@ def test_a_signal_gives_the_link(name: str, motion: Signals, tmp_path: Path) -> 
     assert fit.gain == pytest.approx(gain, rel=0.01)
 
 
-def test_columns_as_a_mapping(motion: Signals, tmp_path: Path) -> None:
-    columns, stated, _ = cases(motion)["half bridge"]
-    path = written(tmp_path / "log.csv", **columns)
-    texts = dict(text.split("=", 1) for text in stated)
-    assert fl.read_log(path, columns=texts) == fl.read_log(
-        path, columns=parse_columns(stated)
-    )
-
-
 def test_every_case_is_tried(motion: Signals) -> None:
     assert tuple(cases(motion)) == NAMES
 
@@ -183,9 +177,11 @@ def test_a_column_of_that_name_comes_first(motion: Signals, tmp_path: Path) -> N
     path = written(tmp_path / "log.csv", **columns, x=motion["angle"])
     log = fl.read_log(
         path,
-        columns=parse_columns(
-            ["time=t_s [s]", "motor_angle=enc [rad]", "deflection=enc - x [rad]"]
-        ),
+        columns={
+            "time": "t_s [s]",
+            "motor_angle": "enc [rad]",
+            "deflection": "enc - x [rad]",
+        },
     )
     np.testing.assert_allclose(log.output, motion["deflection"], rtol=1e-8)
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 
 import fraclink as fl
 from fraclink import Experiment
-from fraclink._simulate import MoveVerdict
 from fraclink.errors import (
     FileFormatError,
 )
@@ -63,11 +61,6 @@ def faults(failed: int, passed: int) -> FaultTable:
         for k in range(failed + passed)
     )  # fmt: skip
     return FaultTable(outcomes)
-
-
-def run(payload: float, *, passed: bool) -> Any:
-    verdict = MoveVerdict(passed, "settled" if passed else "not settled; far away")
-    return SimpleNamespace(payload=payload, verdict=verdict)
 
 
 # ── the verdict

@@ -11,9 +11,8 @@ import pytest
 
 import fraclink as fl
 from fraclink import Twin, smooth_step
-from fraclink._law import discretize_controller
 from fraclink.errors import FieldError
-from fraclink.extend import SensorFault, geared
+from fraclink.extend import SensorFault, equip, geared
 
 RIG = geared(fl.Rig.named("paper-2023"))
 MOVE = smooth_step(1.0, duration=1.0)
@@ -30,7 +29,7 @@ def law():
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    return discretize_controller(design.controller, RIG.period, rig=RIG)
+    return equip(fl.discretize(design.controller, RIG.period), RIG, RIG.model)
 
 
 @pytest.fixture(scope="module")

@@ -9,19 +9,20 @@ import pytest
 
 import fraclink as fl
 from fraclink import Run, Twin, smooth_step
-from fraclink._arm.rig import Encoder, Gauge
-from fraclink._law import Modes, discretize_controller
 from fraclink._simulate.events import healthy_inputs
 from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import with_motor_loop
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import (
+    Encoder,
+    Gauge,
     KelvinVoigt,
     Obstacle,
     PayloadChange,
     PowerLaw,
     Restart,
     TipPulse,
+    equip,
     geared,
     hold,
 )
@@ -41,9 +42,8 @@ def law():
         phase_margin=fl.deg(50),
         filter_time=0.0,
     )
-    return discretize_controller(
-        design.controller, RIG.period, precision="double", rig=RIG
-    )
+    law = fl.discretize(design.controller, RIG.period, precision="double")
+    return equip(law, RIG, RIG.model)
 
 
 def quiet(payload=0.030, link_mass=LINK_MASS, **changes):
@@ -106,8 +106,7 @@ def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
     is exactly zero.
     """
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    still = replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
-    off = replace(still, motor_loop=replace(still.motor_loop, voltage_limit=1e-9))
+    off = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9))
     run = fl.simulate(
         off,
         hold(0.0, duration=1.0),

@@ -10,7 +10,6 @@ import pytest
 
 import fraclink as fl
 from fraclink import Rig
-from fraclink._arm.rig_parts import DesignDefaults
 from fraclink._design.completed import design_for
 from fraclink.errors import FieldError, InfeasibleError
 
@@ -28,7 +27,8 @@ def test_what_was_stated_is_kept_or_refused() -> None:
 
 
 def test_the_rig_completes_a_request_and_yields_to_it() -> None:
-    defaults = DesignDefaults(gain_crossover=11.5, phase_margin_deg=45.0)
+    stated = Rig.named("paper-2023").design
+    defaults = replace(stated, gain_crossover=11.5, phase_margin_deg=45.0)
     rig = replace(SILENT, design=defaults)
     made, assumed = design_for(rig, MODEL)
     assert (made.gain_crossover, made.phase_margin) == (11.5, pytest.approx(fl.deg(45)))
