@@ -320,7 +320,7 @@ def box_around(design: Design, size: float) -> ParameterBox:
 
 
 def against_search(count: int, seed: int) -> None:
-    """Every claim beside the truth that the search finds."""
+    """Every claim next to the true value found by the search."""
     gaps: list[float] = []
     unproved = 0
     print(

@@ -371,7 +371,7 @@ def together(rounds: int) -> None:
 
 
 def second_log(rounds: int) -> None:
-    """The model of one bundled log beside another: its error, and the time of it."""
+    """The model of one bundled log validated on another: its error and the time needed."""
     fit = identify(read_log(bundled_log("prbs_30g")))
     other = read_log(bundled_log("pulse_30g"))
     found = fit.validate(other)

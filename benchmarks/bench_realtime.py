@@ -44,7 +44,7 @@ def quantiles(values: np.ndarray) -> str:
 
 @contextmanager
 def busy_loops(count: int) -> Iterator[None]:
-    """Let `count` processes compute beside the block."""
+    """Let `count` processes compute while the block runs."""
     words = [sys.executable, "-c", "while True: pass"]
     loops = [subprocess.Popen(words) for _ in range(count)]  # noqa: S603
     try:
@@ -56,7 +56,7 @@ def busy_loops(count: int) -> Iterator[None]:
 
 
 def jitter(period: float, seconds: float, rounds: int, busy: int) -> None:
-    """Latency of the loop and of the bare one, in turns, beside `busy` processes that
+    """Latency of the loop and of the bare one, measured in turns, while `busy` processes
     compute.
     """
     law, arm = law_at(period), Callback(lambda: (0.0, 0.0), lambda command: None)

@@ -174,7 +174,7 @@ class Judge:
         return np.asarray(inner ** (1.0 / order))
 
     def rest(self, s: Complex) -> Complex:
-        """The loop beside Ĉ at each payload, (K, N)."""
+        """The loop without Ĉ at each payload, (K, N)."""
         model, loops = self.model, []
         motor = np.exp(self.motor(s)[0])
         for payload in self.payloads:

@@ -2,7 +2,7 @@
 
 R is one `scipy.fft.rfft` of length 2N in the same run; timings are medians of
 interleaved calls in CPU time (everything here runs on one thread; a busy machine's
-other work does not count), beside half their interquartile range. Errors are relative
+other work does not count), next to half their interquartile range. Errors are relative
 to the peak of the signal.
 """
 

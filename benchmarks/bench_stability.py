@@ -1,5 +1,5 @@
-"""Roots, margins and discrete fits: their times beside the wanted value and
-python-control, and the fit's error beside random starts.
+"""Roots, margins and discrete fits: their times next to the target and python-control,
+and the error of the fit next to that from random starts.
 
 Times are medians of processor time, calls taken in turns.
 """

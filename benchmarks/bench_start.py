@@ -210,7 +210,7 @@ def made(count: int) -> tuple[dict[str, Outcome], int]:
 
 
 def recorded_data() -> Path:
-    """The folder of the recorded logs beside the repository."""
+    """The folder of the recorded logs next to the repository."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     return Path(os.environ.get("FRACLINK_SHARED", str(beside)))
 

@@ -1,5 +1,5 @@
-"""Any fractional structure: ten documented examples with noise and no start value,
-beside difference schemes.
+"""Any fractional structure: ten documented examples with noise and no start value, next
+to difference schemes.
 
 A parameter is recovered where it is within 1 % of the truth or the truth lies in its 95
 % interval. A source stands for the function; where it leaves parameters free, their

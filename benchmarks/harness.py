@@ -61,7 +61,7 @@ def median(values: np.ndarray) -> tuple[float, float]:
 
 
 def timed(figure: str, call: Callable[[], object], rounds: int, limit: float) -> None:
-    """Print the median processor time of a call [ms] beside its limit [s]."""
+    """Print the median processor time of a call [ms] next to its limit [s]."""
     times = interleaved({"call": call}, rounds)["call"]
     value, spread = median(times)
     shown = f"{1e3 * value:.3g} ± {1e3 * spread:.2g} ms"

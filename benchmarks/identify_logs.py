@@ -1,5 +1,5 @@
-"""Logs for bench_identify: simulated ones with known truth, and the recorded ones
-beside the repository.
+"""Logs for bench_identify: simulated ones with known truth, and the recorded ones next
+to the repository.
 """
 
 from __future__ import annotations

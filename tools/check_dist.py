@@ -1,5 +1,5 @@
-"""Build the sdist, the wheel from the sdist, and run the README's session with the wheel
-alone: numpy and scipy beside it, an environment of its own, outside the repository.
+"""Build the sdist, the wheel from the sdist, and run the README's session with the
+wheel alone, with numpy and scipy, in a separate environment outside the repository.
 
 python tools/check_dist.py [--out dist] needs the build tools of requirements.lock.
 """

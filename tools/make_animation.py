@@ -5,7 +5,7 @@ a link of 7.35 g: on the left under its motor's own PID, on the right under the 
 is shipped; before the way back both lose their strain gauge. Every tip and every motor
 is a sample of such a run; the bow between them is drawn twice as deep. A viewer
 interpolates between samples 40 ms apart. A single file without a script, for light and
-dark pages; with the system setting for reduced motion it stands still.
+dark pages; with the system setting for reduced motion it is static.
 """
 
 from __future__ import annotations

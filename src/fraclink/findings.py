@@ -78,7 +78,7 @@ def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 State = Literal["passed", "failed", "not shown", "not run"]
 # A refuted part is worse than one that could not be shown, which is worse than one that
-# nobody requested: a verdict is never better than its worst part.
+# was not requested: a verdict is never better than its worst part.
 _WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
 
 

@@ -147,7 +147,9 @@ def _nodes(order: float) -> int:
 
 
 def _place(z: Complexes, scale: Reals) -> Complexes:
-    """Where the point e^z lies in the u-plane of the parabola of scale μ = e^scale."""
+    """The position of the point e^z in the u-plane of the parabola of scale μ =
+    e^scale.
+    """
     return np.asarray((np.exp(0.5 * (z - scale)) - 1.0) / 1j)
 
 

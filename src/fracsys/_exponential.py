@@ -119,8 +119,8 @@ class ExponentialSum:
                 raise NearZeroError(a.size)
             phase, sure = self._pieces(a, b)
             total += float(phase[sure].sum())
-            # Only uncertain pieces are halved: their number grows with the zeros beside
-            # the path, not with its length.
+            # Only uncertain pieces are halved: their number grows with the zeros close
+            # to the path, not with its length.
             a, b = a[~sure], b[~sure]
             middle = 0.5 * (a + b)
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])

@@ -139,7 +139,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
     unstable = tuple(complex(p) for p in _both_halves(bad, 0))
     verdict = _verdict(system, unstable, integrators, winding, delayed=False)
-    # A cancelled pole is not part of the transfer function, but the state behind it
+    # A cancelled pole is not part of the transfer function, but the corresponding state
     # still grows; it is therefore reported.
     hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
     if not hidden.size:

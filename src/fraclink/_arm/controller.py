@@ -22,7 +22,7 @@ __all__ = ["Controller"]
 # larger gains and times are typing errors, and their squares must not overflow
 _LARGEST = 1e12
 
-# here and not beside the class: the classes of systems must not depend on the codec
+# here and not next to the class: the classes of systems must not depend on the codec
 document("margins")(Margins)
 # and a reference is needed, because mypy has not seen the codec yet
 document("reference")(Path)

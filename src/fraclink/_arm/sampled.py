@@ -94,7 +94,7 @@ class SampledPlant:
         rate = 2.0 * math.pi / self.period
         s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
         # 1/s comes from the integral of the hold; its factor 1 − e^(−sT) is the same
-        # for every alias and stands outside the sum.
+        # for every alias and is factored out of the sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
         if terms == _TERMS and self.leading is not None and self._whole_samples:
             total = total + self.leading * self._far(w, rate) * np.exp(
@@ -159,8 +159,8 @@ def sampled_plant(
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
-        # With the sampled PID the bare motor stands behind the hold, and the PID before
-        # it (`before`).
+        # With the sampled PID the bare motor follows the hold, and the PID before it
+        # (`before`).
         drive: Complex = s * (s + motor.decay) / motor.gain if sampled else ideal
         ln_s: Complex = np.log(s)
         inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)

@@ -1,4 +1,4 @@
-"""The command `start`: from a log that nobody has described to rig.toml, a first model
+"""The command `start`: from a log without any description to rig.toml, a first model
 and a picture.
 """
 

@@ -178,7 +178,7 @@ def tune_pid(
 
 
 def _of_law(made: PidTuning) -> tuple[Finding, ...]:
-    """The loss of phase margin in the law that ships, with the plant behind its hold."""
+    """The loss of phase margin in the law that ships, with the plant and its hold."""
     if any(term.delay for term in made.plant.denominator):
         return (
             Finding(

@@ -331,7 +331,7 @@ class PidTuning(Saved):
 def _run(
     plant: FractionalTransferFunction, law: Law, size: float, count: int
 ) -> PidStep:
-    """law.c with the plant discretised exactly behind its hold; the output takes effect
+    """law.c with the plant discretised exactly with its hold; the output takes effect
     one period later.
     """
     modes = discrete_modes(plant, law.period, span=count * law.period)

@@ -1,7 +1,7 @@
 """`design`: from a specification to a design, or to the reason why none exists.
 
 The solver meets every row of the requirements at every requested arm. The procedure as
-published (section 6, (54)–(57)) is available beside it.
+published (section 6, (54)–(57)) is available alongside it.
 """
 
 from __future__ import annotations

@@ -267,7 +267,7 @@ def _made(make: Callable[[], Any]) -> Any:
         refused = Refused(error.value, error.problem, error.allowed, error.remedy)
         refused.keys += [error.field] if error.field else []
         raise refused from error
-    except Exception as error:  # a constructor may meet values that nobody foresaw
+    except Exception as error:  # a constructor may be given unforeseen values
         raise Refused(
             f"{type(error).__name__}: {error}", "damaged", "a file of fraclink", _AGAIN
         ) from error

@@ -154,7 +154,7 @@ def table_of(value: Any) -> dict[str, Any]:
     }
     for key, field in keys_of(kind).items():
         item = getattr(value, field.name)
-        # TOML has inf, but a limit that nobody stated is left out.
+        # TOML has inf, but a limit that was not stated is left out.
         unlimited = isinstance(item, float) and math.isinf(item)
         number = isinstance(item, float | int) and not isinstance(item, bool)
         if not unlimited and (number or item != bare[field.name]):

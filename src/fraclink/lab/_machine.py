@@ -48,7 +48,7 @@ Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priorit
 _PERIOD = Between(
     5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
 )
-_MEASURED = 0.5  # [s], a delay that nobody notices before a move
+_MEASURED = 0.5  # [s], an unnoticeable delay before a move
 # Longest time between two wake-ups [s]: their lateness hardly depends on the time
 # slept.
 _STEP = 0.002

@@ -41,8 +41,8 @@ _SLOWEST, _STEP = 4.0, 0.9
 _STRETCH = 70  # smallest number of samples of a move
 # [s] for which the gauge must be quiet; periods between two checks
 _CALM, _LOOK = 0.5, 25
-# k and ζ of the filter that damps the link: for k = ζ/2, both pole pairs of s² + 1
-# behind s² + 2ζs + 1 coincide, with damping ζ/2.
+# k and ζ of the filter that damps the link: for k = ζ/2, both pole pairs of s² + 1 in
+# series with s² + 2ζs + 1 coincide, with damping ζ/2.
 _FILTER = 0.6
 _DAMPING = 0.5 * _FILTER
 _FREE = 1e6  # used where the guard supervises instead of the law

@@ -47,7 +47,7 @@ def copies(session: Session) -> dict[str, str]:
 
 def _log_words(session: Session, verb: str, rig: str = "", *more: str) -> str:
     """The command `verb` on the log, with what was stated of its columns where a rig is
-    named: `inspect` lists what is in a file whatever it is taken for.
+    named: `inspect` lists the contents of a file for any interpretation.
     """
     source, log = session.source, session.study.experiment
     # The command line calls the bundled log demo; its path belongs to this
@@ -91,7 +91,7 @@ def as_command(
         if value is None or value is False:
             continue
         words.append(f"--{name.replace('_', '-')}")
-        if value is not True:  # a flag has no word behind it
+        if value is not True:  # a flag has no word after it
             values = value if isinstance(value, tuple) else (value,)
             words += map(str, values)
     return shlex.join([*words, "--out", str(out)])

@@ -75,7 +75,7 @@ def _events(
         begin, until, place = (
             _number(hold, name) for name in ("begin", "until", "angle")
         )
-        # A hand stops the arm in its motion: the obstacle stands on the side that the
+        # A hand stops the arm in its motion: the obstacle is on the side that the
         # reference will have reached in 0.3 s, since at the moment of the grip it may
         # still be at the position of the tip.
         side: Literal[1, -1] = (

@@ -145,7 +145,7 @@ class Curve:
         across = frame.x.share(
             np.broadcast_to(np.asarray(self.x, dtype=float), values.shape)
         )
-        # A name stands where its line leaves the panel, since the line is cut off
+        # A name is placed where its line leaves the panel, since the line is cut off
         # beyond the right edge.
         visible = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
         attribute = f' data-name="{escaped(self.name)}"' if self.name else ""

@@ -100,7 +100,7 @@ def grid_of(figures: Table | Sequence[Row]) -> Grid:
         for column in zip(*figures.records, strict=True)
         if any(row.label for row in column)
     ]
-    # If every column has a single unit it stands in the header; requirements have
+    # If every column has a single unit, it is in the header; requirements have
     # different units.
     alike = all(len({row.unit for row in column}) == 1 for column in columns)
     header = [column[0].heading if alike else column[0].label for column in columns]
