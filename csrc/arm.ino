@@ -1,5 +1,5 @@
 /* An arm for `fraclink tune`: quadrature encoder, strain gauge on an analog input, H-bridge. For a Teensy, an ESP32, a
- * Pico or another board with native USB or a serial line of 1 Mbaud; arm_link.c and arm_link.h belong next to this file.
+ * Pico or another board with native USB or a serial line of 1 Mbaud. Put arm_link.c and arm_link.h next to this file.
  *
  *   fraclink tune --io serial:/dev/ttyACM0@1000000 --payload 0.030
  *

@@ -1,9 +1,9 @@
 /* The life cycle of an FMU around law_step.
  *
- * Included by fmi3.c, which first defines `fmu_status` with FMU_OK and FMU_ERROR, and `fmu_host`, the data passed by the
- * importer; its own functions follow the include and only translate types. Everything here is static, so that the
- * sources of several FMUs link into one program. The generated all.c includes law.c, law_data, FMU_TOKEN and FMU_PERIOD
- * first. */
+ * Included by fmi3.c, which first defines `fmu_status` with FMU_OK and FMU_ERROR, and `fmu_host`, the data passed by
+ * the importer; its own functions follow the include and only translate types. Everything here is static, so that the
+ * sources of several FMUs link into one program. The generated all.c includes law.c, law_data, FMU_TOKEN and
+ * FMU_PERIOD first. */
 #ifndef FRACLINK_FMU_CORE_H
 #define FRACLINK_FMU_CORE_H
 
