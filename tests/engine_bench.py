@@ -4,17 +4,17 @@ calls it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import Design, Law, Reference, _kernels
-from fraclink._arm.reference import sampled
+from fraclink import Design, Law, Reference
 from fraclink._simulate.engine import (
     RIG_NUMBERS,
-    engine_bytes,
     engine_link,
     engine_noise,
     engine_rig,
@@ -28,6 +28,7 @@ from fraclink._simulate.events import (
     fault_rows,
 )
 from fraclink._simulate.kernel import twin_numbers
+from fraclink.extend import SensorFault
 from needed_tools import missing
 
 try:
@@ -48,6 +49,17 @@ SIGNALS = (
 MARKS = ("flags", "mode", "reason")
 
 
+ENGINE = Path(fl.__file__).parent / "_simulate" / "engine.wasm"
+
+
+def path(
+    reference: Reference, law: Law, count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angle and acceleration of the reference in each period."""
+    time = law.period * np.arange(count)
+    return reference.angle(time), reference.acceleration(time)
+
+
 class Engine:
     """One instance of the engine."""
 
@@ -55,7 +67,9 @@ class Engine:
         if wasmtime is None:
             missing("wasmtime is not installed (pip install wasmtime)")
         store = wasmtime.Store()
-        module = wasmtime.Module(store.engine, engine_bytes() if code is None else code)
+        module = wasmtime.Module(
+            store.engine, ENGINE.read_bytes() if code is None else code
+        )
         self.imports = list(module.imports)
         self._store = store
         self._exports = wasmtime.Instance(store, module, []).exports(store)
@@ -96,7 +110,7 @@ class Engine:
         duration: float,
         seed: int = 0,
         told: float = 0.0,
-        faults: NDArray[np.float64] | None = None,
+        events: Sequence[SensorFault] = (),
     ) -> dict[str, NDArray[Any]]:
         """Return the signals and marks of one run of the twin."""
         count, numbers = (
@@ -115,10 +129,8 @@ class Engine:
             plant.inputs * fine,
         )
         outputs[:, : plant.order] = plant.outputs
-        inputs = fault_rows((), law.period, count) if faults is None else faults.copy()
-        inputs[:, REFERENCE], _, inputs[:, ACCELERATION] = sampled(
-            reference, law.period, count
-        )
+        inputs = fault_rows(tuple(events), law.period, count)
+        inputs[:, REFERENCE], inputs[:, ACCELERATION] = path(reference, law, count)
         inputs[:, GAUGE_ERROR] = twin.gauge.offset + twin.gauge.noise * twin_noise(
             seed, count
         )
@@ -142,7 +154,7 @@ class Engine:
         duration: float,
         seed: int = 0,
         told: float = 0.0,
-        faults: NDArray[np.float64] | None = None,
+        events: Sequence[SensorFault] = (),
         **changed: float,
     ) -> dict[str, NDArray[Any]]:
         """Return the signals and marks of one run; `changed`: numbers of the rig, by
@@ -154,14 +166,14 @@ class Engine:
         numbers = engine_rig(design.rig, law, model)
         for name, value in {**changed, "payload": told}.items():
             numbers[RIG_NUMBERS.index(name)] = value
-        angle, _, acceleration = sampled(reference, law.period, count)
+        angle, acceleration = path(reference, law, count)
         self.write(self.call("block"), law.block)
         self.fill(self.call("rig"), numbers)
         self.write(self.call("link"), link.numbers.tobytes())
         for row, values in enumerate((angle, acceleration, engine_noise(seed, count))):
             self.write(self.call("path", row), values.tobytes())
-        if faults is not None:
-            assert faults.shape == (count, _kernels.TWIN_INPUTS)
+        if events:
+            faults = fault_rows(tuple(events), law.period, count)
             self.write(self.call("faults"), faults.tobytes())
         single = int(law.precision == "single")
         given = (
@@ -169,7 +181,7 @@ class Engine:
             link.reals,
             link.pairs,
             int(link.second),
-            int(faults is not None),
+            int(bool(events)),
             count,
         )
         assert self.call("run", *given) == 0

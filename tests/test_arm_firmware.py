@@ -10,6 +10,7 @@ import os
 import pty
 import queue
 import struct
+import sys
 import threading
 import time
 import tty
@@ -22,14 +23,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._export.board import export_arm_firmware
 from fraclink.errors import FieldError
 from fraclink.lab import Serial, parse_connection, run_realtime, serve_arm
 from needed_tools import tool
 from test_export import run
 
-if not _kernels.REALTIME:
+if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 MESSAGE = "<4sHHIIddIIIQ"  # without its checksum
@@ -38,10 +37,15 @@ WATCHDOG = 10  # periods
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Werror")
 
 
+def firmware(folder: Path) -> int:
+    """The exit code of the command that writes the arm's side."""
+    return fl.main(["export", "arm-firmware", "--out", str(folder)])
+
+
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("arm")
-    export_arm_firmware(folder)
+    assert firmware(folder) == 0
     built = folder / "arm_link.so"
     compiler = tool("cc", "gcc")
     run(compiler, *STRICT, "-shared", "-fPIC", folder / "arm_link.c", "-o", built)
@@ -184,20 +188,22 @@ def test_samples_are_binary64_of_what_was_measured(library: Any, value: float) -
 def test_the_c_file_compiles_for_microcontrollers(
     tmp_path: Path, core: tuple[str, ...]
 ) -> None:
-    export_arm_firmware(tmp_path)
+    assert firmware(tmp_path) == 0
     compiler = tool("arm-none-eabi-gcc", "gcc-arm-none-eabi")
     source, target = tmp_path / "arm_link.c", tmp_path / "arm_link.o"
     run(compiler, *STRICT, "-mthumb", *core, "-c", source, "-o", target)
 
 
 def test_the_sketch_has_the_folders_name_and_nothing_is_overwritten(
-    tmp_path: Path,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sketch = tmp_path / "my_arm"
-    names = {path.name for path in export_arm_firmware(sketch)}
+    assert firmware(sketch) == 0
+    names = {path.name for path in sketch.iterdir()}
     assert names == {"arm_link.h", "arm_link.c", "my_arm.ino"}
-    with pytest.raises(FieldError, match="force"):
-        export_arm_firmware(sketch)
+    capsys.readouterr()
+    assert firmware(sketch) == 2
+    assert "--force" in capsys.readouterr().err
 
 
 @contextlib.contextmanager

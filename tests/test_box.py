@@ -15,8 +15,6 @@ import pytest
 
 import fraclink as fl
 from fraclink import ParameterBox, main
-from fraclink._arm.box import arms_of
-from fraclink._design.completed import design_for
 from fraclink.errors import FieldError
 
 
@@ -55,7 +53,8 @@ def test_the_models_of_other_logs_widen_the_box(
     """
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
-    design, _ = design_for(rig)
+    wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    design = fl.design(rig.model, rig, payloads=(0.02, 0.04), **wanted)
     order, gain = rig.model.order - 0.05, 1.08
     # The other log is of 20 g: converted to the payload of the first one, its ω₀ agrees
     # to a tenth.
@@ -112,7 +111,6 @@ def test_a_second_mode_that_another_log_does_not_show_may_have_no_gain() -> None
     )
     assert both == replace(alone, mode_gain=(0.0, alone.mode_gain[1]))
     assert both.holds(plain) and both.holds(shown) and not alone.holds(plain)
-    assert all(arm.model.second_mode is not None for arm in arms_of(both, shown))
     with pytest.raises(
         FieldError, match="with a second mode that the model does not know"
     ):

@@ -10,16 +10,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-import fracsys
 from campaigns import small
-from fraclink import LinkModel, SecondMode
-from fraclink._simulate.links import POWERS, batch_links, link_weights
-from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
+from fraclink import SecondMode
 from fraclink.errors import FieldError, SizeError
 from fraclink.extend import equip
 from fraclink.trials import Campaign, Distribution, replay_run, simulate_part
 from fraclink.trials._arms import arm_of
-from fraclink.trials._campaign import SHAPES, draw
 
 METRICS = (
     *(
@@ -37,9 +33,9 @@ def test_draws_follow_their_distributions():
     from scipy.stats import kstest, truncnorm
 
     draws = replace(small().draws, delay_samples=Distribution("whole", 0, 2))
-    values = draw(draws, 1, 0, 20_000)
+    values = simulate_part(replace(small(), draws=draws), 0)
     payload, stiffness = draws.payload, draws.stiffness
-    for name in values.keys() - {"shape", "delay_samples"}:
+    for name in vars(draws).keys() - {"delay_samples"}:
         about: Distribution = getattr(draws, name)
         assert values[name].min() >= about.low and values[name].max() <= about.high
     assert (
@@ -55,7 +51,7 @@ def test_draws_follow_their_distributions():
     assert (
         kstest(values["stiffness"], truncnorm(-4, 4, mean, deviation).cdf).pvalue > 1e-3
     )
-    assert np.bincount(values["delay_samples"].astype(int), minlength=3).min() > 6000
+    assert np.bincount(values["delay_samples"].astype(int), minlength=3).min() > 120
 
 
 @pytest.mark.parametrize(
@@ -93,70 +89,11 @@ def test_impossible_campaigns_are_refused(field, value, error):
         replace(small(), **{field: value})
 
 
-def link_answers(decay, weight, pair, pair_weight, first, count):
-    """Tip after each of `count` periods of a motor that moves as xʲ in the first period
-    and then stands still.
-    """
-    answers = np.zeros((POWERS, count))
-    for j in range(POWERS):
-        x, z = np.zeros(len(decay)), np.zeros(len(pair), dtype=complex)
-        for k in range(count):
-            q = np.eye(POWERS)[j] if k == 0 else np.eye(POWERS)[0]
-            x, z = decay * x + q @ weight, pair * z + q @ pair_weight
-            answers[j, k] = first @ q + x.sum() + z.sum().real
-    return answers
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("order", "damping", "damping_order"),
-    [(order, 0.0, 1.0) for order in (1.5, 1.9, 1.92, 1.94, 2.0)]
-    + [(2.0, 0.3, 1.0), (2.0, 9.0, 1.0), (2.0, 0.5, 0.8), (2.0, 5.0, 0.5)]
-    + [(2.0, 13.0, 0.9), (2.0, 4.0, 1.3), (2.0, 0.05, 1.9), (1.9, 0.5, 0.8)],
-)
-def test_links_answer_powers_of_time_as_their_step_response_says(
-    order, damping, damping_order
-):
-    """The motor moves as xʲ in one period and then stands still: j ∫ x^(j − 1) S(t −
-    xT) dx, by Gauss's rule, with S computed by fracsys.
-    """
-    T, span = 0.004, 6.0
-    ends = np.array([0, 1, 7, 80, 1499])
-    nodes, sizes = np.polynomial.legendre.leggauss(40)
-    # 1 − x = u⁸, because S begins like a fractional power
-    u = 0.5 * (1.0 + nodes)
-    x, sizes = 1.0 - u**8, 0.5 * sizes * 8.0 * u**7
-    model = LinkModel(
-        1.56, 11.0, order=order, damping=damping, damping_order=damping_order
-    )
-    stiff = np.array([60.0, 123.1, 400.0])
-    many = batch_links(model, stiff, np.full(3, order), np.full(3, damping), T, span)
-    for i, value in enumerate(stiff):
-        own = replace(model, natural_frequency=value**0.5)
-        times = (ends[:, None] + u**8) * T
-        steps = fracsys.step_response(own.tip(), times.ravel()).output
-        steps = steps.reshape(times.shape)
-        for links, row, bound in (
-            (link_weights(own, T, span), 0, 5e-9),
-            (many, i, 8e-7),
-        ):
-            names = ("decay", "weight", "pair", "pair_weight", "first")
-            parts = (getattr(links, name)[row] for name in names)
-            answers = link_answers(*parts, count=1500)[:, ends]
-            for j in range(1, POWERS):
-                wanted = steps @ (sizes * j * x ** (j - 1))
-                assert np.abs(answers[j] - wanted).max() < bound
-
-
 def test_a_link_too_fast_for_the_period_is_refused():
     with pytest.raises(FieldError, match="period"):
-        batch_links(
-            LinkModel(1.0, 10.0),
-            np.array([1e7]),
-            np.array([1.92]),
-            np.zeros(1),
-            0.004,
-            1.0,
+        stiff = Distribution("uniform", 1e5, 1e5)
+        simulate_part(
+            replace(small(), draws=replace(small().draws, stiffness=stiff)), 0
         )
 
 
@@ -227,50 +164,6 @@ def test_a_run_is_what_simulate_says_of_its_arm():
     assert np.median(apart) < 2e-5 and max(apart) < 2e-3
 
 
-def test_many_runs_are_measured_as_one_is():
-    rng = np.random.default_rng(3)
-    time = 0.004 * np.arange(700)
-    move = np.where(np.arange(24) % 2, 0.7, -1.1)[:, None]
-    reference = move * np.clip(time / 0.5, 0, 1)
-    ring = np.exp(-rng.uniform(0.2, 6, (24, 1)) * time) * np.sin(
-        rng.uniform(8, 15, (24, 1)) * time
-    )
-    tip = reference + 0.2 * ring + 1e-3 * rng.standard_normal(reference.shape)
-    flags = (rng.random(tip.shape) < 0.01).astype(np.uint32) * 64
-    mode = np.ones(tip.shape, dtype=np.uint32)
-    reason = np.zeros(tip.shape, dtype=np.uint32)
-    mode[5, 300:], reason[5, 300:] = 3, 8
-    ended, vibration = np.full(24, 0.5), rng.uniform(0.4, 0.7, 24)
-    signals = Signals(
-        reference, tip, 2 * tip, 3 * tip, flags, mode, reason, 0.004, ended, vibration
-    )
-    metrics = measure_many(signals)
-    many = metrics | judge_many(signals, metrics)
-    for r in range(24):
-        row = slice(r, r + 1)
-        arrays = (
-            reference[row],
-            tip[row],
-            2 * tip[row],
-            3 * tip[row],
-            flags[row],
-            mode[row],
-            reason[row],
-        )
-        one = measure(Signals(*arrays, 0.004, ended[row], vibration[row]))
-        for name in METRICS:
-            assert many[name][r] == pytest.approx(
-                getattr(one, name), rel=1e-9, abs=1e-12
-            ), (name, r)
-    assert (many["mode"][5], many["reason"][5], bool(many["passed"][5])) == (
-        3,
-        8,
-        False,
-    )
-    assert (many["mode"][4], many["reason"][4]) == (1, 0)
-    assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds occurred
-
-
 @pytest.mark.slow
 def test_the_law_that_does_not_hold_is_counted():
     rig = fl.Rig.named("paper-2023")
@@ -281,39 +174,6 @@ def test_the_law_that_does_not_hold_is_counted():
     )
     part = simulate_part(Campaign.of(rig, rig.model, wild, runs=64), 0)
     assert not part["passed"].any() and (part["mode"] != 1).any()
-
-
-def _first_look(campaign: Campaign, run: int) -> float:
-    """Growth [1/s] of a replayed run from its own four seconds, without the second
-    look.
-    """
-    seen, (_, link, own) = replay_run(campaign, run), arm_of(campaign, run)
-    assert link.payload is not None
-    pole = (own["stiffness"] / (link.payload * campaign.rig.link.length**2)) ** (
-        1 / own["order"]
-    )
-    cycle = 2 * np.pi / (pole * np.sin(np.pi / own["order"]))
-    names = (
-        "reference",
-        "tip_angle",
-        "motor_reference",
-        "voltage",
-        "flags",
-        "mode",
-        "reason",
-    )
-    reference, tip, motor, voltage, flags, mode, reason = (
-        np.array(getattr(seen, name))[None] for name in names
-    )
-    ended, cycles = (
-        np.array([SHAPES[int(own["shape"]) % len(SHAPES)]]),
-        np.array([cycle]),
-    )
-    period = campaign.law.period
-    signals = Signals(
-        reference, tip, motor, voltage, flags, mode, reason, period, ended, cycles
-    )
-    return measure(signals).growth
 
 
 @pytest.mark.slow
@@ -330,7 +190,6 @@ def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
         order=4,
     )
     campaign = Campaign.of(rig, rig.model, law, runs=1000, seed=1)
-    assert _first_look(campaign, 801) > 0.3
     part, run = simulate_part(campaign, 0), replay_run(campaign, 801)
     assert part["growth"][801] == run.metrics.growth == 0.0
     assert part["passed"][801] and run.verdict.passed

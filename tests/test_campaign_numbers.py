@@ -7,14 +7,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import fraclink as fl
 from campaigns import small
 from fraclink.errors import FieldError
 from fraclink.trials import Campaign, Distribution, load_campaign
-from fraclink.trials._arms import unit_paths
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
@@ -49,15 +47,6 @@ def test_a_campaign_follows_the_reference_that_it_is_given() -> None:
         ).duration
         == 4.0
     )
-    assert unit_paths(own).shape == (1, 2, 1376) and unit_paths(own, 2).shape == (
-        1,
-        2,
-        2751,
-    )
-    path = unit_paths(small())
-    time = 0.004 * np.arange(1001)
-    assert path[1, 0] == pytest.approx(fl.smooth_step(1.0, 0.75).angle(time))
-    assert path[1, 1] == pytest.approx(fl.smooth_step(1.0, 0.75).acceleration(time))
     # One second is left after the move, and no less.
     assert replace(own, reference=fl.smooth_step(1.0, 4.5)).duration == 5.5
     with pytest.raises(FieldError, match=r"reference: too long .* <= 4.5 s"):

@@ -11,7 +11,6 @@ import pytest
 
 import fraclink as fl
 from fraclink import Controller, Design, MotorLoop, Rig
-from fraclink._arm.motor_loop import direct_placement
 from fraclink.errors import FieldError
 from fraclink.extend import (
     equip,
@@ -119,8 +118,8 @@ def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
     )
     motor_loop = made.law().motor_loop
     assert motor_loop is not None
-    placed = direct_placement(RIG.motor, 80.0, RIG.period, 1)
-    assert motor_loop.pid.filter_decay == placed.filter_decay
+    placed = fl.MotorLoop(80.0, 1, "sampled", "direct").sampled(RIG.motor, RIG.period)
+    assert motor_loop.pid == placed.pid
 
 
 def test_plan_certifies_the_very_law_that_is_exported(design: Design):

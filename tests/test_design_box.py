@@ -4,16 +4,18 @@ what is refused.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import fraclink as fl
-from fraclink import Design, ParameterBox, SecondMode, design
-from fraclink._arm.box import Arm, arms_of
+from fraclink import Design, ParameterBox, design
 from fraclink.errors import FieldError
+from fraclink.extend import Loop
 
 RIG = fl.Rig.named("paper-2023")
 WANTED = {
@@ -21,7 +23,17 @@ WANTED = {
     "gain_crossover": 12.0,
     "phase_margin": fl.deg(50),
 }
-MODE = SecondMode(180.0, 0.02, 0.02)
+
+
+def corner_loops(made: Design, box: ParameterBox) -> Iterator[Loop]:
+    """The loops at the corners of a box: link, gauge, and a faster or slower motor."""
+    names = ("order", "damping", "gauge_gain", "gauge_delay")
+    controller, settings = made.controller, made.motor_loop
+    intervals = [getattr(box, name) for name in names]
+    for *values, ratio in itertools.product(*intervals, box.motor_ratio):
+        link = replace(made.model, **dict(zip(names, values, strict=True)))
+        motor = settings.correction(RIG.motor, RIG.period, ratio=ratio)
+        yield replace(Loop.of(controller, link, RIG), correction=motor)
 
 
 @pytest.mark.slow
@@ -50,8 +62,8 @@ def test_finding_says_what_each_interval_costs() -> None:
     # finding promised.
     known = replace(made.box, gauge_delay=(0.0, 0.0))
     worst = min(
-        float(arm.loop(made.controller, RIG).margins(w0 * ratio)[1][0])
-        for arm in arms_of(known, made.model)
+        float(loop.margins(w0 * ratio)[1][0])
+        for loop in corner_loops(made, known)
         for w0 in made.natural_frequencies
         for ratio in (0.985, 1.015)
     )
@@ -106,8 +118,10 @@ def test_the_cost_of_a_box_names_the_dearest_parameter() -> None:
     # The contribution of the delay alone, with the other parameters at their worst
     # values.
     late = [
-        Arm(replace(RIG.model, gauge_delay=delay, gauge_gain=gain)).loop(
-            made.controller, RIG
+        Loop.of(
+            made.controller,
+            replace(RIG.model, gauge_delay=delay, gauge_gain=gain),
+            RIG,
         )
         for delay in (0.004, 0.0)
         for gain in (0.99, 1.01)
@@ -122,18 +136,3 @@ def test_a_box_of_one_arm_costs_nothing() -> None:
     made = design(RIG.model, RIG, **WANTED, box=point, law=False)
     (cost,) = made.findings
     assert cost.code == "W407" and "costs nothing" in cost.message
-
-
-def test_one_parameter_of_an_arm_is_known_alone() -> None:
-    link = replace(RIG.model, damping=0.4, second_mode=MODE)
-    exact = ParameterBox.at(link)
-    far = {"order": 1.9, "damping": 0.5, "gauge_gain": 1.05, "gauge_delay": 0.002}
-    mode = replace(MODE, frequency=190.0)
-    arm = Arm(replace(link, **far, second_mode=mode), 1.1)
-    for name, value in far.items():
-        known = arm.knowing(name, exact)
-        assert getattr(known.model, name) == getattr(link, name)
-        assert replace(known.model, **{name: value}) == arm.model
-    assert arm.knowing("motor_ratio", exact) == replace(arm, motor_ratio=1.0)
-    link_known = arm.knowing("mode_frequency", exact).model
-    assert link_known == replace(arm.model, second_mode=MODE)

@@ -15,7 +15,6 @@ import pytest
 import fraclink as fl
 from fraclink import Design, Rig, main
 from fraclink._simulate import assemble
-from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError
 from fraclink.extend import Beam, KelvinVoigt, PowerLaw, mode_gains
 from reproduce.twin_logs import on_servo
@@ -36,7 +35,7 @@ def with_mass(mass: float) -> Rig:
 
 
 def on_the_twin(
-    design: Design, payload: float, number: int, damping: Damping
+    design: Design, payload: float, number: int, damping: KelvinVoigt | PowerLaw
 ) -> tuple[float, float]:
     """Loop gain of the shipped law at a mode of the twin, and the spectral radius of
     the whole loop.

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import re
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -17,14 +16,7 @@ import pytest
 import fraclink as fl
 from engine_bench import MARKS, SIGNALS, Engine
 from fraclink import Design, SecondMode
-from fraclink._simulate.engine import (
-    LONGEST,
-    MOST_ROWS,
-    RIG_NUMBERS,
-    TWIN_MODES,
-    engine_bytes,
-)
-from fraclink._simulate.events import fault_rows
+from fraclink._simulate.engine import LONGEST, MOST_ROWS, TWIN_MODES
 from fraclink.extend import KelvinVoigt, SensorFault
 from needed_tools import missing, tool
 
@@ -84,12 +76,12 @@ def same(page: dict[str, np.ndarray], run: fl.Run) -> None:
 
 def test_the_engine_asks_for_nothing_and_is_small(engine):
     assert engine.imports == []
-    assert len(engine_bytes()) <= builder().LARGEST == 24_000
+    assert builder().ENGINE.stat().st_size <= builder().LARGEST == 24_000
 
 
 def test_the_digest_beside_the_engine_is_its_own():
     digest = builder().DIGEST.read_text().split()[0]
-    assert hashlib.sha256(engine_bytes()).hexdigest() == digest
+    assert hashlib.sha256(builder().ENGINE.read_bytes()).hexdigest() == digest
 
 
 @pytest.mark.slow
@@ -101,7 +93,7 @@ def test_the_engine_is_what_csrc_compiles_to():
         missing(
             f"{committed} built the engine, {build.compiler_version(clang)} is here"
         )
-    assert build.built(clang) == engine_bytes()
+    assert build.built(clang) == build.ENGINE.read_bytes()
 
 
 @pytest.mark.slow
@@ -147,10 +139,15 @@ def test_a_fault_has_the_packages_bits_and_a_reaction(engine, design, precision,
         noise=0.01,
         events=FAULTS[fault],
     )
-    rows = fault_rows(tuple(FAULTS[fault]), law.period, run.tip_angle.size)
     same(
         engine.run(
-            design, law, MOVE, payload=0.03, duration=END, faults=rows, noise=0.01
+            design,
+            law,
+            MOVE,
+            payload=0.03,
+            duration=END,
+            events=FAULTS[fault],
+            noise=0.01,
         ),
         run,
     )
@@ -236,8 +233,7 @@ def test_a_run_of_the_twin_has_the_packages_bits(
 def test_a_fault_of_the_twin_has_the_packages_bits(engine, geared, precision, fault):
     law, twin = geared.law().in_precision(precision), twin_of(geared)
     run = fl.simulate(law, MOVE, arm=twin, duration=END, events=FAULTS[fault])
-    rows = fault_rows(tuple(FAULTS[fault]), law.period, run.tip_angle.size)
-    page = engine.run_twin(twin, law, MOVE, duration=END, faults=rows)
+    page = engine.run_twin(twin, law, MOVE, duration=END, events=FAULTS[fault])
     same(page, run)
     assert not np.array_equal(
         page["tip_angle"], engine.run_twin(twin, law, MOVE, duration=END)["tip_angle"]
@@ -283,14 +279,3 @@ def test_the_engine_refuses_what_it_has_no_room_for(engine):
     assert engine.call("run_twin", 0, 8, LONGEST + 1) == 1
     assert engine.call("run", 0, 0, 0, 0, 0, LONGEST + 1) == 1
     assert engine.call("run", 0, 65, 0, 0, 0, 10) == 1
-
-
-def test_the_rigs_numbers_stand_in_the_engines_order():
-    text = (ROOT / "csrc" / "kernels" / "loop.h").read_text()
-    fields = {
-        name: re.findall(r"^    (?:int|double) (\w+);", body, re.MULTILINE)
-        for body, name in re.findall(
-            r"^typedef struct {\n(.*?)^} (\w+);", text, re.DOTALL | re.MULTILINE
-        )
-    }
-    assert (*fields["loop_rig"], *fields["loop_weights"]) == RIG_NUMBERS

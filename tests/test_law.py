@@ -13,9 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import Law, LinkModel, _kernels, extend
-from fraclink._law import Modes, discretize_controller
-from fraclink._law import block as layout
+from fraclink import Law, LinkModel, extend
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import LawInputs, Loop, Moves
 from law_bench import PERIOD, default_controller, law, run, signals
@@ -31,17 +29,10 @@ def test_the_block_is_the_struct_of_law_h() -> None:
         r"(uint32_t|law_real|law_mode|law_pair) (\w+)(?:\[(\w+)\])?;", struct.group(1)
     )
     lengths = {"LAW_REAL_MODES": 8, "LAW_PAIR_MODES": 2, "LAW_FORWARD_MODES": 8, "": 1}
-    parts = {"law_real": 1, "law_mode": 2, "law_pair": 4}
-    assert [name for kind, name, _ in fields if kind == "uint32_t"] == [
-        *layout.HEADER,
-        *layout.COUNTS,
-    ]
-    reals = tuple(
-        (name, parts[kind] * lengths[length])
-        for kind, name, length in fields
-        if kind in parts
-    )
-    assert reals == layout.REALS
+    parts = {"uint32_t": 1, "law_real": 1, "law_mode": 2, "law_pair": 4}
+    sizes = [(name, parts[kind] * lengths[length]) for kind, name, length in fields]
+    values = law().coefficients
+    assert [(name, np.size(value)) for name, value in values.items()] == sizes
     for name, length in lengths.items():
         assert not name or re.search(rf"#define {name} {length}U", text)
 
@@ -50,7 +41,6 @@ def test_the_block_is_the_struct_of_law_h() -> None:
 def test_the_block_survives_packing(precision: str) -> None:
     made = law(precision)
     single = precision == "single"
-    assert len(made.block) == _kernels.law_sizes(single)[0]
     assert zlib.crc32(made.block[16:]) == int.from_bytes(made.block[12:16], "little")
     kind = np.float32 if single else np.float64
     values = made.coefficients
@@ -58,10 +48,6 @@ def test_the_block_survives_packing(precision: str) -> None:
     assert values["stiffness"] == float(kind(1.56))
     # type: ignore[index]
     assert values["real"][0 : 2 * made.order : 2] == list(made.correction.poles)
-
-
-def test_the_state_fits_the_promise() -> None:
-    assert _kernels.law_sizes(True)[1] <= 256
 
 
 @pytest.mark.slow
@@ -78,7 +64,8 @@ def test_few_states_reach_a_tenth_of_a_decibel(
         filter_order=2,
         link=fl.Rig.named("paper-2023").model,
     )
-    made = discretize_controller(controller, PERIOD, band=band)
+    made = fl.discretize(controller, PERIOD)
+    assert made.band == pytest.approx(band)
     assert made.order <= order
     w = np.geomspace(*band, 3000)
     ratio = (1 + made.frequency_response(w)) / (1 + controller.response(w))
@@ -168,12 +155,12 @@ def test_feed_forward_inverts_the_link() -> None:
     assert np.abs(20 * np.log10(np.abs(filtered / wanted)))[flexible].max() <= 0.3
     assert np.abs(np.degrees(np.angle(filtered / wanted)))[flexible].max() <= 1.5
     assert made.feedforward_error[0] <= 0.3 and made.feedforward_error[1] <= 1.5
-    classical = discretize_controller(
+    classical = fl.discretize(
         replace(default_controller(), link=LinkModel(1.56, 10.0, order=2.0)), PERIOD
     )
-    assert classical.feedforward == Modes(
-        float(np.float32(0.01))
-    )  # 1/ω₀², no state at all
+    # 1/ω₀², no state at all
+    assert classical.feedforward.direct == float(np.float32(0.01))
+    assert not classical.feedforward.poles + classical.feedforward.pair_poles
 
 
 def test_step_and_run_are_the_same() -> None:
@@ -225,22 +212,22 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
 def test_periods_that_differ_are_refused() -> None:
     rig = fl.Rig.named("paper-2023")
     with pytest.raises(FieldError, match="period"):
-        discretize_controller(replace(default_controller(), period=0.002), 0.004)
+        fl.discretize(replace(default_controller(), period=0.002), 0.004)
     with pytest.raises(FieldError, match="not the rig's"):
-        discretize_controller(default_controller(), 0.002, rig=rig)
+        extend.equip(fl.discretize(default_controller(), 0.002), rig, rig.model)
     for period in (0.0, -1.0, float("nan"), 1e3):
         with pytest.raises(FieldError, match="period"):
-            discretize_controller(default_controller(), period)
+            fl.discretize(default_controller(), period)
 
 
 def test_bad_requests_are_named() -> None:
     controller = default_controller()
     with pytest.raises(FieldError, match="link"):
-        discretize_controller(replace(controller, link=None), PERIOD)
+        fl.discretize(replace(controller, link=None), PERIOD)
     with pytest.raises(FieldError, match="precision"):
-        discretize_controller(controller, PERIOD, precision="half")  # type: ignore[arg-type]
+        fl.discretize(controller, PERIOD, precision="half")  # type: ignore[arg-type]
     with pytest.raises(FieldError, match="order"):
-        discretize_controller(controller, PERIOD, order=99)
+        fl.discretize(controller, PERIOD, order=99)
     with pytest.raises(FieldError, match=r"moves\.velocity"):
         Moves(velocity=-1.0)
     with pytest.raises(FieldError, match="inputs"):
@@ -295,38 +282,6 @@ def test_the_law_keeps_the_margins_of_the_exact_controller(
         assert shipped > exact - fl.deg(0.7), payload
 
 
-def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() -> None:
-    """The state of a pair is one complex number, x ← q x + e, of which law.c outputs
-    Re(c x).
-    """
-    from fraclink._law.block import modes_of
-
-    rng = np.random.default_rng(5)
-    real = [0.9, -0.3, 0.4, 1.2, 0.0, 0.0]
-    pair = [0.5, 0.3, 0.2, -0.7, 0.1, 0.85, 0.0, 0.4, 0.0, 0.0, 0.0, 0.0]
-    e, states, turning, output = rng.normal(size=60), [0.0] * 3, [0j] * 3, []
-    for value in e:
-        output.append(
-            sum(g * x for g, x in zip(real[1::2], states, strict=True))
-            + sum(
-                (complex(c, d) * x).real
-                for c, d, x in zip(pair[2::4], pair[3::4], turning, strict=True)
-            )
-        )
-        states = [p * x + value for p, x in zip(real[::2], states, strict=True)]
-        turning = [
-            complex(a, b) * x + value
-            for a, b, x in zip(pair[::4], pair[1::4], turning, strict=True)
-        ]
-    modes = modes_of({"real": real, "pair": pair})
-    assert len(modes) == 2 + 2 * 2  # slots with zero gain hold no mode
-    answer = np.array([sum(g * p**k for p, g in modes) for k in range(e.size)])
-    np.testing.assert_allclose(answer.imag, 0.0, atol=1e-15)
-    np.testing.assert_allclose(
-        np.convolve(e, answer.real)[: e.size - 1], output[1:], atol=1e-12
-    )
-
-
 @pytest.mark.parametrize(
     ("gain", "order", "filter_time", "emphasis"),
     [
@@ -346,7 +301,7 @@ def test_a_fit_is_closest_about_the_crossover(
     controller = fl.Controller(
         gain, order, filter_time, 2 if filter_time else 1, link=link, period=PERIOD
     )
-    law = discretize_controller(controller, PERIOD)
+    law = fl.discretize(controller, PERIOD)
     assert (
         law.correction_error[0] <= 0.1
         and law.correction_error[1] <= 0.5
@@ -365,34 +320,28 @@ def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
     designed for another one.
     """
     own = default_controller()
-    bare = discretize_controller(own, PERIOD)
+    bare = fl.discretize(own, PERIOD)
     assert (bare.motor_loop_pole, bare.motor_loop) == (80.0, None)
-    other = discretize_controller(
-        replace(own, motor_loop=fl.MotorLoop(40.0, 3)), PERIOD
-    )
+    other = fl.discretize(replace(own, motor_loop=fl.MotorLoop(40.0, 3)), PERIOD)
     assert other.motor_loop_pole == 40.0 and other.correction == bare.correction
     assert other.motor_model != bare.motor_model
-    same = discretize_controller(replace(own, motor_loop=fl.MotorLoop(80.0, 1)), PERIOD)
+    same = fl.discretize(replace(own, motor_loop=fl.MotorLoop(80.0, 1)), PERIOD)
     assert same.motor_model == bare.motor_model and same.limits == bare.limits
     nyquist = np.pi / PERIOD
     assert bare.band == pytest.approx((0.05, 300.0))
     filtered = replace(own, filter_time=0.01)
-    assert discretize_controller(filtered, PERIOD).band == pytest.approx((0.05, 600.0))
-    assert discretize_controller(own, 0.02).band == pytest.approx(
-        (0.05, 0.382 * nyquist / 5)
-    )
-    assert discretize_controller(filtered, 0.02).band == pytest.approx(
+    assert fl.discretize(filtered, PERIOD).band == pytest.approx((0.05, 600.0))
+    assert fl.discretize(own, 0.02).band == pytest.approx((0.05, 0.382 * nyquist / 5))
+    assert fl.discretize(filtered, 0.02).band == pytest.approx(
         (0.05, 0.764 * nyquist / 5)
     )
-    assert discretize_controller(own, 0.1, order=2).band[0] == pytest.approx(
-        1e-3 * np.pi / 0.1
-    )
+    assert fl.discretize(own, 0.1, order=2).band[0] == pytest.approx(1e-3 * np.pi / 0.1)
     with pytest.raises(FieldError, match="too long"):
-        discretize_controller(own, 12.6)
+        fl.discretize(own, 12.6)
     with pytest.raises(FieldError, match="not the one the controller was designed for"):
-        discretize_controller(replace(own, period=0.005), PERIOD)
+        fl.discretize(replace(own, period=0.005), PERIOD)
     with pytest.raises(FieldError, match="link"):
-        discretize_controller(replace(own, link=None), PERIOD)
+        fl.discretize(replace(own, link=None), PERIOD)
 
 
 def test_a_controller_without_a_period_needs_one() -> None:

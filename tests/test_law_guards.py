@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink._law import MODES, REASONS
-from fraclink._law.law import LawOutputs
 from law_bench import closed_loop, law, run, signals
 
 PRECISIONS = ("double", "single")
@@ -35,7 +35,7 @@ def quiet(count: int = COUNT) -> NDArray[np.float64]:
     return rows
 
 
-def ended(outputs: LawOutputs) -> tuple[str, str]:
+def ended(outputs: Any) -> tuple[str, str]:
     return MODES[outputs.mode[-1]], REASONS[outputs.reason[-1]]
 
 

@@ -10,7 +10,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fraclink import LinkModel
-from fraclink._arm.link import structure
 from fraclink.errors import FieldError
 from fraclink.extend import STRUCTURES
 
@@ -37,9 +36,6 @@ def test_structure_names(options: dict[str, float], name: str) -> None:
 
 def test_free_parameters_are_those_of_table_2() -> None:
     assert [len(row.free) for row in STRUCTURES.values()] == [1, 2, 2, 3]
-    with pytest.raises(FieldError) as caught:
-        structure("FOM")
-    assert caught.value.field == "structure"
 
 
 def test_resonances_of_equation_14_and_its_correction() -> None:

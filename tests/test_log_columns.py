@@ -4,12 +4,14 @@ the time base.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from fraclink import Channel, LogColumns
 from fraclink._arm.log_columns import ColumnStatement, parse_columns
-from fraclink._arm.timebase import TimeBase, time_base
+from fraclink._arm.timebase import time_base
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
@@ -105,7 +107,7 @@ def test_columns_are_stated_once_each() -> None:
 # --- stamps -------------------------------------------------------------------------------------------------
 
 
-def found(stamps: object, *, resample: bool = False) -> tuple[TimeBase, Finding | None]:
+def found(stamps: object, *, resample: bool = False) -> tuple[Any, Finding | None]:
     base = time_base(np.asarray(stamps, dtype=float), resample=resample)
     assert len(base.findings) <= 1
     return base, base.findings[0] if base.findings else None

@@ -14,7 +14,7 @@ import fraclink as fl
 from fraclink import Controller, LinkModel, MotorLoop, ParameterBox, SecondMode
 from fraclink._arm.box import Arm
 from fraclink._arm.loop import with_payload, worst_margins
-from fraclink._arm.sampled import sampled_plant, tail_sum
+from fraclink._arm.sampled import sampled_plant
 from fraclink.errors import FieldError
 from fraclink.extend import Loop
 
@@ -243,17 +243,6 @@ def test_the_worst_margin_inside_a_range_is_closed_in_on() -> None:
 # --- sampled ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("exponent", "start"), [(2.0, 8.0), (3.92, 13.4), (5.0, 10.0), (1.5, 20.0)]
-)
-def test_tail_of_a_sum_of_powers(exponent: float, start: float) -> None:
-    from mpmath import zeta
-
-    assert float(tail_sum(exponent, start)) == pytest.approx(
-        float(zeta(exponent, start)), rel=5e-8
-    )
-
-
 @pytest.mark.parametrize("name", LINKS)
 @pytest.mark.parametrize(
     ("kind", "delay"), [("ideal", 1), ("ideal", 0), ("sampled", 2)]
@@ -280,16 +269,6 @@ def test_the_sampled_plant_is_the_sum_of_its_aliases(
         * np.sum(drive * bracket / s, axis=1)
     )
     assert plant(w) == pytest.approx(wanted, rel=2e-6, abs=1e-9)
-
-
-def test_what_the_model_does_not_know_adds_to_its_torque() -> None:
-    known = replace(PLAIN, second_mode=MODE)
-    motor_loop = MotorLoop(80.0, 1)
-    added = sampled_plant(PLAIN, motor_loop, RIG.motor, 0.004, higher=MODE.response)
-    w = np.array([3.0, 50.0, 151.0, 500.0])
-    whole = sampled_plant(known, motor_loop, RIG.motor, 0.004)(w)
-    assert added(w) == pytest.approx(whole, rel=1e-9)
-    assert SecondMode(2.0, 0.5, 0.1).response(2.0j) == pytest.approx(0.5 / 0.2 * 1j)
 
 
 # --- arms of a box ------------------------------------------------------------------------------------------
