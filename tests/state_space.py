@@ -5,6 +5,7 @@ sampled loop.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from scipy.linalg import expm
 
 import fraclink as fl
 from fraclink._arm.beam import residual_inertia
-from fraclink._simulate import Plant
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -58,7 +58,7 @@ def of_law(law: fl.Law) -> StateSpace:
     return StateSpace(a, b, c, modes.direct)
 
 
-def of_plant(plant: Plant, row: Real, period: float, delay: int) -> StateSpace:
+def of_plant(plant: Any, row: Real, period: float, delay: int) -> StateSpace:
     """Return z^−delay·ZOH of an output `row` of a plant."""
     n = plant.order
     block = np.zeros((n + 1, n + 1))
@@ -88,7 +88,7 @@ def spectral_radius(plant: StateSpace, correction: StateSpace) -> float:
     return float(np.abs(np.linalg.eigvals(closed)).max())
 
 
-def energy_matrix(plant: Plant, hub_inertia: float) -> Real:
+def energy_matrix(plant: Any, hub_inertia: float) -> Real:
     """Return E with xᵀ E x = kinetic plus stored energy of hub and link [J]."""
     modes, chain, n = plant.modes, plant.chain, plant.order
     energy = np.zeros((n, n))

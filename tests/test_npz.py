@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._files import parse_json, read_json, write_json
+from fraclink._files import read_json, write_json
 from fraclink._files.containers import read_archive, write_archive
 from fraclink.errors import FieldError, FileFormatError
 from mutants import mutate
@@ -201,12 +201,10 @@ def test_mutated_archives_are_read_or_refused(tmp_path: Path) -> None:
     ],
 )
 def test_b28_b44_b47_b62_hostile_json(text: str, problem: str, tmp_path: Path) -> None:
-    with pytest.raises(FieldError, match=problem) as caught:
-        parse_json(text)
-    assert len(str(caught.value)) < 500
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(FieldError):
+    with pytest.raises(FieldError, match=problem) as caught:
         read_json(tmp_path / "a.json", "thing")
+    assert len(str(caught.value)) < 500
 
 
 @pytest.mark.slow

@@ -12,17 +12,26 @@ import math
 import re
 import subprocess
 import sys
+import tempfile
 from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from browser import command_line
-from fraclink import Experiment, Rig, bundled_log, compare_structures, design, read_log
-from fraclink._design.completed import design_for
+from fraclink import (
+    Design,
+    Experiment,
+    Rig,
+    bundled_log,
+    compare_structures,
+    design,
+    read_log,
+)
 from fraclink.extend import number
 from fraclink.findings import Finding, Scope, Verdict
 from fraclink.trials import (
@@ -35,7 +44,6 @@ from fraclink.trials import (
     save_study,
 )
 from fraclink.view import write_report
-from fraclink.view._report import render_report
 
 HOSTILE = [
     "<img src=x onerror=alert(1)>",
@@ -71,6 +79,18 @@ HOSTILE = [
     "%3Cscript%3E<u>",
 ]
 RIG = Rig.named("paper-2023")
+
+
+def designed() -> Design:
+    """Return the design that the tests report."""
+    return design(RIG.model, RIG, gain_crossover=12.0, phase_margin=math.radians(50))
+
+
+def rendered(study: Study, **options: Any) -> str:
+    """Return the text of a study's report."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = write_report(study, Path(folder) / "report.html", **options)
+        return place.read_text("utf-8")
 
 
 class Elements(HTMLParser):
@@ -112,7 +132,7 @@ def study(text: str, *, design: bool = False) -> Study:
         notes=(("title", text), ("source", text)),
     )
     finding = Finding("W205", "warning", text, {}, text)
-    made = design_for(RIG)[0] if design else None
+    made = designed() if design else None
     return Study(
         rig=replace(RIG, name=text, source=text, assumptions=(text,)),
         experiment=log,
@@ -137,20 +157,20 @@ def faults(text: str) -> FaultTable:
 
 @pytest.fixture(scope="module")
 def plain() -> Elements:
-    return parsed(render_report(study("plain"), title="plain"))
+    return parsed(rendered(study("plain"), title="plain"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_from_outside_becomes_an_element(text: str, plain: Elements) -> None:
-    page = parsed(render_report(study(text), title=text))
+    page = parsed(rendered(study(text), title=text))
     assert page.found == plain.found
     assert page.references == plain.references
 
 
 @pytest.mark.slow
 def test_the_page_asks_nobody_for_anything() -> None:
-    text = render_report(study("plain", design=True))
+    text = rendered(study("plain", design=True))
     assert all(reference.startswith("#") for reference in parsed(text).references)
     assert "url(" not in re.sub(r"url\(#[\w-]+\)", "", text)
     assert "@import" not in text
@@ -175,10 +195,10 @@ def test_the_page_asks_nobody_for_anything() -> None:
 
 @pytest.mark.slow
 def test_a_report_without_script_holds_none() -> None:
-    text = render_report(study("plain", design=True), script=False)
+    text = rendered(study("plain", design=True), script=False)
     assert "self-contained: no script, no request to any host." in text
     assert "<script" not in text and "script-src" not in text and "armbox" not in text
-    page = render_report(study("plain"))
+    page = rendered(study("plain"))
     assert page.count("<script") == 1 and "wasm-unsafe-eval" not in page
 
 
@@ -196,14 +216,14 @@ def test_a_design_with_a_fast_clock_or_without_a_payload_is_reported(
         gain_crossover=12.0,
         phase_margin=math.radians(50),
     )
-    assert 'id="moving"' in render_report(Study(rig=rig, design=made))
+    assert 'id="moving"' in rendered(Study(rig=rig, design=made))
 
 
 @pytest.mark.slow
 def test_a_report_leaves_the_arm_out_that_no_payload_lets_move() -> None:
     made = design(RIG.model, RIG, gain_crossover=12.0, phase_margin=math.radians(50))
     fast = replace(made, model=replace(made.model, natural_frequency=1e3))
-    text = render_report(Study(rig=RIG, design=fast, law=made.law()))
+    text = rendered(Study(rig=RIG, design=fast, law=made.law()))
     assert (
         'id="moving"' not in text
         and "wasm-unsafe-eval" not in text
@@ -214,11 +234,11 @@ def test_a_report_leaves_the_arm_out_that_no_payload_lets_move() -> None:
 @pytest.mark.slow
 def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     code = (
-        "from fraclink._arm.rig import Rig; from fraclink._design.completed import design_for\n"
-        "from fraclink.trials._study import Study\n"
-        "from fraclink.view._report import write_report\n"
-        "rig = Rig.named('paper-2023'); design, _ = design_for(rig)\n"
-        "import sys; write_report(Study(rig=rig, design=design), sys.argv[1])"
+        "import math, sys; import fraclink as fl\n"
+        "rig = fl.Rig.named('paper-2023')\n"
+        "made = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=math.radians(50))\n"
+        "study = fl.trials.Study(rig=rig, design=made)\n"
+        "fl.view.write_report(study, sys.argv[1])"
     )
     places = [tmp_path / "a.html", tmp_path / "b.html"]
     for place, seed in zip(places, ("1", "2"), strict=True):
@@ -234,14 +254,14 @@ def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) 
 
 
 def test_an_infeasible_design_is_told() -> None:
-    assert "because of the moon" in render_report(
+    assert "because of the moon" in rendered(
         Study(rig=RIG, missing={"design": "because of the moon"})
     )
 
 
 @pytest.mark.slow
 def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> None:
-    made, _ = design_for(RIG)
+    made = designed()
     saved = Study(rig=RIG, design=made, faults=faults("peak over clean"))
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
@@ -250,13 +270,13 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
         "failed", ("1 of 2 faults miss their requirement",)
     )
     assert back.verdict.promise == replace(saved, faults=None).verdict.promise
-    texts = " ".join(parsed(render_report(back)).texts)
+    texts = " ".join(parsed(rendered(back)).texts)
     assert "1 of 2 faults meet their requirement in every run, 2 runs" in texts
     assert (
         "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
     )
     assert "≤ 1.1 × that of the clean run" in texts
-    assert 'id="faults"' not in render_report(replace(back, faults=None))
+    assert 'id="faults"' not in rendered(replace(back, faults=None))
 
 
 @pytest.mark.parametrize(
@@ -280,18 +300,18 @@ def test_the_headline_is_never_better_than_its_worst_part(
 @pytest.mark.slow
 def test_an_error_of_log_or_model_leaves_nothing_shown() -> None:
     wrong = Finding("W399", "error", "the model predicts nothing", {}, "record again")
-    made, _ = design_for(RIG)
+    made = designed()
     verdict = Study(rig=RIG, design=made, findings=(wrong,)).verdict
     states = [scope.state for scope in verdict.scopes.values()]
     assert states == ["not shown", "not shown", "not shown", "not run"]
-    page = render_report(Study(rig=RIG, design=made, findings=(wrong,)))
+    page = rendered(Study(rig=RIG, design=made, findings=(wrong,)))
     assert '<div class="verdict not-shown">' in page
 
 
 @pytest.mark.slow
 def test_the_design_shows_every_requirement_with_its_payload() -> None:
-    made, _ = design_for(RIG)
-    texts = " ".join(parsed(render_report(Study(rig=RIG, design=made))).texts)
+    made = designed()
+    texts = " ".join(parsed(rendered(Study(rig=RIG, design=made))).texts)
     for requirement in made.requirements:
         assert requirement.name in texts
     assert number(made.controller.derivative_gain, 5) in texts
@@ -303,7 +323,7 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
 def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() -> None:
     log = read_log(bundled_log("pulse_30g"))
     comparison = compare_structures(log, details=False)
-    page = render_report(
+    page = rendered(
         Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"])
     )
     row = page[page.index("<td>D-FOM</td>") :].partition("</tr>")[0]
@@ -344,8 +364,8 @@ document.title = JSON.stringify(said);
 
 @pytest.mark.slow
 def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
-    made, _ = design_for(RIG)
-    page = render_report(Study(rig=RIG, design=made))
+    made = designed()
+    page = rendered(Study(rig=RIG, design=made))
     # in the copy under test
     page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
     place = tmp_path / "report.html"

@@ -14,7 +14,6 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink.errors import FieldError
-from fracsys.checks.equality import _same
 
 S = fracsys.s
 LOOP = 2.0 / (S**1.5 + S)
@@ -89,7 +88,8 @@ def test_what_a_user_holds_is_saved_and_loaded_equal(name: str, tmp_path: Path) 
     held = HELD[name]()
     assert type(held).__name__ == name
     back = fl.load(fl.save(held, tmp_path / f"held{ENDINGS.get(name, '.json')}"))
-    assert _same(back, held)
+    # PidStep is a tuple of arrays, which Python does not compare with ==.
+    assert np.array_equal(back, held) if name == "PidStep" else back == held
     assert type(back) is type(held)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ import fraclink as fl
 from fraclink import SecondMode
 from fraclink._design.procedure import request_of
 from fraclink._design.search import Search
-from fraclink._design.table import Figure
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.extend import Beam, PowerLaw
 
@@ -87,7 +87,7 @@ def test_gradients_are_those_of_differences(notch: tuple[float, float] | None) -
     search = Search(request, request.first_links, 2, notch, ringing=True)
     x = np.array([-0.9, 1.3, -3.2, math.log(177.0), -1.2, -1.0][: 6 if notch else 3])
 
-    def kept(x: np.ndarray) -> dict[str, Figure]:
+    def kept(x: np.ndarray) -> dict[str, Any]:
         return search.kept(search.trial(x[:, None]))
 
     rows, checked = kept(x), 0

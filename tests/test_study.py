@@ -24,11 +24,9 @@ from fraclink.trials import (
     Outcome,
     Study,
     Summary,
-    load_campaign,
     load_study,
     save_study,
 )
-from fraclink.trials import _stages as stages
 from fraclink.trials._study import Refusal
 from fraclink.trials._summary import Failure, MetricSummary
 from identify_cases import made_log
@@ -142,24 +140,6 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_arms_are_tried_in_the_folder_that_is_given(tmp_path: Path) -> None:
-    made = fl.design(
-        RIG.model,
-        RIG,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
-    study = Study(rig=RIG, design=made, law=made.law())
-    kept = stages.tried(study, 3, 5, tmp_path / "arms")
-    assert kept.arms is not None and kept.arms.failure.runs == 3
-    campaign = load_campaign(tmp_path / "arms")
-    assert (campaign.runs, campaign.seed, campaign.model) == (3, 5, made.model)
-    again = stages.tried(study, 3, 5).arms
-    assert again is not None and again.metrics == kept.arms.metrics
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damping", "damping_order", "delay"), [(1.0, 1.0, 0.004), (1.2, 0.85, 0.010)]
 )
@@ -170,7 +150,7 @@ def test_an_ordinarily_damped_arm_passes(
     assert rig.model is not None
     link = replace(rig.model, order=2.0, damping=damping, damping_order=damping_order)
     record = made_log(link, noise=0.003, delay=delay, payload=0.030)
-    study = stages.run(
+    study = fl.trials.run(
         rig,
         record,
         structure=link.structure,

@@ -13,8 +13,8 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,11 +24,8 @@ from fraclink import Callback, main
 from fraclink._cli.tunings import _following
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.extend import simulated_torque
-from fraclink.lab._connections import Command
-from fraclink.lab._line import open_line
 from fraclink.lab._machine import VirtualClock
 from fraclink.lab._tune_build import _designs
-from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_link import _fitted
 from fraclink.lab._tune_motion import random_steps
 from fraclink.lab._tune_wiring import check_wiring
@@ -53,7 +50,7 @@ def wired(
         found = made.read()
         return angle * found[0], torque * found[1]
 
-    def write(command: Command) -> None:
+    def write(command: Any) -> None:
         made.write(command._replace(voltage=voltage * command.voltage))
 
     return Callback(read, write)
@@ -123,8 +120,7 @@ def test_the_guard_stops_before_a_limit(voltage: float, limit: str) -> None:
         for _ in range(5000):
             guard.step(voltage)
     guard.release()
-    for _ in range(500):
-        made.write(Command(0.0, 0.0, 0, 4, 0, 0))
+    guarded(made.callback, limits).rest(2.0)
     assert np.max(np.abs(made.record[:, 1])) <= limits.angle
 
 
@@ -138,7 +134,7 @@ def test_voltages_are_clipped_and_nothing_else_than_a_number_is_sent() -> None:
 
 
 def test_a_lost_link_ends_with_a_stop() -> None:
-    sent: list[Command] = []
+    sent: list[Any] = []
     samples = iter([(0.0, 0.0)] * 5)
     guard = guarded(Callback(lambda: next(samples, None), sent.append))
     with pytest.raises(FraclinkError, match="link to the arm is lost"):
@@ -172,7 +168,7 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     thread = threading.Thread(target=serve)
     thread.start()
     try:
-        guard = Guard(partial(open_line, way, None, clock=clock), LIMITS)
+        guard = guarded(way, period=None, clock=clock)
         for _ in range(10):
             guard.step(0.5)
         before = guard.count
@@ -296,7 +292,7 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
     tried: list[str] = []
 
     def moved(
-        guard: Guard, design: fl.Design, law: fl.Law, *_: object
+        guard: object, design: fl.Design, law: fl.Law, *_: object
     ) -> tuple[fl.lab.FirstMove, ...]:
         tried.append(law.digest)
         return (

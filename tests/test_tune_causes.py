@@ -15,7 +15,7 @@ import fraclink as fl
 from fraclink.lab import Wiring
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Record
-from fraclink.lab._tune_motor import MotorResult, closed_motor
+from fraclink.lab._tune_motor import closed_motor
 
 PERIOD, NOISE = 0.004, 0.004
 WIRING = Wiring(11.0, 0.4, 0.0015, 1.7, 12.0, 0.002, 0.0, NOISE, 3.8e-4, 1.0, 0.02, ())
@@ -36,7 +36,7 @@ def vibration(quantum: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.float6
     return np.round(torque / quantum) * quantum if quantum else torque
 
 
-def motor(delay: float, step: float = 3.8e-4) -> MotorResult:
+def motor(delay: float, step: float = 3.8e-4) -> Any:
     """A motor with K/J = 11 and ν/J = 15, identified with a delay [s], and its loop."""
     rng = np.random.default_rng(0)
     voltage = np.repeat(rng.choice([-4.0, 4.0], 120), 25)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import fraclink as fl
 from fraclink import Callback
 from fraclink.lab import Wiring
 from fraclink.lab._line import open_line
 from fraclink.lab._tune_guard import Guard
-from fraclink.lab._tune_link import LinkResult, tune_link
-from fraclink.lab._tune_motor import MotorResult, tune_motor
+from fraclink.lab._tune_link import tune_link
+from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_wiring import check_wiring
 
 RIG = fl.Rig.named("paper-2023-geared")
 PERIOD = RIG.period
 LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
-Stages = tuple[fl.lab.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
+Stages = tuple[fl.lab.SimulatedArm, Guard, Wiring, Any, Any]
 
 
 def arm(seed: int = 0, **changes: float) -> fl.lab.SimulatedArm:
@@ -24,8 +25,14 @@ def arm(seed: int = 0, **changes: float) -> fl.lab.SimulatedArm:
     return fl.lab.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
 
 
-def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:
-    return Guard(partial(open_line, connection, PERIOD, clock="none"), limits)
+def guarded(
+    connection: Callback | fl.lab.Udp,
+    limits: fl.MotionLimits = LIMITS,
+    *,
+    period: float | None = PERIOD,
+    clock: Any = "none",
+) -> Guard:
+    return Guard(partial(open_line, connection, period, clock=clock), limits)
 
 
 def staged() -> Stages:
