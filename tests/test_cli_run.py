@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,15 +19,25 @@ import pytest
 
 import fraclink as fl
 from fraclink import Fit, Rig, Run, bundled_log, main, read_log
-from fraclink._design.completed import design_for
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Scope
 from fraclink.trials import load_study, run
-from fraclink.view._report import render_report
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"
 EASY = ("--gain-crossover", "11", "--phase-margin-deg", "45")
+
+
+def design_without_filter() -> fl.Design:
+    rig = Rig.named("paper-2023")
+    wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+    return fl.design(rig.model, rig, payloads=(0.02, 0.04), law=False, **wanted)
+
+
+def report_of(study: fl.trials.Study) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        path = fl.view.write_report(study, Path(folder) / "report.html")
+        return path.read_text("utf-8")
 
 
 @dataclass(frozen=True)
@@ -111,7 +122,7 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
     study = load_study(results)
     assert study.verdict.state == "not run"  # the arms were left out
     assert study.verdict.model.state == study.verdict.promise.state == "passed"
-    assert render_report(study) == (results / "report.html").read_text("utf-8")
+    assert report_of(study) == (results / "report.html").read_text("utf-8")
     assert [round(1e3 * run.payload) for run in study.runs] == [20, 30, 40]
 
 
@@ -175,7 +186,7 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     fails = f"{result['arms']['failures']} of 1000 arms fail"
     assert any(fails in reason for reason in result["reasons"])
     study = load_study(place)
-    assert render_report(study) == (place / "report.html").read_text("utf-8")
+    assert report_of(study) == (place / "report.html").read_text("utf-8")
     page = (place / "report.html").read_text("utf-8")
     assert '<div class="verdict failed">' in page
     assert study.arms is not None
@@ -310,7 +321,7 @@ def test_an_error_about_an_option_has_its_name_and_its_unit(
     'phase_margin: -0.122'.
     """
     monkeypatch.chdir(tmp_path)
-    design_for(Rig.named("paper-2023"), filter_time=0.0)[0].save("D")
+    design_without_filter().save("D")
     assert main(line.split()) == 2
     assert capsys.readouterr().err.startswith(f"error: {told}")
 
@@ -335,9 +346,7 @@ def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    design_for(Rig.named("paper-2023"), filter_time=0.0)[0].save(
-        tmp_path / "design.json"
-    )
+    design_without_filter().save(tmp_path / "design.json")
     for name in files:
         folder = tmp_path / name.replace(".", "-")
         folder.mkdir()
@@ -382,14 +391,14 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert study.certificate is not None
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert study.certificate.sha256 in page
-    assert render_report(study) == page
+    assert report_of(study) == page
     refused = replace(
         study, certificate=None, missing={"certificate": "because of the moon"}
     )
     assert refused.verdict.promise == Scope(
         "failed", ("not certified: because of the moon",)
     )
-    assert "because of the moon" in render_report(refused)
+    assert "because of the moon" in report_of(refused)
 
 
 @pytest.mark.slow
@@ -418,7 +427,7 @@ def test_the_stages_chain_through_files(
 def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    design, _ = design_for(Rig.named("paper-2023"), filter_time=0.0)
+    design = design_without_filter()
     design.save(tmp_path / "design.json")
     arguments = [
         "simulate",
@@ -436,7 +445,7 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     # An error of 0.05 rad in the tip estimate is 0.05·c on the gauge; the figure is
     # that of the default design.
     rig = Rig.named("paper-2023")
-    design, _ = design_for(rig, filter_time=0.0)
+    design = design_without_filter()
     offset = 0.05 * rig.link.stiffness
     run = fl.simulate(
         design,

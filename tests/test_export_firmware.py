@@ -14,11 +14,10 @@ import pytest
 
 import fraclink as fl
 from fraclink import Law, export_c
-from fraclink._export.data import exact_flags, exact_sizes
 from fraclink.extend import payload_estimator
 from law_bench import law
 from needed_tools import missing, tool
-from test_export import FLAGS, run, single
+from test_export import FLAGS, own_flags, run, single
 
 FIRMWARE = Path(__file__).parent / "firmware"
 BOARDS = {
@@ -67,7 +66,7 @@ def on_board(
     link = ("-T", FIRMWARE / "board.ld", "--specs=rdimon.specs", "-nostartfiles")
     run(
         compiler, "-std=c99", "-O2", "-ffp-contract=off", "-mthumb", *flags, *single(made),
-        *(exact_flags(made) if exact else ()), "-I", folder,
+        *(own_flags(folder) if exact else ()), "-I", folder,
         *sources, FIRMWARE / "start.c", *link, "-o", folder / "board.elf",
     )  # fmt: skip
     clock = ("-icount", "shift=5") if counted else ()
@@ -141,7 +140,9 @@ def test_fifty_thousand_periods_agree_to_the_bit(
     export_c(made, tmp_path)
     wanted = reference_hash(made)
     sources = (FIRMWARE / "long.c", tmp_path / "law.c")
-    for compiler, exact in itertools.product(("gcc", "clang"), ((), exact_flags(made))):
+    for compiler, exact in itertools.product(
+        ("gcc", "clang"), ((), own_flags(tmp_path))
+    ):
         run(
             tool(compiler),
             *FLAGS,
@@ -249,6 +250,6 @@ def test_flash_and_memory_are_small(tmp_path: Path) -> None:
     assert text <= 4608  # 4.5 kB, as docs/reference/law.md says
     assert data == bss == 0  # no statics
     assert struct.calcsize("<14I42f") <= 256
-    assert exact_sizes(made)[1] == struct.calcsize(
-        f"<14I{22 + made.order + len(made.feedforward.poles)}f"
-    )
+    own = struct.calcsize(f"<14I{22 + made.order + len(made.feedforward.poles)}f")
+    page = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert f"({own} B of state, " in page

@@ -17,12 +17,11 @@ import pytest
 
 import fraclink as fl
 from fraclink import Law, export_c
-from fraclink._export.data import exact_flags
-from fraclink._law import discretize_controller
+from fraclink.extend import equip
 from law_bench import PERIOD, law, with_pair
 from law_mutants import MUTANTS
 from needed_tools import missing, tool
-from test_export import run, single
+from test_export import own_flags, run, single
 
 FIRMWARE = Path(__file__).parent / "firmware"
 GCC = (
@@ -69,7 +68,7 @@ def test_the_compilers_have_nothing_to_say(precision: str, tmp_path: Path) -> No
     made = law(precision)
     export_c(made, tmp_path)
     for name, flags in (("gcc", GCC), ("clang", CLANG)):
-        for exact in ((), exact_flags(made)):
+        for exact in ((), own_flags(tmp_path)):
             run(
                 tool(name),
                 *flags,
@@ -96,7 +95,7 @@ def test_cppcheck_and_misra_have_nothing_to_say(folder: Path) -> None:
     # unusedFunction: the functions of a library are used elsewhere;
     # missingIncludeSystem: stdint.h is not parsed
     general = tuple(f"-ULAW_{kind}" for kind in ("REALS", "PAIRS", "FORWARDS"))
-    for build in (general, ("-ULAW_PAIRS", *exact_flags(law("single")))):
+    for build in (general, ("-ULAW_PAIRS", *own_flags(folder))):
         answer = run(
             tool("cppcheck"), "-q", "--std=c99", "--enable=all", "--inconclusive", "--addon=misra",
             "--suppress=unusedFunction", "--suppress=missingIncludeSystem", *build, folder / "law.c",
@@ -194,9 +193,8 @@ def law_of(
         filter_order=2,
         link=link,
     )
-    return discretize_controller(
-        controller, PERIOD, order=modes, rig=fl.Rig.named("paper-2023")
-    )
+    made = fl.discretize(controller, PERIOD, order=modes)
+    return equip(made, fl.Rig.named("paper-2023"), link)
 
 
 @pytest.mark.slow
