@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import Controller, LinkModel, MotorLoop, ParameterBox, SecondMode
 from fraclink._arm.box import Arm
-from fraclink._arm.loop import with_payload, worst_margins
-from fraclink._arm.sampled import sampled_plant
+from fraclink._arm.loop import worst_margins
 from fraclink.errors import FieldError
 from fraclink.extend import Loop
 
@@ -115,18 +114,20 @@ def test_a_loop_is_made_of_the_controllers_own_motor_loop_and_period() -> None:
     assert rigs.correction is None
 
 
+def designed(link: LinkModel) -> fl.Design:
+    wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+    return fl.design(link, RIG, payloads=(0.02, 0.04), law=False, **wanted)
+
+
 def test_a_model_without_a_payload_gets_the_rigs_nominal_one() -> None:
     bare = replace(PLAIN, payload=None)
-    known = with_payload(bare, RIG)
+    known = designed(bare).model
     assert known.payload == 0.03 and known.natural_frequency == pytest.approx(
         11.094, abs=1e-4
     )
-    assert with_payload(PLAIN, RIG) is PLAIN
+    assert designed(PLAIN).model == PLAIN
     rows = (("natural_frequency", 8.9, 9.1), ("order", 1.9, 1.94))
-    assert (
-        with_payload(replace(PLAIN, payload=None, intervals=rows), RIG).intervals
-        == rows[1:]
-    )
+    assert designed(replace(bare, intervals=rows)).model.intervals == rows[1:]
 
 
 def dense(loop: Loop, w: NDArray[np.float64], w0: float) -> NDArray[np.complex128]:
@@ -252,7 +253,9 @@ def test_the_sampled_plant_is_the_sum_of_its_aliases(
 ) -> None:
     link, period = LINKS[name], 0.004
     motor_loop = MotorLoop(80.0, delay, kind)
-    plant = sampled_plant(link, motor_loop, RIG.motor, period)
+    made = designed(PLAIN)
+    controller = replace(made.controller, motor_loop=motor_loop)
+    plant = replace(made, model=link, controller=controller).sampled_plant(11.0)
     w = np.array([2.0, 12.0, 100.0, 700.0])
     s = 1j * (w[:, None] + 2 * math.pi / period * np.arange(-3000, 3001))
     if kind == "ideal":
