@@ -4,6 +4,7 @@ calls it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,7 @@ from fraclink._simulate.engine import (
     engine_rig,
     twin_noise,
 )
-from fraclink._simulate.events import (
-    ACCELERATION,
-    GAUGE_ERROR,
-    PAYLOAD,
-    REFERENCE,
-    fault_rows,
-)
+from fraclink._simulate.events import fault_rows
 from fraclink._simulate.kernel import twin_numbers
 from fraclink.extend import SensorFault
 from needed_tools import missing
@@ -49,6 +44,11 @@ SIGNALS = (
 MARKS = ("flags", "mode", "reason")
 
 
+# The inputs of one period, as the engine's C has them.
+HEADER = Path(__file__).parents[1] / "csrc" / "kernels" / "twin.h"
+INPUTS = re.search(r"enum[^{]*{([^}]*TWIN_REFERENCE,[^}]*)}", HEADER.read_text("utf-8"))
+assert INPUTS is not None
+COLUMNS = re.findall(r"^ *TWIN_(\w+),", INPUTS[1], re.MULTILINE)
 ENGINE = Path(fl.__file__).parent / "_simulate" / "engine.wasm"
 
 
@@ -130,11 +130,14 @@ class Engine:
         )
         outputs[:, : plant.order] = plant.outputs
         inputs = fault_rows(tuple(events), law.period, count)
-        inputs[:, REFERENCE], inputs[:, ACCELERATION] = path(reference, law, count)
-        inputs[:, GAUGE_ERROR] = twin.gauge.offset + twin.gauge.noise * twin_noise(
-            seed, count
+        (
+            inputs[:, COLUMNS.index("REFERENCE")],
+            inputs[:, COLUMNS.index("ACCELERATION")],
+        ) = path(reference, law, count)
+        inputs[:, COLUMNS.index("GAUGE_ERROR")] = (
+            twin.gauge.offset + twin.gauge.noise * twin_noise(seed, count)
         )
-        inputs[:, PAYLOAD] = told
+        inputs[:, COLUMNS.index("PAYLOAD")] = told
         self.write(self.call("block"), law.block)
         self.fill(self.call("twin"), numbers)
         self.write(self.call("matrix"), block.tobytes())
