@@ -175,7 +175,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     """The design of a request; InfeasibleError if there is none, with the nearest
     feasible request.
     """
-    result, solution = _best(request, goal, law, patient=True)
+    result, solution = _best(request, goal, law)
     if not result.missed and result.box is None:
         return result
     if not result.missed:
@@ -188,9 +188,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     raise InfeasibleError(condition, sentence, offer)
 
 
-def _best(
-    request: Request, goal: Goal, law: bool, *, patient: bool
-) -> tuple[Design, Solution]:
+def _best(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     """The design of a request and the solution of its search: with a gain-stabilised
     second mode, or else with a phase-stabilised one.
     """
@@ -201,7 +199,7 @@ def _best(
         if not result.missed:
             return result, solution
         request = replace(request, loud=True)
-    return _reserved(request, goal, law, patient=patient)
+    return _reserved(request, goal, law, patient=True)
 
 
 def _reserved(
@@ -338,7 +336,7 @@ def _offer(
                 values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        trial, _ = _best(request.asking(**values), goal, law, patient=True)
+        trial, _ = _best(request.asking(**values), goal, law)
         if not trial.missed:
             return values
     return {}

@@ -107,15 +107,19 @@ class Search:
             self._last[key] = Trial(table, outer, self.request.arms.loops)
         return self._last[key]
 
-    def kept(self, trial: Trial) -> dict[str, Figure]:
-        """Return by how much each row is kept at the links it is asked of."""
+    def kept(self, trial: Trial, only: str | None = None) -> dict[str, Figure]:
+        """Return by how much each row, or only one, is kept at the links it is asked
+        of.
+        """
         figures = {}
         for row, goal in self.request.wanted:
-            if row.key == "damping" and not self.ringing:
+            if only not in (None, row.key) or (
+                row.key == "damping" and not self.ringing
+            ):
                 continue
-            figure = row.asked(trial, row.kept(trial, self.request, goal))
             reserve = row.reserve + self.reserves.get(row.key, 0.0)
-            figures[row.key] = figure.scaled(1.0, -reserve)
+            figure = row.kept(trial, self.request, goal).scaled(1.0, -reserve)
+            figures[row.key] = row.asked(trial, figure)
         return figures
 
     def rows(self, x: Real) -> list[Rows]:
@@ -146,16 +150,20 @@ class Search:
         value, gradient = [], []
         for figure in self.kept(trial).values():
             least, slopes = np.ones(count), np.zeros((x.size, count))
-            for entry in np.argsort(-figure.value):
-                least[figure.link[entry]] = figure.value[entry]
-                slopes[:, figure.link[entry]] = figure.gradient[:, entry]
+            # of the entries of a link the least is written last
+            falling = figure.at(np.argsort(-figure.value))
+            least[falling.link] = falling.value
+            slopes[:, falling.link] = falling.gradient
             value.append(least)
             gradient.append(slopes)
         joined = np.concatenate(value)
-        soft = np.zeros(joined.size, dtype=bool)
         return (
             Rows(noise.value, noise.gradient, np.zeros(noise.value.size, dtype=bool)),
-            Rows(joined, np.concatenate(gradient, axis=1), soft),
+            Rows(
+                joined,
+                np.concatenate(gradient, axis=1),
+                np.zeros(joined.size, dtype=bool),
+            ),
         )
 
     # ---- where a search begins
@@ -311,18 +319,15 @@ class Solution:
         """(by how much it is kept, the link) where each row is kept least; the damping
         at the links that are worst in another row, and at those of the search.
         """
-        worst = {}
         margins = replace(self.search, ringing=False).kept(self._trial)
-        for key, figure in margins.items():
-            if figure.value.size:
-                k = int(np.argmin(figure.value))
-                worst[key] = float(figure.value[k]), int(figure.link[k])
+        worst = {key: one.least for key, one in margins.items() if one.value.size}
         links = {*self.search.links, *(link for _, link in worst.values())}
         ringing = replace(self.search, links=tuple(sorted(links)), ringing=True)
-        figure = ringing.kept(ringing.trial(self.x[:, None]))["damping"]
+        trial = ringing.trial(self.x[:, None])
+        figure = ringing.kept(trial, only="damping")["damping"]
         if figure.value.size:
-            k = int(np.argmin(figure.value))
-            worst["damping"] = float(figure.value[k]), ringing.links[figure.link[k]]
+            value, link = figure.least
+            worst["damping"] = value, ringing.links[link]
         return worst
 
     def wider(self) -> Search | None:

@@ -257,11 +257,17 @@ class Figure:
         self.value, self.gradient, self.link = value, gradient, link
         self.number = np.zeros_like(link) if number is None else number
 
-    def at(self, kept: NDArray[np.bool_]) -> Figure:
+    def at(self, kept: NDArray[np.bool_] | Index) -> Figure:
         """Return the entries at the given indices."""
         return Figure(
             self.value[kept], self.gradient[:, kept], self.link[kept], self.number[kept]
         )
+
+    @property
+    def least(self) -> tuple[float, int]:
+        """(value, link) of the least entry."""
+        k = int(np.argmin(self.value))
+        return float(self.value[k]), int(self.link[k])
 
     def scaled(self, factor: float, offset: float) -> Figure:
         """Return the figure times a factor, plus an offset."""
@@ -298,6 +304,11 @@ class Trial:
         above = self.log.real > 0.0
         link, i = np.nonzero(above[:, :-1] != above[:, 1:])
         return link, *self._zeros(link, i, 1.0), ~above[link, i]
+
+    @cached_property
+    def _at_crossings(self) -> Complex:
+        """∂ ln Ĉ/∂x at the crossings."""
+        return self.outer.gradient(self._crossings[1], self._crossings[0])
 
     def _zeros(
         self, link: Index, i: Index, part: complex, line: Real | float = 0.0
@@ -344,8 +355,8 @@ class Trial:
         """Distance of each crossing from the edges of its band [rad], negative on the
         wrong side.
         """
-        link, w, _, slope, _ = self._crossings
-        g = self.outer.gradient(w, link)
+        link, _, _, slope, _ = self._crossings
+        g = self._at_crossings
         rate = g.imag - g.real * slope.imag / _steep(slope.real)
         gradient = -np.sign(self._offsets) * rate
         return Figure(math.pi - np.abs(self._offsets), gradient, link)
@@ -354,7 +365,7 @@ class Trial:
     def delay(self) -> Figure:
         """The delay that takes the phase of each crossing to the lower edge [s]."""
         link, w, _, slope, _ = self._crossings
-        g = self.outer.gradient(w, link)
+        g = self._at_crossings
         room, shift = self._offsets + math.pi, -g.real / _steep(slope.real)
         gradient = g.imag + shift * slope.imag - room * shift
         return Figure(room / w, gradient / w, link)
@@ -386,7 +397,7 @@ class Trial:
         value = np.full(len(self.table), -np.inf)
         gradient = np.zeros((len(self.outer.x), len(self.table)))
         at = link[chosen]
-        g = self.outer.gradient(w[chosen], at).real
+        g = self._at_crossings[:, chosen].real
         value[at], gradient[:, at] = np.log(w[chosen]), -g / _steep(slope.real[chosen])
         return Figure(value, gradient, np.arange(len(self.table)))
 
@@ -538,11 +549,8 @@ class Trial:
             dent[np.arange(own.size), self.table.mode_column[own]] = True
             row, column = np.nonzero(dent)
             parts.append(self._roots(loop, own[row], column, mode[row]))
-        value, gradient, link = zip(*parts, strict=True)
         return Figure(
-            np.concatenate(value),
-            np.concatenate(gradient, axis=1),
-            np.concatenate(link),
+            *(np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
         )
 
     def _roots(
