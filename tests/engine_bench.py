@@ -44,7 +44,7 @@ SIGNALS = (
 MARKS = ("flags", "mode", "reason")
 
 
-# The inputs of one period, as the engine's C has them.
+# The inputs of one period, in the order of the engine's C header.
 HEADER = Path(__file__).parents[1] / "csrc" / "kernels" / "twin.h"
 INPUTS = re.search(r"enum[^{]*{([^}]*TWIN_REFERENCE,[^}]*)}", HEADER.read_text("utf-8"))
 assert INPUTS is not None

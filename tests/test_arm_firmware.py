@@ -38,7 +38,7 @@ STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-
 
 
 def firmware(folder: Path) -> int:
-    """The exit code of the command that writes the arm's side."""
+    """Return the exit code of the command that exports the firmware."""
     return fl.main(["export", "arm-firmware", "--out", str(folder)])
 
 

@@ -45,7 +45,7 @@ RIG = Rig.named("paper-2023")
 PRINTED = fl.Controller(  # (58)
     derivative_gain=0.148, derivative_order=0.65, filter_time=0.16, filter_order=2
 )
-# the parameters of an arm, as the certificates order them
+# the parameters of an arm, in the order of the certificates
 AXES = ["frequency", "softness", "delay", "gauge_gain", "gauge_delay", "order"]
 AXES += ["damping", "motor", "mode_frequency", "mode_gain"]
 TEXTS = ("block", "digest", "precision", "hold", "motor_loop")
@@ -167,7 +167,7 @@ def patient(law: Law) -> Law:
 
 
 def known(model: LinkModel, placement: str) -> tuple[Certificate, Law]:
-    """What is found of a claim about a wide box that does not hold, and the law."""
+    """Return the result for a claim about a wide box that is not true, and the law."""
     motor_loop = "ideal" if placement == "ideal" else "sampled"
     law = plan_for(motor_loop, "tustin" if placement == "ideal" else placement).law()
     law = patient(law.in_precision("double"))

@@ -36,7 +36,7 @@ def single(made: Law) -> tuple[str, ...]:
 
 
 def own_flags(folder: Path) -> tuple[str, ...]:
-    """What README.md tells a compiler in order to build for this design alone."""
+    """Return the compiler options that README.md gives for this design alone."""
     page = (folder / "README.md").read_text(encoding="utf-8")
     found = re.search(r"add `([^`]*)`: law\.c", page)
     assert found is not None

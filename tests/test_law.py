@@ -158,7 +158,7 @@ def test_feed_forward_inverts_the_link() -> None:
     classical = fl.discretize(
         replace(default_controller(), link=LinkModel(1.56, 10.0, order=2.0)), PERIOD
     )
-    # 1/ω₀², no state at all
+    # 1/ω₀², without a state
     assert classical.feedforward.direct == float(np.float32(0.01))
     assert not classical.feedforward.poles + classical.feedforward.pair_poles
 

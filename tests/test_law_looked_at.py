@@ -75,7 +75,7 @@ def test_masses_count_the_links_own_once() -> None:
         found = equip(fl.discretize(controller, rig.period), rig, link).tracking
         return (0.0, 0.0) if found is None else (found.nominal, found.link)
 
-    # eq. (5) knows no mass of the link
+    # eq. (5) does not contain the mass of the link
     computed = replace(known, natural_frequency=heavy.natural_frequency(0.03) * 1.0005)
     assert masses(computed, heavy) == pytest.approx((0.03, own), rel=0.03)
     measured = replace(known, natural_frequency=heavy.natural_frequency(0.03) * 0.95)

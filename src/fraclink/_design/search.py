@@ -108,8 +108,8 @@ class Search:
         return self._last[key]
 
     def kept(self, trial: Trial, only: str | None = None) -> dict[str, Figure]:
-        """Return by how much each row, or only one, is kept at the links it is asked
-        of.
+        """Return the slack of each row, or of `only` one, at the links to which it
+        applies.
         """
         figures = {}
         for row, goal in self.request.wanted:
@@ -142,15 +142,15 @@ class Search:
         return float(np.max(self.trial(x[:, None]).noise.value))
 
     def noise_and_rows(self, x: Real) -> tuple[Rows, Rows]:
-        """Return the noise of every link, and the rows: of each the least at every link,
-        so that their number stays when a loop gains a crossing.
+        """Return the noise of every link, and the smallest slack of each row at every
+        link, so that their number does not change when a loop gains a crossing.
         """
         trial = self.trial(x[:, None])
         count, noise = len(self.links), trial.noise
         value, gradient = [], []
         for figure in self.kept(trial).values():
             least, slopes = np.ones(count), np.zeros((x.size, count))
-            # of the entries of a link the least is written last
+            # In falling order, so that the smallest entry of a link is written last.
             falling = figure.at(np.argsort(-figure.value))
             least[falling.link] = falling.value
             slopes[:, falling.link] = falling.gradient

@@ -265,7 +265,7 @@ class Figure:
 
     @property
     def least(self) -> tuple[float, int]:
-        """(value, link) of the least entry."""
+        """Return (value, link) of the smallest entry."""
         k = int(np.argmin(self.value))
         return float(self.value[k]), int(self.link[k])
 
