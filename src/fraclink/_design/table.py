@@ -265,7 +265,7 @@ class Figure:
 
     @property
     def least(self) -> tuple[float, int]:
-        """Return (value, link) of the smallest entry."""
+        """(value, link) of the smallest entry."""
         k = int(np.argmin(self.value))
         return float(self.value[k]), int(self.link[k])
 
