@@ -190,7 +190,7 @@ CEILINGS = {
     "_arm": 1715,
     "_certify": 872,
     "_cli": 1013,
-    "_design": 1595,
+    "_design": 1599,
     "_export": 545,
     "_files": 581,
     "_identify": 3089,

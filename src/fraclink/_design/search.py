@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
+from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
 from fraclink._design.solver import KEPT, Rows, eased, lowest
-from fraclink._design.table import Figure, Outer, Table, Trial
+from fraclink._design.table import Figure, Table, Trial
 from fraclink._law.requirement import Requirement
 
 __all__ = ["Search", "Solution", "solved"]
