@@ -1,4 +1,6 @@
-"""What a prompt and a notebook cell display for each result."""
+"""What a prompt and a notebook cell display for each result, as fraclink.view writes it;
+without that package a result is displayed in one line.
+"""
 
 from __future__ import annotations
 
