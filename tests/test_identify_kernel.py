@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fraclink import Experiment, LinkModel, identify
+from fraclink._identify.shape import Window, shape_of, undamped_as_damped
 from fraclink.extend import simulated_torque
 from fracsys import time_response
 from identify_cases import PERIOD, TRUTH, smooth_pulse
@@ -50,6 +51,55 @@ def test_delay_of_whole_and_broken_samples() -> None:
         )
 
 
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize(
+    "link", [LINKS[i] for i in (0, 2, 3, 4)], ids=lambda link: link.structure
+)
+def test_derivatives_are_those_of_the_prediction(link: LinkModel, hold: str) -> None:
+    angle = smooth_pulse(PERIOD * np.arange(2000))
+    window = Window(angle, np.zeros_like(angle), PERIOD, hold)  # type: ignore[arg-type]
+    kernel = window.kernel(abs(link.pole), longest_delay=0.1)
+    shape = shape_of(link, delay=0.3 * PERIOD)
+    free = [i for i in range(5) if not (i in (2, 3) and link.damping == 0)]
+    mask = sum(1 << i for i in free)
+    if link.order == 2:
+        # away from the limit, where only a one-sided difference is possible
+        shape[0] = 1.99
+    columns = kernel.columns(shape, mask)
+    assert columns is not None
+    for column, i in zip(columns[1:], free, strict=True):
+        step = 1e-6 * (1 if i < 4 else 0.01)
+        up, down = shape.copy(), shape.copy()
+        up[i] += step
+        down[i] -= step
+        numeric = (kernel.columns(up, 0)[0] - kernel.columns(down, 0)[0]) / (2 * step)  # type: ignore[index]
+        assert np.max(np.abs(column - numeric)) < 3e-7 * np.max(np.abs(column)) + 1e-9
+
+
+def test_gram_matrix_is_that_of_the_columns() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(1237))  # not a multiple of any block length
+    output = np.sin(np.arange(1237) / 7)
+    kernel = Window(angle, output, PERIOD, "first").kernel(10.0, longest_delay=0.1)
+    shape = shape_of(LINKS[3], delay=0.0123)
+    columns, gram = (
+        kernel.columns(shape, 0b11110),
+        kernel.grams(shape[None], 0b11110)[0],
+    )
+    assert columns is not None
+    full = np.vstack([output, columns[:1], np.ones(1237), columns[1:]])
+    assert np.allclose(gram, full @ full.T, rtol=1e-11, atol=1e-11 * np.abs(gram).max())
+
+
+def test_fractional_link_is_the_edge_of_the_damped_one() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(2000))
+    kernel = Window(angle, angle, PERIOD, "first").kernel(10.0, longest_delay=0.1)
+    one, other = shape_of(TRUTH), undamped_as_damped(shape_of(TRUTH))
+    first, second = kernel.columns(one, 0), kernel.columns(other, 0)
+    assert first is not None
+    assert second is not None
+    assert np.max(np.abs(first[0] - second[0])) < 1e-7
+
+
 def test_a_negative_delay_looks_ahead() -> None:
     angle = smooth_pulse(PERIOD * np.arange(2000))
     early = simulated_torque(TRUTH, angle, PERIOD, delay=-5 * PERIOD)
@@ -69,3 +119,24 @@ def test_hold_is_seen_in_the_angle() -> None:
             torque = simulated_torque(TRUTH, angle, PERIOD)
             log = Experiment(PERIOD, angle, torque)
             assert identify(log, "UD-FOM", details=False).hold == hold
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("before", [1, 7, 8, 450])
+@pytest.mark.parametrize("delay", [-0.021, 0.0, 0.0173, 0.3])
+def test_samples_before_the_first_output_move_the_link(
+    delay: float, before: int, hold: str
+) -> None:
+    """The columns of a cut log equal those of the whole log from the cut on, for any
+    delay.
+    """
+    angle = smooth_pulse(PERIOD * np.arange(900))
+    shape = shape_of(TRUTH, delay)
+    whole = Window(angle, angle, PERIOD, hold)  # type: ignore[arg-type]
+    cut = Window(angle, angle[before:], PERIOD, hold)  # type: ignore[arg-type]
+    assert cut.samples == angle.size - before
+    expected = whole.kernel(5.0, longest_delay=0.4).columns(shape, 0b10111)
+    found = cut.kernel(5.0, longest_delay=0.4).columns(shape, 0b10111)
+    assert expected is not None and found is not None
+    scale = np.max(np.abs(expected), axis=1, keepdims=True)
+    assert np.max(np.abs(found - expected[:, before:]) / scale) < 1e-12
