@@ -313,14 +313,16 @@ def _promising(
     return sorted(fits, key=lambda c: float(np.sum(c.error(target) ** 2)))[:_TRIED]
 
 
-def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFractions]:
-    ranked = sorted(((_cost(c, target), i) for i, c in enumerate(found)))
+def _distinct(
+    candidates: list[PartialFractions], target: Target
+) -> list[PartialFractions]:
+    ranked = sorted(((_cost(c, target), i) for i, c in enumerate(candidates)))
     distinct: list[tuple[float, PartialFractions]] = []
     for cost, i in ranked:
         # Starts that ended in the same minimum agree to 1e-4 in cost; keeping both
         # would waste one of three places.
         if all(abs(cost - other) > 1e-3 * cost for other, _ in distinct):
-            distinct.append((cost, found[i]))
+            distinct.append((cost, candidates[i]))
         if len(distinct) == _KEPT:
             break
     return [c for _, c in distinct]

@@ -136,13 +136,13 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
     )
 
 
-def _complete(found: NDArray[np.complex128], count: int) -> bool:
+def _complete(roots: NDArray[np.complex128], count: int) -> bool:
     """Whether the points are as many as certified and closed under conjugation (two
     points on the same zero are not).
     """
-    if len(found) != count:
+    if len(roots) != count:
         return False
-    distance = np.abs(found[:, None] - found.conj()[None, :])
+    distance = np.abs(roots[:, None] - roots.conj()[None, :])
     # Refined conjugates agree to about 1e-14; 1e-9 distinguishes a pair from two points
     # that converged to the same zero.
     return bool(np.all(distance.min(axis=1, initial=np.inf) < 1e-9))
@@ -169,9 +169,9 @@ def _by_bisection(
 
 
 def _upper(
-    terms: ExponentialSum, found: NDArray[np.complex128], angle: float
+    terms: ExponentialSum, points: NDArray[np.complex128], angle: float
 ) -> NDArray[np.complex128]:
-    z = found.copy()
+    z = points.copy()
     # In a close group a zero is known to ε/|D'| only; without the tolerance one
     # slightly beyond the edge would be lost.
     values, moduli = terms.derivatives(z, 2)

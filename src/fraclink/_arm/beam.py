@@ -275,11 +275,11 @@ def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return mass[2:, 2:], stiffness[2:, 2:]
 
 
-def residual_inertia(beam: Beam, kept: BeamModes) -> float:
+def residual_inertia(beam: Beam, modes: BeamModes) -> float:
     """Return the part of the beam's inertia about the hub that the modes do not carry
     [kg·m²], I − Σ Γi².
     """
-    return max(beam.inertia - float(np.sum(kept.participation**2)), 0.0)
+    return max(beam.inertia - float(np.sum(modes.participation**2)), 0.0)
 
 
 def rigid_rotation(beam: Beam) -> Vector:

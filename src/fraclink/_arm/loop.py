@@ -380,14 +380,16 @@ class Loop(GaugedLink):
         np.minimum.at(margin, crossings.row, np.abs(crossings.phase_margin))
         return crossover, np.where(_turns(crossings, w0.size) == 0.0, margin, -margin)
 
-    def _at_mode(self, found: Crossings, w0: Real) -> NDArray[np.bool_]:
+    def _at_mode(self, crossings: Crossings, w0: Real) -> NDArray[np.bool_]:
         """Flags of the crossings that belong to the resonance of the second mode."""
         low, high = self.mode_band(w0)
-        near = (found.frequency > low[found.row]) & (found.frequency < high[found.row])
-        rows, first = np.unique(found.row[near], return_index=True)
+        near = (crossings.frequency > low[crossings.row]) & (
+            crossings.frequency < high[crossings.row]
+        )
+        rows, first = np.unique(crossings.row[near], return_index=True)
         alone = np.zeros(w0.size, dtype=bool)
-        alone[rows] = found.slope[near][first] > 0.0
-        return near & alone[found.row]
+        alone[rows] = crossings.slope[near][first] > 0.0
+        return near & alone[crossings.row]
 
     def gain_margin(self, natural_frequency: ArrayLike) -> Real:
         """Return the factor by which |L| may grow for each ω₀: 1/|L| where the phase
@@ -484,11 +486,11 @@ class Loop(GaugedLink):
         return Achieved(w0, crossover, margin, peak, self.noise_gain(w0, period))
 
 
-def _turns(found: Crossings, rows: int) -> Real:
+def _turns(crossings: Crossings, rows: int) -> Real:
     """Clockwise encirclements of -1 for each row of ω₀."""
-    turns = np.floor((found.phase + math.pi) / (2.0 * math.pi))
+    turns = np.floor((crossings.phase + math.pi) / (2.0 * math.pi))
     total = np.zeros(rows)
-    np.add.at(total, found.row, np.where(found.slope > 0.0, turns, -turns))
+    np.add.at(total, crossings.row, np.where(crossings.slope > 0.0, turns, -turns))
     return total
 
 

@@ -182,7 +182,9 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, flo
     for row in np.argsort(closest)[:3]:
         at = {name: float(column[row, 0]) for name, column in place.items()}
         at["frequency"] = float(w[int(np.argmin(distance[row]))])
-        best = min(best, _downhill(statement, law, at), key=lambda found: found[0])
+        best = min(
+            best, _downhill(statement, law, at), key=lambda candidate: candidate[0]
+        )
     return best
 
 

@@ -129,14 +129,14 @@ def assess(
     if link_mass is not None:
         link = replace(link, mass=link_mass)
     massive = replace(design, rig=replace(design.rig, link=link))
-    worth = Assessment(
+    assessment = Assessment(
         design,
         payloads,
         tuple(phase_budget(design, low)),
         tuple(margin_curve(design, payloads, kind=kind) for kind in _KINDS),
         tuple(mode_gains(massive, damping_ratio=mode_damping)),
     )
-    return Answer(worth, worth.passed)
+    return Answer(assessment, assessment.passed)
 
 
 @command(app)

@@ -89,10 +89,10 @@ def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
     return _law(design, motor=motor), design
 
 
-def _law(made: Design, *, motor: bool) -> Law:
+def _law(design: Design, *, motor: bool) -> Law:
     # Without the motor loop the robot uses its own servo, which no pole placement
     # affects.
-    return made.law() if motor else discretize(made.controller, made.rig.period)
+    return design.law() if motor else discretize(design.controller, design.rig.period)
 
 
 def _listed(paths: Iterable[Path], following: str = "") -> Answer:
@@ -162,12 +162,12 @@ def c(
     )
 
 
-def _certificate(made: Design, law: Law) -> Certificate | None:
+def _certificate(design: Design, law: Law) -> Certificate | None:
     """The certificate of the loop with `law`; None without the optional package, which
     leaves the claim open.
     """
     try:
-        return certify(made, law=law)
+        return certify(design, law=law)
     except MissingExtraError as error:
         tell(f"the loop is not certified: {error}")
         return None
@@ -259,8 +259,8 @@ def replay(
     if run is not None:
         refuse_beside("--run", "a campaign's own arm", log_file=log_file)
         return replayed(folder, run, output_path(out, force=force), force=force)
-    needed = "a log for a law, or --run of a campaign"
-    log_file = required("log_file", log_file, needed, "give one")
+    sources = "a log for a law, or --run of a campaign"
+    log_file = required("log_file", log_file, sources, "give one")
     log: Experiment | Recording
     # The log of an arm needs a rig for its columns; that of a PID has two columns with
     # unknown names.
@@ -375,8 +375,7 @@ def run_realtime(
 
 
 def _excitation(amplitude: float) -> Reference:
-    # The excitation of `fraclink record` for the twin: bits of 0.24 s have their power
-    # at the first mode of an arm.
+    # Bits of 0.24 s have their power at the first mode of an arm.
     return prbs(amplitude, 0.24, bits=81, register=9, start=0.5)
 
 

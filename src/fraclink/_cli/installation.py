@@ -34,12 +34,12 @@ def _installed(name: str) -> str | None:
         return None
 
 
-def _part(name: str, found: str | None, instead: str, use: str) -> tuple[Row, ...]:
+def _part(name: str, version: str | None, instead: str, use: str) -> tuple[Row, ...]:
     return (
         Row("", "part", name),
-        Row("", "version", found or instead),
+        Row("", "version", version or instead),
         Row("", "for", use),
-        Row("", "state", "passed" if found else "missing"),
+        Row("", "state", "passed" if version else "missing"),
     )
 
 

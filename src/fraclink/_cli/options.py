@@ -174,13 +174,13 @@ def load_link_model(
     return model, errors_of(content.findings)
 
 
-def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]:
+def doubts_of_move(design: Design, *payloads: float | None) -> tuple[Finding, ...]:
     """What leaves nothing shown by a move: errors of the design, and payloads in
     another unit.
     """
     # Each once: --payload 30 --told 30 is one mistake.
     masses = (mass for mass in dict.fromkeys(payloads) if mass is not None)
-    return (*filter(None, map(made.rig.payloads.doubt, masses)), *made.doubts)
+    return (*filter(None, map(design.rig.payloads.doubt, masses)), *design.doubts)
 
 
 def load_design(path: Path, *, gear: float | None = None) -> Design:

@@ -78,12 +78,12 @@ def start(
     )
 
 
-def _following(found: Start, log: str, out: Path) -> str:
+def _following(result: Start, log: str, out: Path) -> str:
     rig, model = (shlex.quote(str(out / name)) for name in START_FILES)
-    if not found.passed:
+    if not result.passed:
         return f"fraclink diagnose {shlex.quote(log)} --rig {rig}"
-    fill = f"fill in the {found.blanks} blanks of {rig}, then"
-    if found.fit.model.payload is None:
+    fill = f"fill in the {result.blanks} blanks of {rig}, then"
+    if result.fit.model.payload is None:
         # The rig file does not state the payload of this log; without it `design` could
         # not use the identified ω₀.
         again = f"fraclink identify {shlex.quote(log)} --rig {rig} --payload KG --out {model} --force"

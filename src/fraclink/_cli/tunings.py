@@ -67,7 +67,7 @@ def tune(
     period_ms: Annotated[
         float | None,
         Between(0.05, 1000.0, "ms"),
-        "Period of a library's board; the others state theirs",
+        "Period of an arm that does not state its own",
     ] = None,
     out: Annotated[Path, "Folder for the results"] = Path("tuned"),
     resume: Annotated[
@@ -144,17 +144,17 @@ def tune(
     )
 
 
-def _following(found: Tuning, io: str, out: Path) -> str:
-    if found.passed or (found.has_law and found.verdict.arm.state == "not run"):
+def _following(tuning: Tuning, io: str, out: Path) -> str:
+    if tuning.passed or (tuning.has_law and tuning.verdict.arm.state == "not run"):
         following = f"fraclink run-realtime {out / 'design.json'} --io {io}"
-        if found.next_move is None:
+        if tuning.next_move is None:
             return following
-        amplitude, duration, payload = found.next_move
+        amplitude, duration, payload = tuning.next_move
         return (
             f"{following} --payload {payload:g} --amplitude {amplitude:.3f} "
             f"--move-time {duration:.3f}"
         )
-    if found.stopped:
+    if tuning.stopped:
         return f"fraclink tune --io {io} --out {out} --force"
     # A law whose first moves missed the promise is not to be used further, with or
     # without a proof.

@@ -154,12 +154,12 @@ def _endings(name: str) -> list[str]:
     return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]]
 
 
-def _spelled(text: str, known: Collection[str]) -> str:
-    """A unit as `known` spells it, or ""."""
+def _spelled(text: str, spellings: Collection[str]) -> str:
+    """A unit in its spelling among `spellings`, or ""."""
     # N m, N.m, N·m and N*m are one unit.
     plain = re.sub(r"[ .·*⋅]", "", text)
     own = _SPELLINGS.get(plain.lower(), "")
-    return next((unit for unit in (text, plain, own) if unit in known), "")
+    return next((unit for unit in (text, plain, own) if unit in spellings), "")
 
 
 def _is_unit(text: str) -> bool:

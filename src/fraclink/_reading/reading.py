@@ -232,12 +232,12 @@ def _unstated(table: LogTable) -> LogError:
 
 
 def _channels(
-    table: LogTable, stated: LogColumns, interpolate: bool
+    table: LogTable, columns: LogColumns, interpolate: bool
 ) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
     """Every stated channel in SI units, and the findings."""
     data: dict[str, NDArray[np.float64]] = {}
     findings: list[Finding] = []
-    channels = stated.channels()
+    channels = columns.channels()
     table = table.with_combined([channel.column for channel in channels.values()])
     for role, channel in channels.items():
         # Optional: a rig file states the voltage for all its logs, and some have none.
@@ -254,7 +254,7 @@ def _channels(
             )
             continue
         if channel.column == ROW_NUMBER and ROW_NUMBER not in table.names:
-            angle = table.place(stated.motor_angle.column, "motor_angle")
+            angle = table.place(columns.motor_angle.column, "motor_angle")
             raw = np.arange(table.values[angle].size, dtype=np.float64)
         else:
             place = table.place(channel.column, role)

@@ -110,12 +110,12 @@ def read_frequency_response(
 Given = dict[str, tuple[Reals, str, str]]
 
 
-def _in_si(given: Given, role: str) -> Reals:
-    if role not in given:
+def _in_si(columns: Given, role: str) -> Reals:
+    if role not in columns:
         raise _absent(
-            given, role, f"a column such as {role}_{next(iter(_UNITS[role]))}"
+            columns, role, f"a column such as {role}_{next(iter(_UNITS[role]))}"
         )
-    values, unit, name = given[role]
+    values, unit, name = columns[role]
     factors = _UNITS[role]
     if unit not in factors:
         raise LogError(
@@ -128,8 +128,8 @@ def _in_si(given: Given, role: str) -> Reals:
     return np.asarray(values * factors[unit], dtype=np.float64)
 
 
-def _absent(given: Given, wanted: str, allowed: str) -> LogError:
-    names = ", ".join(f"{role}: {name}" for role, (_, _, name) in given.items())
+def _absent(columns: Given, wanted: str, allowed: str) -> LogError:
+    names = ", ".join(f"{role}: {name}" for role, (_, _, name) in columns.items())
     remedy = "rename a column in the table's header, or state columns"
     listing, problem = names or "(none)", f"without {wanted}"
     return LogError("columns", listing, problem, allowed=allowed, remedy=remedy)

@@ -547,9 +547,9 @@ def _parse_cells(layout: Layout) -> tuple[NDArray[np.float64], dict[int, CellFau
     return values, faults
 
 
-def _with_fault(known: CellFaults, where: tuple[int, str]) -> CellFaults:
+def _with_fault(faults: CellFaults, where: tuple[int, str]) -> CellFaults:
     if where[1].lower() in _MISSING:
-        first = known.first_missing if known.missing else where
-        return replace(known, missing=known.missing + 1, first_missing=first)
-    first = known.first_bad if known.bad else where
-    return replace(known, bad=known.bad + 1, first_bad=first)
+        first = faults.first_missing if faults.missing else where
+        return replace(faults, missing=faults.missing + 1, first_missing=first)
+    first = faults.first_bad if faults.bad else where
+    return replace(faults, bad=faults.bad + 1, first_bad=first)

@@ -252,23 +252,23 @@ def compare(
     return Tournament(tuple(standings), tuple(notes), runs)
 
 
-def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
+def _chosen(rivals: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
     """Return fraclink and the rivals whose names contain one of `names`; FieldError for
     an entry that matches no name.
     """
     words = [name.lower() for name in names or ("",)]
     for word in words:
-        if not any(word in name.lower() for name in known):
+        if not any(word in name.lower() for name in rivals):
             raise FieldError(
                 "names",
                 word,
                 "part of no rival's name",
-                allowed=", ".join(known),
+                allowed=", ".join(rivals),
                 remedy="give a part of one of these",
             )
     return [
         name
-        for name in known
+        for name in rivals
         if name == FRACLINK or any(word in name.lower() for word in words)
     ]
 

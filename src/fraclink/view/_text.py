@@ -114,9 +114,9 @@ def grid_of(figures: Table | Sequence[Row]) -> Grid:
     return Grid(tuple(header), tuple(zip(*texts, strict=True)), words)
 
 
-def grids(shown: Overview) -> list[Grid]:
+def grids(overview: Overview) -> list[Grid]:
     """All non-empty tables of an overview."""
-    every = [grid_of(shown.rows), *map(grid_of, shown.tables)]
+    every = [grid_of(overview.rows), *map(grid_of, overview.tables)]
     return [grid for grid in every if grid.lines]
 
 
@@ -132,29 +132,29 @@ def view(result: Any) -> Overview:
     return result if isinstance(result, Overview) else result.overview()
 
 
-def doubted(shown: Overview, findings: tuple[Finding, ...]) -> Overview:
+def doubted(overview: Overview, findings: tuple[Finding, ...]) -> Overview:
     """The same overview with errors of its input first: with these, nothing counts as
     passed.
     """
     if not findings:
-        return shown
-    failed = shown.state == "failed"
+        return overview
+    failed = overview.state == "failed"
     headline = "" if failed else "the log or the model is doubtful; "
     return replace(
-        shown,
-        headline=headline + shown.headline,
-        findings=(*findings, *shown.findings),
+        overview,
+        headline=headline + overview.headline,
+        findings=(*findings, *overview.findings),
         state="failed" if failed else "not shown",
     )
 
 
-def notes(shown: Overview) -> list[str]:
+def notes(overview: Overview) -> list[str]:
     """Findings that require action, and notes; infos are only in the report and in the
     JSON, unless there is nothing but findings.
     """
-    alone = not shown.rows and not shown.tables
-    findings = (f for f in shown.findings if alone or f.severity != "info")
-    return [*map(finding_line, findings), *shown.notes]
+    alone = not overview.rows and not overview.tables
+    findings = (f for f in overview.findings if alone or f.severity != "info")
+    return [*map(finding_line, findings), *overview.notes]
 
 
 # --- for programs ------------------------------------------------------------------------
@@ -220,11 +220,11 @@ def to_json(result: Any) -> dict[str, Any]:
 # --- for a notebook ----------------------------------------------------------------------
 
 
-def page_part(shown: Overview) -> str:
+def page_part(overview: Overview) -> str:
     """Return an overview as HTML: verdict, tables, notes."""
-    verdict = html.escape(marked(shown.state)), html.escape(shown.headline)
+    verdict = html.escape(marked(overview.state)), html.escape(overview.headline)
     parts = ["<p><b>{}</b> {}</p>".format(*verdict)]
-    for grid in grids(shown):
+    for grid in grids(overview):
         head = [("th", grid.header)] if any(grid.header) else []
         lines = [*head, *(("td", row) for row in grid.lines)]
         cells = (
@@ -233,20 +233,20 @@ def page_part(shown: Overview) -> str:
         body = "".join(f"<tr>{row}</tr>" for row in cells)
         parts.append(f"<table>{body}</table>")
     return "\n".join(
-        [*parts, *(f"<p>{html.escape(note)}</p>" for note in notes(shown))]
+        [*parts, *(f"<p>{html.escape(note)}</p>" for note in notes(overview))]
     )
 
 
 # --- for a terminal ----------------------------------------------------------------------
 
 
-def plain_text(shown: Overview, width: int = 80) -> str:
+def plain_text(overview: Overview, width: int = 80) -> str:
     """Return an overview as lines of at most `width` columns, broken between words."""
     # The verdict first: it is read first, and a pipe into `head` keeps it.
-    lead = ": ".join(filter(None, (marked(shown.state), shown.headline)))
+    lead = ": ".join(filter(None, (marked(overview.state), overview.headline)))
     parts = [folded(lead, width)] if lead else []
-    parts += [table_text(grid, width) for grid in grids(shown)]
-    remarks = "\n".join(folded(note, width) for note in notes(shown))
+    parts += [table_text(grid, width) for grid in grids(overview)]
+    remarks = "\n".join(folded(note, width) for note in notes(overview))
     return "\n\n".join([*parts, *([remarks] if remarks else [])])
 
 
@@ -315,9 +315,9 @@ def table_text(grid: Grid, width: int = 80) -> str:
     return "\n".join(lines)
 
 
-def _columns(grid: Grid, kept: Iterable[int]) -> Grid:
+def _columns(grid: Grid, columns: Iterable[int]) -> Grid:
     """The given columns of a table."""
-    places = tuple(kept)
+    places = tuple(columns)
 
     def cut(cells: Cells) -> Cells:
         return tuple(cells[k] for k in places)
