@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import (
+    Design,
     Experiment,
     Rig,
     Twin,
@@ -69,25 +70,33 @@ def modes() -> None:
     )
 
 
-def speed(rounds: int) -> None:
-    """Print how much faster than real time a twin with three modes at 1 ms runs under
-    the shipped law.
+def designed(filter_time: float | None = None) -> Design:
+    """Return the design whose law moves the twins: its own filter, or one that is
+    given.
     """
     rig = geared(Rig.named("paper-2023"))
-    result = design(
+    return design(
         rig.model,
         rig,
         payloads=(0.020, 0.040),
         gain_crossover=12.0,
         phase_margin=np.radians(50.0),
+        filter_time=filter_time,
     )
+
+
+def speed(rounds: int) -> None:
+    """Print how much faster than real time a twin with three modes at 1 ms runs under
+    the shipped law.
+    """
+    result = designed()
     move = smooth_step(1.0, duration=0.6)
     for damping in (
         KelvinVoigt(0.0118),
         FractionalKelvinVoigt(0.04, 0.5),
         PowerLaw(1.92),
     ):
-        twin = Twin.from_rig(rig, link_mass=LINK_MASS, damping=damping, modes=3)
+        twin = Twin.from_rig(result.rig, link_mass=LINK_MASS, damping=damping, modes=3)
         seconds = []
         for _ in range(rounds):
             began = time.process_time()
@@ -142,15 +151,8 @@ def spillover(filter_time: float | None) -> None:
     servo, no friction. The power-law link has relaxations slower than any run, poles at
     1 to eleven digits, so "stable" is below 1 + 1e-9.
     """
-    rig = geared(Rig.named("paper-2023"))
-    result = design(
-        rig.model,
-        rig,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=np.radians(50.0),
-        filter_time=filter_time,
-    )
+    result = designed(filter_time)
+    rig = result.rig
     filtered = f"{1e3 * result.controller.filter_time:.2g} ms"
     correction = of_law(discretize(result.controller, rig.period))
     for mass in (LINK_MASS, 0.0141):

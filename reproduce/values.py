@@ -67,7 +67,11 @@ def _law_of_payloads() -> dict[str, float]:
     for name, payload in PAYLOADS.items():
         model = designs.link(payload)
         values[f"law5.{name}"] = model.natural_frequency
-        values[f"resonance.torque.{name}"] = model.torque_resonance or math.nan
+        # where |Γ/θm| peaks: what a spectrum of the torque shows, in place of (14)
+        cosine = -math.cos(math.pi * model.order / 2.0)
+        values[f"resonance.torque.{name}"] = (model.natural_frequency**2 / cosine) ** (
+            1.0 / model.order
+        )
         values[f"resonance.tip.{name}"] = model.tip_resonance or math.nan
     return values
 

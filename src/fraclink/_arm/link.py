@@ -400,30 +400,13 @@ class LinkModel:
 
         For UD-FOM it is (14), ω_r = (−ω₀² cos(πλ/2))^(1/λ).
         """
-        return self._peak(inertia=False)
-
-    @property
-    def torque_resonance(self) -> float | None:
-        """Frequency [rad/s] where |Γ/θm| peaks, None where it has no peak.
-
-        For UD-FOM it is (−ω₀²/cos(πλ/2))^(1/λ), which is what a torque spectrum shows;
-        the paper compares (14), the peak of the tip angle, with the measured torque.
-        """
-        return self._peak(inertia=True)
-
-    def _peak(self, *, inertia: bool) -> float | None:
         if self.damping == 0:
             if self.order <= 1:
                 # cos(πλ/2) < 0 for λ > 1 only: the response of a link of order one only
                 # decreases
                 return None
-            cosine, square = (
-                -math.cos(math.pi * self.order / 2),
-                self.natural_frequency**2,
-            )
-            return float(
-                (square / cosine if inertia else square * cosine) ** (1 / self.order)
-            )
+            cosine = -math.cos(math.pi * self.order / 2)
+            return float((self.natural_frequency**2 * cosine) ** (1 / self.order))
         # imported late: parsers of logs then start in 0.2 s instead of 0.5 s
         from scipy.optimize import (
             minimize_scalar,
@@ -432,16 +415,13 @@ class LinkModel:
         def level(log_frequency: ArrayLike) -> NDArray[np.float64]:
             s = 1j * np.exp(np.asarray(log_frequency, dtype=float))
             restoring = self.damping * s**self.damping_order + self.natural_frequency**2
-            moving = s**self.order
-            return np.asarray(
-                np.abs((moving if inertia else restoring) / (moving + restoring))
-            )
+            return np.asarray(np.abs(restoring / (s**self.order + restoring)))
 
         centre = math.log(abs(self.pole))
         grid = np.linspace(centre - 3.0, centre + 3.0, 601)
         values = level(grid)
-        # The highest local maximum, not the highest value: if the orders of damping and
-        # inertia nearly coincide, the torque may pass its peak, dip, and end higher.
+        # The highest local maximum, not the highest value, which may be the end of the
+        # grid.
         humps = (
             np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:]))
             + 1

@@ -297,7 +297,7 @@ def spline(
     >>> float(path.angle(0.4)), float(path.velocity(1.0)), path.duration
     (0.7, 0.0, 1.0)
     """
-    # see LinkModel._peak: a parser of logs must not import scipy
+    # see LinkModel.tip_resonance: a parser of logs must not import scipy
     from scipy.interpolate import (
         CubicSpline,
     )
