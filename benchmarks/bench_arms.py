@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
-from fraclink.trials import Rival
-from fraclink.trials._rivals import FRACLINK, builders
+from fraclink.trials import Rival, builders
 from harness import line, sizes
 from identify_logs import recorded
 
@@ -116,7 +115,7 @@ def tried(arms: Any, name: str, rivals: bool) -> bool | None:
             except fl.errors.FraclinkError as error:
                 print(f"  {name}, {key}: left out, {error}")
         for key, rival in made.items():
-            law = design.law() if key == FRACLINK else rival.law
+            law = design.law() if key == "fraclink" else rival.law
             for told in (False, True):
                 truths = [
                     moved(true(mass), law, rival.shaped(move), size, told * mass)

@@ -21,6 +21,7 @@ from fraclink.trials._faults import observe as observe
 from fraclink.trials._faults import run_case as run_case
 from fraclink.trials._faults import run_faults as run_faults
 from fraclink.trials._rivals import Rival as Rival
+from fraclink.trials._rivals import builders as builders
 from fraclink.trials._run import Progress as Progress
 from fraclink.trials._run import run_campaign as run_campaign
 from fraclink.trials._stages import run as run

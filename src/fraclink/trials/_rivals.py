@@ -131,8 +131,13 @@ def motor_alone(law: Law) -> Law:
 
 
 def builders(design: Design) -> dict[str, Builder]:
-    """Return a builder for every rival, fraclink first; tuning happens when a builder
-    is called.
+    """Return a function for every contender, by name, fraclink first; it tunes its
+    rival from the design when it is called.
+
+    Parameters
+    ----------
+    design
+        whose rig, model and Ms all are tuned for.
     """
     link = design.model.at_payload(design.rig.payloads.nominal)
     w, ratio = integer_mode(link)
