@@ -92,7 +92,10 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
     ),
     (
         errors.NotConvergedError(
-            "norm", reached=1e-3, wanted=1e-6, remedy="widen the tolerance"
+            "zeros of the approximation",
+            reached=1e-3,
+            wanted=1e-6,
+            remedy="narrow the band or lower the order",
         ),
         "`reached`, `wanted`, `remedy`: the value reached may suffice",
     ),

@@ -7,9 +7,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-import time
 import traceback
 from collections.abc import Callable, Mapping
+from threading import Event
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -29,9 +29,6 @@ __all__ = ["Conversation"]
 Verb = Callable[[Session, Mapping[str, Any]], Reply]
 # requests of a page in progress; a page that sends more is not ours
 _WAITING = 64
-# [s] without a preview, after which the user has stopped dragging: longer than the
-# slowest preview
-_REST = 0.5
 
 
 def _note(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -119,7 +116,9 @@ class Conversation:
             "map": self._map,
         }
         self._awake = {verb: asyncio.Event() for verb in self._lanes}
-        self._moved = 0.0  # time of the last preview
+        # Set unless the user holds a handle.
+        self._released = Event()
+        self._released.set()
         self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
         self._sending = asyncio.Lock()
         self._job: Job | None = None
@@ -138,6 +137,7 @@ class Conversation:
         finally:
             if self._job is not None:
                 self._job.cancel()
+            self._released.set()
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -153,6 +153,10 @@ class Conversation:
         if message.verb in self._awake:
             # The older request is dropped here: a drag sends sixty per second, and only
             # the current position needs an answer.
+            if message.given.get("held") is True:
+                self._released.clear()
+            else:
+                self._released.set()
             older = self._newest.get(message.verb)
             waits = self._awake[message.verb].is_set()
             self._newest[message.verb] = message
@@ -195,10 +199,7 @@ class Conversation:
 
     def _preview(self, message: Message) -> Reply:
         fan = message.given.get("fan") is True
-        try:
-            return preview(_subject(self.session), message.given.get("state"), fan=fan)
-        finally:
-            self._moved = time.monotonic()
+        return preview(_subject(self.session), message.given.get("state"), fan=fan)
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:
@@ -212,10 +213,8 @@ class Conversation:
 
     def _map(self, message: Message) -> Reply:
         def going() -> None:
-            # Both share one interpreter: the map waits until the user has stopped
-            # dragging.
-            while time.monotonic() - self._moved < _REST:
-                time.sleep(_REST)
+            # Both share one interpreter: the map waits until the handle is released.
+            self._released.wait()
             if self._newest["map"] is not message:
                 raise SupersededError
 

@@ -259,8 +259,6 @@ def detail_figure(fit: Fit) -> Figure:
 
 # --- can the model be trusted -----------------------------------------------------------------------------
 
-_LEAST = 300  # samples: with fewer, the lines of a segment do not resolve a resonance
-
 
 def _independent(count: int) -> float:
     """Return the equivalent number of independent segments for n half-overlapping ones
@@ -277,11 +275,11 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     noise, and its 99 % band.
 
     A Welch average over n independent segments is χ² with 2 n degrees of freedom; each
-    line of white noise lies in the band with 99 % probability. None if the log is too
-    short.
+    line of white noise lies in the band with 99 % probability. None for a constant
+    residual.
     """
     residual = np.asarray(fit.residual[: fit.fitted_samples])
-    if residual.size < _LEAST or not float(np.ptp(residual)) > 0.0:
+    if not float(np.ptp(residual)) > 0.0:
         return None
     frequency, (lines,) = segments((residual,), fit.period)
     # Parseval: the mean of |FFT|² of windowed white noise is its variance times the
@@ -300,11 +298,9 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
 
 
 def response_figure(log: Experiment, fit: Fit) -> Figure | None:
-    """Draw the responses of log and model with the noise's 95 % band; None for too
-    short a log.
+    """Draw the responses of log and model with the noise's 95 % band; None if fewer
+    than two frequencies contain information about the link.
     """
-    if log.output.size < _LEAST:
-        return None
     welch = welch_response(log, fit)
     count = _independent(len(segments((log.output,), log.period)[1][0]))
     # With n segments, the coherence of noise alone exceeds this in only 1 % of cases:

@@ -26,7 +26,7 @@ export const app = {
     design.fields();
     design.place();
     const state = {...app.state};
-    app.link.drag({state, fan: $('fan').checked}, (answer) => {
+    app.link.drag({state, fan: $('fan').checked, get held() { return Boolean(app.began); }}, (answer) => {
       app.shown(answer);
       // under load the last preview may arrive after the exact answer to the same state, and must not replace it
       if (app.exactly === JSON.stringify(state)) app.told();
@@ -39,7 +39,8 @@ export const app = {
     design.ghost(false);
     const before = app.began;
     app.began = null;
-    if (!before || JSON.stringify(before) === JSON.stringify(app.state)) return;
+    if (!before) return;
+    if (JSON.stringify(before) === JSON.stringify(app.state)) { app.change(); return; } // tells that the handle is released
     clearTimeout(app.timer);
     app.timer = setTimeout(app.settle, 150);
   },
