@@ -11,8 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import beta
 
 from fracsys._contour import convolve
-from fracsys._terms import Reals
-from fracsys.checks import Array, Between, checked
+from fracsys.checks import Array, Between, Real, checked
 from fracsys.errors import FieldError
 
 Samples = Annotated[ArrayLike, Array(1, min_size=4)]
@@ -31,7 +30,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 @checked
-def integral(t: Samples, y: Samples, order: IntegralOrder) -> Reals:
+def integral(t: Samples, y: Samples, order: IntegralOrder) -> Real:
     """Return the fractional integral of a sampled signal at every sample, shape (N,).
 
     (I^a y)(t) = 1/Γ(a) ∫ (t − τ)^(a−1) y(τ) dτ over τ from t[0] to t, with the cubic
@@ -69,7 +68,7 @@ def integral(t: Samples, y: Samples, order: IntegralOrder) -> Reals:
 @checked
 def derivative(
     t: Samples, y: Samples, order: DerivativeOrder, *, definition: Definition = "caputo"
-) -> Reals:
+) -> Real:
     """Return the fractional derivative of a sampled signal at every sample, shape (N,).
 
     (D^a y)(t) = (I^(n−a) y^(n))(t), n − 1 < a <= n, Caputo's derivative from the first
@@ -150,7 +149,7 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
     return CubicSpline(times[0] + period * np.arange(times.size), values), period
 
 
-def _integrated(pieces: Reals, period: float, order: float) -> Reals:
+def _integrated(pieces: Real, period: float, order: float) -> Real:
     """The integral of order a of Σ_m c_m s^m on every interval, at all samples.
 
     `pieces` as `scipy.interpolate.PPoly` has them: shape (degree + 1, N − 1), highest

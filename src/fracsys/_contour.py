@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._quotient import Cluster, Quotient, singular_order
-from fracsys._terms import Complexes, Reals
+from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
 
 _BESIDE_ZERO = 0.02  # |p| t
@@ -34,7 +34,7 @@ _GRIDS = np.array([0.0, 0.5])[:, None, None]
 _MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared with
 
 
-def step_values(quotient: Quotient, times: Reals, *, more: int = 0) -> Reals:
+def step_values(quotient: Quotient, times: Real, *, more: int = 0) -> Real:
     """Return the step response at times > 0 [s], with `more` nodes than needed.
 
     The values are accurate relative to themselves, even if the response begins like
@@ -53,7 +53,7 @@ def step_values(quotient: Quotient, times: Reals, *, more: int = 0) -> Reals:
     return values
 
 
-def step_error(quotient: Quotient, times: Reals, values: Reals) -> float:
+def step_error(quotient: Quotient, times: Real, values: Real) -> float:
     """Return an estimate of the largest error of `step_values`.
 
     Another number of nodes means another parabola, with other truncation and rounding
@@ -70,7 +70,7 @@ def step_error(quotient: Quotient, times: Reals, values: Reals) -> float:
     return 2.0 * float(np.abs(np.array(others) - values[sample]).max())
 
 
-def _needed(quotient: Quotient, times: Reals) -> NDArray[np.intp]:
+def _needed(quotient: Quotient, times: Real) -> NDArray[np.intp]:
     """Nodes for each time, from the power of s that G/s resembles at frequencies near
     1/t.
     """
@@ -91,7 +91,7 @@ def _needed(quotient: Quotient, times: Reals) -> NDArray[np.intp]:
     return np.full_like(nodes, nodes.max()) if np.ptp(nodes) <= 5 else nodes
 
 
-def _on_parabola(quotient: Quotient, times: Reals, nodes: int) -> Reals:
+def _on_parabola(quotient: Quotient, times: Real, nodes: int) -> Real:
     # Zeros that e^(st) cannot separate at the first time (|δs| t < 0.3) have residues
     # that cancel; one circle around all of them gives their sum.
     simple, clusters = quotient.grouped(
@@ -108,7 +108,7 @@ def _on_parabola(quotient: Quotient, times: Reals, nodes: int) -> Reals:
     values = quotient.value(z) * np.exp(np.exp(z) * times) / root
     # The node u = 0 is its own conjugate.
     values[0] *= np.where(offset == 0.0, 0.5, 1.0)
-    total: Reals = 2.0 * step / math.pi * values.real.sum(axis=0)
+    total: Real = 2.0 * step / math.pi * values.real.sum(axis=0)
     for pole in simple:
         point = np.full(len(times), pole)
         weight = _kernel(point, scale, offset, step) * np.exp(np.exp(pole) * times)
@@ -146,19 +146,19 @@ def _nodes(order: float) -> int:
     return nodes
 
 
-def _place(z: Complexes, scale: Reals) -> Complexes:
+def _place(z: Complex, scale: Real) -> Complex:
     """The position of the point e^z in the u-plane of the parabola of scale μ =
     e^scale.
     """
     return np.asarray((np.exp(0.5 * (z - scale)) - 1.0) / 1j)
 
 
-def _kernel(z: Complexes, scale: Reals, offset: Reals, step: float) -> Complexes:
+def _kernel(z: Complex, scale: Real, offset: Real, step: float) -> Complex:
     exponent = -2j * np.pi * (_place(z, scale) / step - offset)
     return np.asarray(1.0 / (1.0 - np.exp(exponent)))
 
 
-def _offset(poles: Complexes, scale: Reals, step: float) -> Reals:
+def _offset(poles: Complex, scale: Real, step: float) -> Real:
     """0 or 1/2 for each time: the grid that is farther from the poles.
 
     Only these two grids are symmetric, so that conjugate poles have conjugate weights.
@@ -192,13 +192,13 @@ def _cluster(
     return float((weights * np.exp(np.exp(points) * time)).sum().real)
 
 
-def convolve(weights: Reals, u: Reals) -> Reals:
+def convolve(weights: Real, u: Real) -> Real:
     """First len(u) samples of the convolution, by FFT."""
     # Twice the length, so that the circular convolution of the FFT wraps around into
     # zeros only.
     size = 1 << max(2 * len(u) - 1, 1).bit_length()
     spectrum = np.fft.rfft(weights, size) * np.fft.rfft(u, size)
-    result: Reals = np.fft.irfft(spectrum, size)[: len(u)]
+    result: Real = np.fft.irfft(spectrum, size)[: len(u)]
     return result
 
 
@@ -265,7 +265,7 @@ def invert(
     count: int,
     period: float,
     degree: int,
-) -> tuple[Reals, float]:
+) -> tuple[Real, float]:
     """Response of G - `exact` to a step (degree 1) or ramp (2) at k·period, k < count,
     and its error.
     """
@@ -295,14 +295,12 @@ def _series(
     degree: int,
     sigma: float,
     oversampling: int,
-) -> Reals:
+) -> Real:
     size = 1 << (_WINDOW * count * oversampling - 1).bit_length()
     step = period / oversampling
     s = sigma + 2j * math.pi / (size * step) * np.arange(size // 2 + 1)
     spectrum = (G(s) - exact(s)) / s**degree
     values = np.fft.irfft(spectrum, size) / step
     times = np.arange(count) * period
-    result: Reals = values[: count * oversampling : oversampling] * np.exp(
-        sigma * times
-    )
+    result: Real = values[: count * oversampling : oversampling] * np.exp(sigma * times)
     return result

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fracsys._minimax import PartialFractions, Target, finish, grow, score
-from fracsys._terms import Complexes, Reals
-from fracsys.checks import Between, ascending, rule
+from fracsys.checks import Between, Complex, Real, ascending, rule
 from fracsys.errors import FieldError
 
 Band = Annotated[
@@ -34,14 +33,14 @@ _GUARD = 2.0
 
 
 def fit_discrete(
-    response: Callable[[Reals], Complexes],
+    response: Callable[[Real], Complex],
     *,
     period: float,
     band: tuple[float, float],
     order: int | None = None,
     zeros_at_one: int = 0,
     offset: float = 0.0,
-    weight: Callable[[Reals], Reals] | None = None,
+    weight: Callable[[Real], Real] | None = None,
     tolerance_db: float = 0.1,
     tolerance_deg: float = 0.5,
     highest: int = 8,
@@ -162,7 +161,7 @@ def _grown(
     return min(candidates, key=lambda fit: score(fit, target))
 
 
-def _grid(band: tuple[float, float], count: int) -> Reals:
+def _grid(band: tuple[float, float], count: int) -> Real:
     """Logarithmic over the band and linear in its upper three quarters, where the
     discrete error ripples.
     """
@@ -175,14 +174,14 @@ def _grid(band: tuple[float, float], count: int) -> Reals:
 
 
 def _target(
-    response: Callable[[Reals], Complexes],
+    response: Callable[[Real], Complex],
     period: float,
     band: tuple[float, float],
     zeros_at_one: int,
     offset: float,
-    weight: Callable[[Reals], Reals] | None,
+    weight: Callable[[Real], Real] | None,
     tolerance: tuple[float, float],
-    more: Reals,
+    more: Real,
 ) -> Target:
     inside, nyquist = np.union1d(_grid(band, 80), more), math.pi / period
     # Twenty points from the band up to the Nyquist frequency, none where the band ends
@@ -279,10 +278,10 @@ class DiscreteRational:
     period: float
     zeros_at_one: int
     feedthrough: float
-    decays: Reals
-    gains: Reals
-    pole_decays: Complexes
-    pole_gains: Complexes
+    decays: Real
+    gains: Real
+    pole_decays: Complex
+    pole_gains: Complex
     band: tuple[float, float]
     error_db: float = math.nan
     error_deg: float = math.nan
@@ -302,11 +301,11 @@ class DiscreteRational:
         return len(self.decays) + 2 * len(self.pole_decays)
 
     @property
-    def poles(self) -> Complexes:
+    def poles(self) -> Complex:
         """All poles in the z-plane, conjugates included."""
         return np.concatenate([self.decays, self.pole_decays, self.pole_decays.conj()])
 
-    def __call__(self, frequency: ArrayLike) -> Complexes:
+    def __call__(self, frequency: ArrayLike) -> Complex:
         """H(e^(jωT)) at frequencies ω [rad/s], in the shape of ω."""
         w = np.asarray(frequency, dtype=float)
         z = np.exp(1j * w * self.period)[..., None]

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fracsys._terms import Complexes, Reals
+from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import NotConvergedError
 
 # Relative to Σ|terms|: 40 units in the last place, for six terms of three roundings
@@ -38,8 +38,8 @@ class ExponentialSum:
     scaled to be finite.
     """
 
-    coefficients: Reals
-    rates: Reals
+    coefficients: Real
+    rates: Real
 
     @classmethod
     def of(cls, coefficients: ArrayLike, orders: ArrayLike) -> ExponentialSum:
@@ -57,14 +57,14 @@ class ExponentialSum:
         return cls(merged, nu - nu[0])
 
     @cached_property
-    def _logs(self) -> Reals:
+    def _logs(self) -> Real:
         return np.log(np.abs(self.coefficients))
 
     @cached_property
-    def _signs(self) -> Reals:
+    def _signs(self) -> Real:
         return np.sign(self.coefficients)
 
-    def terms(self, z: Complexes) -> tuple[Complexes, Reals]:
+    def terms(self, z: Complex) -> tuple[Complex, Real]:
         """All terms at each z, shape (K, *z.shape), divided by the largest one, and the
         sum of their moduli.
         """
@@ -76,17 +76,17 @@ class ExponentialSum:
         # its ratio to the largest term does not.
         exponents -= exponents.real.max(axis=0)
         terms = np.asarray(self._signs.reshape(column) * np.exp(exponents))
-        moduli: Reals = np.abs(terms).sum(axis=0)
+        moduli: Real = np.abs(terms).sum(axis=0)
         return terms, moduli
 
-    def derivatives(self, z: Complexes, count: int) -> tuple[Complexes, Reals]:
+    def derivatives(self, z: Complex, count: int) -> tuple[Complex, Real]:
         """D, D', …, D^(count−1) at z divided by the largest term, and the sums of
         moduli of each.
         """
         terms = self.terms(z)[0]
         powers = self.rates ** np.arange(count)[:, None]
-        values: Complexes = np.einsum("jk,k...->j...", powers, terms)
-        moduli: Reals = np.einsum("jk,k...->j...", powers, np.abs(terms))
+        values: Complex = np.einsum("jk,k...->j...", powers, terms)
+        moduli: Real = np.einsum("jk,k...->j...", powers, np.abs(terms))
         return values, moduli
 
     @cached_property
@@ -102,7 +102,7 @@ class ExponentialSum:
         high = np.max((a[:-1] - a[-1] + spare) / (nu[-1] - nu[:-1]))
         return float(low), float(high)
 
-    def phase_change(self, start: Complexes, end: Complexes) -> float:
+    def phase_change(self, start: Complex, end: Complex) -> float:
         """Change of arg D along straight pieces start→end [rad], certified by Taylor's
         formula.
 
@@ -126,7 +126,7 @@ class ExponentialSum:
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
         return total
 
-    def _pieces(self, a: Complexes, b: Complexes) -> tuple[Reals, NDArray[np.bool_]]:
+    def _pieces(self, a: Complex, b: Complex) -> tuple[Real, Mask]:
         """Phase change of each piece, and whether it is certain.
 
         D is multiplied by e^(−cz), whose phase is known; c is the mean rate on the

@@ -19,12 +19,12 @@ elsewhere.
 from __future__ import annotations
 
 import math
+import numbers
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module
-from numbers import Real
 from typing import TYPE_CHECKING, Any, NoReturn, cast, overload
 
 import numpy as np
@@ -45,6 +45,7 @@ from fracsys._terms import (
     scaled,
     written,
 )
+from fracsys.checks import Complex
 from fracsys.errors import FieldError
 
 
@@ -111,9 +112,9 @@ class FractionalTransferFunction:
     @overload
     def __call__(self, s: complex) -> complex: ...
     @overload
-    def __call__(self, s: NDArray[Any]) -> NDArray[np.complex128]: ...
+    def __call__(self, s: NDArray[Any]) -> Complex: ...
 
-    def __call__(self, s: complex | NDArray[Any]) -> complex | NDArray[np.complex128]:
+    def __call__(self, s: complex | NDArray[Any]) -> complex | Complex:
         """Return G(s) on the principal sheet; `s` [rad/s] is a complex number or an
         array of any shape.
 
@@ -273,14 +274,14 @@ class FractionalTransferFunction:
         """
         return float(self(0j).real)
 
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """Return the poles on the principal sheet [rad/s], as `fracsys.poles` does."""
         return cast(
             "NDArray[np.complex128]",
             import_module("fracsys._stability").poles(self),
         )
 
-    def zeros(self) -> NDArray[np.complex128]:
+    def zeros(self) -> Complex:
         """Return the zeros on the principal sheet [rad/s]: the poles of 1/G.
 
         >>> ((FractionalTransferFunction.power(1.0) + 2) / FractionalTransferFunction.power(2.5)).zeros().real
@@ -498,7 +499,9 @@ def _operand(value: object) -> Any:
         return value
     if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
         return import_module("fracsys._from_control").from_control(value)
-    if isinstance(value, Real) and not isinstance(value, bool):  # a Fraction as well
+    if isinstance(value, numbers.Real) and not isinstance(
+        value, bool
+    ):  # a Fraction as well
         return _build((Term(float(value), 0.0),), (Term(1.0, 0.0),))
     return NotImplemented
 

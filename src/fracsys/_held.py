@@ -15,7 +15,8 @@ import numpy as np
 from fracsys._contour import convolve, step_error, step_values
 from fracsys._modes import DiscreteModes, Expansion, expand, split_delay
 from fracsys._quotient import STRONG, Quotient, singular_order, without_integrator
-from fracsys._terms import Reals, Term, collect, largest, same, snap
+from fracsys._terms import Term, collect, largest, same, snap
+from fracsys.checks import Real
 
 # Times at which the modes are compared with the contour integral.
 _CHECKS = 9
@@ -39,7 +40,7 @@ _CHUNK = 4096  # times evaluated together: 60 modes take 2 MB
 class Part:
     """A response, its estimated error, the number of modes (0 without) and the method."""
 
-    output: Reals
+    output: Real
     error_estimate: float
     modes: int
     method: str
@@ -184,7 +185,7 @@ class HeldQuotient:
         )
 
     def respond(
-        self, u: Reals, period: float, *, hold: str, tolerance: float, delay: float
+        self, u: Real, period: float, *, hold: str, tolerance: float, delay: float
     ) -> Part:
         """Response to the samples u; those of a linear hold begin with 0."""
         span = max(len(u), 1) * period
@@ -206,7 +207,7 @@ class HeldQuotient:
                 return Part(output, error, modes.count, "modes")
         return self._by_weights(u, period, hold, delay)
 
-    def _by_weights(self, u: Reals, period: float, hold: str, delay: float) -> Part:
+    def _by_weights(self, u: Real, period: float, hold: str, delay: float) -> Part:
         """The response by one contour per lag, where modes would cancel.
 
         This takes a few microseconds per lag. It is needed for poles and singular
@@ -232,7 +233,7 @@ class HeldQuotient:
         error *= 2.0 * largest(forcing) + 4.0 * changes
         return Part(output, error + _ROUNDING * largest(output), 0, "contour")
 
-    def at(self, times: Reals) -> Part:
+    def at(self, times: Real) -> Part:
         """Step response at any times [s]; 0 before time 0."""
         output, later = np.zeros(len(times)), times > 0.0
         output[times == 0.0] = self.direct
@@ -251,7 +252,7 @@ class HeldQuotient:
         output[later], error = _sampled(self.whole, t, self.direct)
         return Part(output, error + _ROUNDING * largest(output), 0, "contour")
 
-    def _by_modes(self, parts: Expansion, t: Reals, first: float) -> Reals:
+    def _by_modes(self, parts: Expansion, t: Real, first: float) -> Real:
         value = np.empty(len(t))
         for k in range(0, len(t), _CHUNK):
             value[k : k + _CHUNK] = parts.increments(t[k : k + _CHUNK])
@@ -261,7 +262,7 @@ class HeldQuotient:
         value += first - value[int(np.argmin(t))]
         return np.asarray(value + self.integrator * t)
 
-    def impulse(self, times: Reals) -> Part:
+    def impulse(self, times: Real) -> Part:
         """Impulse response without its δ at any times [s]: the step response of s(G - D).
 
         At 0 it is the limit from the right, t^(a−1)/Γ(a) for G - D ~ s^-a.
@@ -331,7 +332,7 @@ def _will_do(error: float, peak: float, count: int) -> bool:
     return error <= _ENOUGH * peak or count > _MOST_WEIGHTS
 
 
-def _sampled(quotient: Quotient, times: Reals, start: float) -> tuple[Reals, float]:
+def _sampled(quotient: Quotient, times: Real, start: float) -> tuple[Real, float]:
     """Step response by one contour per time, with the value `start` at t = 0, and an
     estimate of its error.
     """

@@ -14,7 +14,8 @@ import numpy as np
 from fracsys._exponential import ExponentialSum
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._roots import log_zeros, newton_polygon, two_term_zeros
-from fracsys._terms import Complexes, Reals, Term
+from fracsys._terms import Term
+from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
 
 # Twelve decades around 1 rad/s cover every mechanical and electrical loop that is
@@ -39,10 +40,10 @@ class SampledLoop:
     conjugates counted; None where they are not known.
     """
 
-    response: Callable[[Reals], object]
+    response: Callable[[Real], object]
     low: float
     high: float
-    seeds: Reals = field(default_factory=lambda: np.empty(0))
+    seeds: Real = field(default_factory=lambda: np.empty(0))
     delayed: bool = True  # assumed where the structure is unknown
     follow: float = -math.inf
     ends: tuple[complex, complex] = (complex(math.nan), complex(math.nan))
@@ -50,7 +51,7 @@ class SampledLoop:
     span: tuple[float, float] = (-math.inf, math.inf)
     unstable_poles: int | None = None
 
-    def __call__(self, x: Reals) -> Complexes:
+    def __call__(self, x: Real) -> Complex:
         """L(j e^x)."""
         values = np.asarray(self.response(x), dtype=complex)
         if values.shape != x.shape:
@@ -71,7 +72,7 @@ class SampledLoop:
             )
         return values
 
-    def slope(self, x: Reals) -> Complexes:
+    def slope(self, x: Real) -> Complex:
         """d ln L/dx by central differences, one-sided at the upper limit; NaN at a pole
         or zero on the axis.
         """
@@ -116,7 +117,7 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
         # repetition.
         limit = math.pi / step if limit is None else min(limit, math.pi / step)
 
-    def response(x: Reals) -> object:
+    def response(x: Real) -> object:
         s = 1j * np.exp(x)
         return loop(np.exp(s * step) if step > 0.0 else s)
 
@@ -189,7 +190,7 @@ def _fractional_loop(
     )
 
 
-def _values(system: FractionalTransferFunction) -> Callable[[Reals], Complexes]:
+def _values(system: FractionalTransferFunction) -> Callable[[Real], Complex]:
     """x ↦ L(j e^x): all powers s^a = ω^a e^(jπa/2) as one array."""
     terms, count = (*system.numerator, *system.denominator), len(system.numerator)
     orders = np.array([[t.order] for t in terms])
@@ -200,7 +201,7 @@ def _values(system: FractionalTransferFunction) -> Callable[[Reals], Complexes]:
     sides = np.zeros((2, len(terms)), complex)
     sides[0, :count], sides[1, count:] = factors[:count], factors[count:]
 
-    def values(x: Reals) -> Complexes:
+    def values(x: Real) -> Complex:
         # Divided by the power of s that dominates on each side of 1 rad/s, so that
         # nothing overflows.
         powers = np.exp((orders - np.where(x > 0, high, low)) * x)
@@ -260,7 +261,7 @@ def _near_axis(terms: Sequence[Term]) -> tuple[list[complex], bool]:
     return z.tolist(), True
 
 
-def around(zero: complex) -> Reals:
+def around(zero: complex) -> Real:
     distance = abs(zero.imag - 0.5 * math.pi)
     if distance > _NEAR:
         return np.empty(0)

@@ -26,11 +26,8 @@ from fracsys._sweep import (
     sweep,
     zeros_of,
 )
-from fracsys._terms import Complexes, Reals
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Complex, Mask, Real, checked
 from fracsys.errors import FieldError
-
-Mask = NDArray[np.bool_]
 
 Index = NDArray[np.intp]
 
@@ -155,7 +152,7 @@ class Margins:
 
 @checked
 def margins(
-    loop: FractionalTransferFunction | Callable[[Complexes], Complexes],
+    loop: FractionalTransferFunction | Callable[[Complex], Complex],
     *,
     limit: Annotated[float, Between(0.0, unit="rad/s", low_open=True)] | None = None,
     unstable_poles: Annotated[int, Between(0, 1000)] | None = None,
@@ -249,7 +246,7 @@ _FLAT = 1e-12
 
 
 def crossings(
-    loop: SampledLoop, x: Reals, values: Complexes, quiet: float
+    loop: SampledLoop, x: Real, values: Complex, quiet: float
 ) -> tuple[tuple[GainCrossing, ...], tuple[PhaseCrossing, ...]]:
     """Every gain crossing and every phase crossing where |L| > `quiet`, polished."""
     level, turn = np.log(np.abs(values)), np.angle(-values)
@@ -273,8 +270,8 @@ def crossings(
 
 
 def _followed(
-    loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet: float
-) -> NDArray[np.bool_]:
+    loop: SampledLoop, x: Real, values: Complex, turn: Real, quiet: float
+) -> Mask:
     """Points near the negative real axis in the range where the phase was followed."""
     # The phase of −L jumps by 2π on the positive real axis; a change of sign there is
     # no crossing of the negative axis.
@@ -285,7 +282,7 @@ def _followed(
 
 
 def _brackets(
-    loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Mask
+    loop: SampledLoop, level: Tendency, x: Real, y: Real, usable: Mask
 ) -> list[Bracket]:
     """Brackets of the changes of sign, including pairs that lie on either side of an
     extreme close to zero.
@@ -314,7 +311,7 @@ def _brackets(
     return sorted(brackets)
 
 
-def _near_touches(place: Index, y: Reals) -> list[int]:
+def _near_touches(place: Index, y: Real) -> list[int]:
     """Indices of extremes closer to zero than the steps to their neighbours, which have
     the same sign.
     """

@@ -20,14 +20,14 @@ from functools import cached_property
 import numpy as np
 
 from fracsys import _kernels
-from fracsys._terms import Complexes, Reals
+from fracsys.checks import Complex, Real
 
 # Going from 2 to 128 directly, three of six controllers need more poles, and the best
 # fit of order 8 has twice the error: each norm must start near its minimum. Stopping at
 # 32 costs 3 % of the error.
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
 
-Shapes = tuple[Complexes, Complexes, Complexes]
+Shapes = tuple[Complex, Complex, Complex]
 
 
 @dataclass(frozen=True)
@@ -36,22 +36,22 @@ class Target:
     weighted.
     """
 
-    omega: Reals  # Ω, the frequency in the x-plane
-    factor: Complexes  # P(jΩ)
-    wanted: Complexes
+    omega: Real  # Ω, the frequency in the x-plane
+    factor: Complex  # P(jΩ)
+    wanted: Complex
     # The error is multiplied by 1/(offset + wanted), so that its real part is in nepers
     # and its imaginary part in radians.
-    turn: Complexes
-    weight_real: Reals
-    weight_imag: Reals
+    turn: Complex
+    weight_real: Real
+    weight_imag: Real
 
     @cached_property
-    def x(self) -> Complexes:
+    def x(self) -> Complex:
         """jΩ as a column."""
         return np.asarray(1j * self.omega[:, None], dtype=complex)
 
     @cached_property
-    def real_rows(self) -> tuple[Reals, Reals]:
+    def real_rows(self) -> tuple[Real, Real]:
         """What makes a complex R/P real rows, as the kernel takes it, and the rows that
         are wanted.
         """
@@ -61,7 +61,7 @@ class Target:
             [by_real.real, -by_real.imag, by_imag.imag, by_imag.real]
         ), self.rows(self.wanted)
 
-    def rows(self, values: Complexes) -> Reals:
+    def rows(self, values: Complex) -> Real:
         """Real rows of a complex error (or of columns of a Jacobian): tolerances are 1."""
         own = (self.turn, self.weight_real, self.weight_imag)
         turn, real, imag = own if values.ndim == 1 else (part[:, None] for part in own)
@@ -81,13 +81,13 @@ class PartialFractions:
     """
 
     direct: float
-    real_logs: Reals
-    real_gains: Reals
-    pair_logs: Reals
-    pair_angles: Reals  # η: ψ = (π/2) tanh η keeps every pair in the stable half plane
-    pair_gains: Complexes
+    real_logs: Real
+    real_gains: Real
+    pair_logs: Real
+    pair_angles: Real  # η: ψ = (π/2) tanh η keeps every pair in the stable half plane
+    pair_gains: Complex
 
-    def columns(self, x: Complexes) -> Complexes:
+    def columns(self, x: Complex) -> Complex:
         """The basis: 1, σ/(x+σ), and for each pair the columns of Re c and Im c; shape
         (M, order + 1).
         """
@@ -104,7 +104,7 @@ class PartialFractions:
             axis=1,
         )
 
-    def shapes(self, x: Complexes) -> Shapes:
+    def shapes(self, x: Complex) -> Shapes:
         """σ/(x + σ), q/(x + q) and q̄/(x + q̄) at a column x = jΩ, one column for each
         pole.
         """
@@ -116,16 +116,16 @@ class PartialFractions:
         q = self.poles_of_pairs()
         return real, q / (x + q), q.conj() / (x + q.conj())
 
-    def poles_of_pairs(self) -> Complexes:
+    def poles_of_pairs(self) -> Complex:
         """q = e^(θ + jψ), so that the poles are −q and −q̄."""
         return np.exp(self.pair_logs + 0.5j * math.pi * np.tanh(self.pair_angles))
 
-    def linear(self) -> Reals:
+    def linear(self) -> Real:
         """The linear parameters in the order of `columns`."""
         c = self.pair_gains
         return np.concatenate([[self.direct], self.real_gains, c.real, c.imag])
 
-    def with_linear(self, values: Reals) -> PartialFractions:
+    def with_linear(self, values: Real) -> PartialFractions:
         """The same poles with other residues."""
         n, m = len(self.real_logs), len(self.pair_logs)
         gains = values[1 + n : 1 + n + m] + 1j * values[1 + n + m :]
@@ -150,7 +150,7 @@ class PartialFractions:
             self, real_logs=logs, pair_logs=pairs, pair_angles=angles
         ).with_linear(linear)
 
-    def error(self, target: Target) -> Reals:
+    def error(self, target: Target) -> Real:
         """Weighted error in rows."""
         return target.rows(
             target.factor * (self.columns(target.x) @ self.linear()) - target.wanted
@@ -368,7 +368,7 @@ def relocate(
     return visited
 
 
-def _zeros_of_denominator(at: PartialFractions, weights: Reals) -> Complexes:
+def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
     """Eigenvalues of A − b c for σ(x) = 1 + c (x − A)^(-1) b."""
     n, m = len(at.real_logs), len(at.pair_logs)
     a = np.zeros((n + 2 * m, n + 2 * m))
@@ -389,7 +389,7 @@ def _zeros_of_denominator(at: PartialFractions, weights: Reals) -> Complexes:
     return np.asarray(np.linalg.eigvals(a - np.outer(b, c)), dtype=complex)
 
 
-def _from_poles(x: Complexes, target: Target) -> PartialFractions:
+def _from_poles(x: Complex, target: Target) -> PartialFractions:
     x = -np.abs(x.real) + 1j * x.imag
     real = np.sort(-x.real[np.abs(x.imag) <= _REAL * np.abs(x)])
     q = -x[x.imag < -_REAL * np.abs(x)]

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import rgamma
 
-from fracsys._terms import Complexes, Reals
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Complex, Real, checked
 from fracsys.errors import FieldError, value_text
 
 # The parabola s = μ(1 + iu)² crosses the real axis at μ. Rounding grows by e^μ; a
@@ -117,7 +116,7 @@ def _numbers(z: ArrayLike) -> NDArray[Any]:
     return numbers
 
 
-def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
+def _values(z: Complex, alpha: float, beta: float) -> Complex:
     """E at points other than 0."""
     step, count, inside = _rule(beta)
     logs, places = _poles(z, alpha)
@@ -148,7 +147,7 @@ def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
     return np.asarray(total + np.where(enclosed, kernel * residues, 0.0).sum(axis=0))
 
 
-def _denominator(log_s: Complexes, z: Complexes, alpha: float) -> Complexes:
+def _denominator(log_s: Complex, z: Complex, alpha: float) -> Complex:
     """s^α − z. For small α the whole parabola lies close to the pole, and the plain
     difference would lose a factor of 1/α in precision.
     """
@@ -158,7 +157,7 @@ def _denominator(log_s: Complexes, z: Complexes, alpha: float) -> Complexes:
     return np.asarray(np.where(np.abs(z) > 0.1, difference, np.exp(alpha * log_s) - z))
 
 
-def _poles(z: Complexes, alpha: float) -> tuple[Complexes, Complexes]:
+def _poles(z: Complex, alpha: float) -> tuple[Complex, Complex]:
     """ln of each pole z^(1/α) on the principal sheet and its position u, both of shape
     (poles, points); NaN where there is no pole.
     """
@@ -181,7 +180,7 @@ def _poles(z: Complexes, alpha: float) -> tuple[Complexes, Complexes]:
     return np.asarray(np.log(radius) + 1j * angles), np.asarray(-1j * (root - 1.0))
 
 
-def _modulus(z: Complexes) -> tuple[Reals, Reals]:
+def _modulus(z: Complex) -> tuple[Real, Real]:
     """|z| and its relative rounding error."""
     size = np.abs(z)
     exponent = np.frexp(size)[1]
@@ -192,7 +191,7 @@ def _modulus(z: Complexes) -> tuple[Reals, Reals]:
     return size, np.asarray(0.5 * (((x - r) + y) + (dx + dy - dr)) / r)
 
 
-def _square(x: Reals) -> tuple[Reals, Reals]:
+def _square(x: Real) -> tuple[Real, Real]:
     """x² and its rounding error (Dekker and Veltkamp)."""
     # 2^27 + 1 splits a double into halves of 26 bits, whose products are exact.
     product, wide = x * x, 134217729.0 * x
@@ -201,7 +200,7 @@ def _square(x: Reals) -> tuple[Reals, Reals]:
     return product, np.asarray(((high * high - product) + 2.0 * high * low) + low * low)
 
 
-def _frac(u: Complexes) -> Complexes:
+def _frac(u: Complex) -> Complex:
     return np.asarray(u - np.round(u.real))
 
 

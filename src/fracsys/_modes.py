@@ -12,7 +12,7 @@ import numpy as np
 
 from fracsys import _kernels
 from fracsys._quotient import Cluster, Quotient
-from fracsys._terms import Complexes, Reals
+from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError
 
@@ -38,16 +38,16 @@ class DiscreteModes:
     hold: str
     direct: float
     first: float
-    log_decays: Reals
-    gains: Reals
-    pole_log_decays: Complexes
-    pole_gains: Complexes
+    log_decays: Real
+    gains: Real
+    pole_log_decays: Complex
+    pole_gains: Complex
     span: float
     lag: int = 0
     early: float = 0.0
     tolerance: float = 1e-12
-    decays: Reals = field(init=False)
-    pole_decays: Complexes = field(init=False)
+    decays: Real = field(init=False)
+    pole_decays: Complex = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "decays", np.exp(self.log_decays))
@@ -67,7 +67,7 @@ class DiscreteModes:
         """Number of real modes plus two for each complex pair: the doubles of state."""
         return len(self.gains) + 2 * len(self.pole_gains)
 
-    def respond(self, u: Reals, *, initial: Reals | None = None) -> Reals:
+    def respond(self, u: Real, *, initial: Real | None = None) -> Real:
         """Return y for the samples u, from rest (or from `initial`: x, then z as re, im
         pairs).
         """
@@ -79,7 +79,7 @@ class DiscreteModes:
             if self.lag
             else values
         )
-        output: Reals = _kernels.modes_response(
+        output: Real = _kernels.modes_response(
             inputs,
             self.direct,
             self.first,
@@ -93,7 +93,7 @@ class DiscreteModes:
             output[self.lag - 1 :] += self.early * values[: len(values) - self.lag + 1]
         return output
 
-    def frequency_response(self, frequency: Reals) -> Complexes:
+    def frequency_response(self, frequency: Real) -> Complex:
         """Return the pulse transfer function at e^(jωT), ω = `frequency` [rad/s]."""
         shift = np.exp(-1j * np.asarray(frequency, np.float64) * self.period)
         total = self.early / shift + self.direct + self.first * shift
@@ -104,7 +104,7 @@ class DiscreteModes:
             total = total + 0.5 * np.conj(pole_gain) * shift / (
                 1.0 - np.conj(pole) * shift
             )
-        result: Complexes = np.asarray(total * shift**self.lag, np.complex128)
+        result: Complex = np.asarray(total * shift**self.lag, np.complex128)
         return result
 
 
@@ -159,17 +159,17 @@ class Expansion:
     (upper half).
     """
 
-    rates: Reals
-    weights: Reals
-    poles: Complexes
-    pole_weights: Complexes
+    rates: Real
+    weights: Real
+    poles: Complex
+    pole_weights: Complex
 
     @property
     def count(self) -> int:
         """Number of real modes plus two for each complex one."""
         return len(self.rates) + 2 * len(self.poles)
 
-    def increments(self, times: Reals) -> Reals:
+    def increments(self, times: Real) -> Real:
         """S(t) − S(0) at times [s]: in S itself, the huge weight of a pole near 0 would
         mask everything else.
         """
@@ -196,12 +196,12 @@ def expand(
     )
     origin = _origin(simple, clusters, step)
 
-    def kernel(z: Complexes) -> Complexes:
+    def kernel(z: Complex) -> Complex:
         return np.asarray(
             1.0 / (1.0 - np.exp(-2j * np.pi * (z - 1j * math.pi - origin) / step))
         )
 
-    def whole(share: float) -> Callable[[Complexes], Complexes]:
+    def whole(share: float) -> Callable[[Complex], Complex]:
         return lambda z: np.full(z.shape, share, np.complex128)
 
     # A mode that has decayed to e^-3 of the tolerance at the shortest time is
@@ -246,10 +246,10 @@ class _Modes:
     """The modes collected so far: arrays of (rate, weight) and of (pole, weight)."""
 
     def __init__(self) -> None:
-        self.real: list[Reals] = [np.empty((2, 0))]
-        self.complex: list[Complexes] = [np.empty((2, 0), np.complex128)]
+        self.real: list[Real] = [np.empty((2, 0))]
+        self.complex: list[Complex] = [np.empty((2, 0), np.complex128)]
 
-    def add_poles(self, z: complex, places: Complexes, weights: Complexes) -> None:
+    def add_poles(self, z: complex, places: Complex, weights: Complex) -> None:
         """Add 2 Re Σ weights·e^(st) at s = `places`; for a pole e^z on the real axis
         they are real.
         """
@@ -339,7 +339,7 @@ def _add_cut(
         modes.real.append(_folded(rates[slow], weights[slow], math.exp(fold)))
 
 
-def _folded(rates: Reals, weights: Reals, limit: float) -> Reals:
+def _folded(rates: Real, weights: Real, limit: float) -> Real:
     """Modes with rates below `limit` gathered on a few Chebyshev nodes.
 
     Increments of e^(-rt) are r times a smooth function of r, so r·W is what is
@@ -359,7 +359,7 @@ def _add_cluster(
     modes: _Modes,
     quotient: Quotient,
     cluster: Cluster,
-    kernel: Callable[[Complexes], Complexes],
+    kernel: Callable[[Complex], Complex],
     clearance: float,
     longest: float,
 ) -> None:
@@ -393,7 +393,7 @@ def _half_length(damping: float, longest: float) -> float:
     return max(0.3 * damping, 2.5 / longest)
 
 
-def _lagrange(x: Complexes) -> Complexes:
+def _lagrange(x: Complex) -> Complex:
     """Lagrange polynomials of the Chebyshev nodes in [-1, 1] at points x, one row for
     each point.
     """

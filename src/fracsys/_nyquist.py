@@ -9,14 +9,12 @@ import numpy as np
 
 from fracsys._loops import SampledLoop
 from fracsys._sweep import modulus_slope, valleys, zeros_of
-from fracsys._terms import Complexes, Reals
+from fracsys.checks import Complex, Real
 
 ON_AXIS = 1e-12  # a modulus margin of zero means a closed-loop pole on the axis
 
 
-def modulus_margin(
-    loop: SampledLoop, x: Reals, values: Complexes
-) -> tuple[float, float]:
+def modulus_margin(loop: SampledLoop, x: Real, values: Complex) -> tuple[float, float]:
     """inf |1 + L| and its frequency [rad/s], 0 or inf if it is approached but not
     reached.
     """
@@ -49,7 +47,7 @@ _BESIDE_POLE = 1e3
 
 
 def unstable_closed_loop_poles(
-    loop: SampledLoop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
+    loop: SampledLoop, x: Real, values: Complex, *, open_loop: int, ends_real: bool
 ) -> int | None:
     """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None if it is not
     a whole number.

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fracsys._roots import log_zeros, two_term_zeros
-from fracsys._terms import Complexes, Reals, Term, collect, same
+from fracsys._terms import Term, collect, same
+from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
 
 # poles up to a quarter turn beyond the cut bend the integrand on it
@@ -50,7 +50,7 @@ class Quotient:
 
     top: tuple[Term, ...]
     bottom: tuple[Term, ...]
-    zeros: Complexes
+    zeros: Complex
 
     @classmethod
     def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
@@ -87,11 +87,11 @@ class Quotient:
         """True if all orders are integers: there is no branch cut."""
         return all(float(t.order).is_integer() for t in (*self.top, *self.bottom))
 
-    def value(self, z: Complexes) -> Complexes:
+    def value(self, z: Complex) -> Complex:
         """G(e^z) at points of the log-plane, on any sheet."""
         return _sum(self.top, z) / _sum(self.bottom, z)
 
-    def slope(self, z: Complexes) -> Reals:
+    def slope(self, z: Complex) -> Real:
         """d ln |G|/d ln |s| at points of the log-plane."""
         return _slope(self.top, z) - _slope(self.bottom, z)
 
@@ -108,7 +108,7 @@ class Quotient:
         turns = (-1.0) ** np.arange(len(self.zeros))
         return Quotient(self.top, self.bottom, self.zeros + turns * shift)
 
-    def on_cut(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_cut(self, x: Real) -> Real:
         """Im G(r e^{iπ}) at x = ln r.
 
         The angle of every term is πa reduced modulo 2π beforehand, so that integer
@@ -173,8 +173,8 @@ class Quotient:
         cluster: Cluster,
         radius: float,
         clearance: float,
-        kernel: Callable[[Complexes], Complexes],
-    ) -> tuple[Complexes, Complexes]:
+        kernel: Callable[[Complex], Complex],
+    ) -> tuple[Complex, Complex]:
         """Points z and weights w with Σ w φ(z) = Σ Res G(e^z) kernel(z) φ(z) over the
         cluster's zeros.
 
@@ -198,7 +198,7 @@ class Quotient:
         return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
 
 
-def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
+def _sum(terms: Sequence[Term], z: Complex) -> Complex:
     total = np.zeros(z.shape, np.complex128)
     for t in terms:
         # A constant needs no exponential; half of the terms of a link are constants.
@@ -206,7 +206,7 @@ def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
     return total
 
 
-def _rise(terms: Sequence[Term], z: Complexes) -> Complexes:
+def _rise(terms: Sequence[Term], z: Complex) -> Complex:
     """d sum/d ln s."""
     total = np.zeros(z.shape, np.complex128)
     for t in terms:
@@ -215,7 +215,7 @@ def _rise(terms: Sequence[Term], z: Complexes) -> Complexes:
     return total
 
 
-def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
+def _slope(terms: Sequence[Term], z: Complex) -> Real:
     """d ln |sum|/d ln |s|; each power is computed once for both the sum and its
     derivative.
     """
@@ -229,7 +229,7 @@ def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
     return np.asarray((rise / value).real)
 
 
-def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
+def _moduli(terms: Sequence[Term], z: Complex) -> Real:
     """Bound of the error of `_sum` in units of rounding: |a z| units for e^(a z), two
     for a product.
     """
@@ -241,9 +241,7 @@ def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
     return total
 
 
-def _sum_on_cut(
-    terms: Sequence[Term], x: NDArray[np.float64], lowest: float
-) -> Complexes:
+def _sum_on_cut(terms: Sequence[Term], x: Real, lowest: float) -> Complex:
     total = np.zeros(x.shape, np.complex128)
     for t in terms:
         total += t.coefficient * np.exp((t.order - lowest) * x) * _turn(t.order)

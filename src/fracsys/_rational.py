@@ -16,7 +16,6 @@ from fracsys._discrete import Band, checked_band, fit_discrete
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._minimax import Target, finish, grow
 from fracsys._stability import poles
-from fracsys._terms import Complexes, Reals
 from fracsys._zero_pole import (
     cascade,
     evaluate,
@@ -24,7 +23,7 @@ from fracsys._zero_pole import (
     substituted,
     zeros_of_fractions,
 )
-from fracsys.checks import Between, Positive, checked
+from fracsys.checks import Between, Complex, Positive, Real, checked
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError
 
@@ -51,8 +50,8 @@ class RationalApproximation:
         Largest error of modulus [dB] and phase [°] inside the band.
     """
 
-    zeros: Complexes
-    poles: Complexes
+    zeros: Complex
+    poles: Complex
     gain: float
     period: float | None
     band: tuple[float, float]
@@ -71,16 +70,16 @@ class RationalApproximation:
         """Number of poles."""
         return len(self.poles)
 
-    def __call__(self, s: ArrayLike) -> Complexes:
+    def __call__(self, s: ArrayLike) -> Complex:
         """R at s [rad/s], or at z for a discrete approximation; any shape."""
         return evaluate(np.asarray(s, dtype=complex), self.zeros, self.poles, self.gain)
 
-    def frequency_response(self, frequency: ArrayLike) -> Complexes:
+    def frequency_response(self, frequency: ArrayLike) -> Complex:
         """R(jω) or R(e^(jωT)) at frequencies ω [rad/s], shape kept."""
         w = np.asarray(frequency, dtype=float)
         return self(1j * w if self.period is None else np.exp(1j * w * self.period))
 
-    def state_space(self) -> tuple[Reals, Reals, Reals, Reals]:
+    def state_space(self) -> tuple[Real, Real, Real, Real]:
         """Real matrices A, B, C, D of second-order sections in series.
 
         Shapes (n, n), (n, 1), (1, n), (1, 1); ready for `control.ss(*r.state_space())`.
@@ -171,7 +170,7 @@ def _filtered(
     band: tuple[float, float],
     order: int,
     period: float | None,
-) -> tuple[Complexes, Complexes, float]:
+) -> tuple[Complex, Complex, float]:
     """Zeros, poles and gain with a filter in place of each fractional power."""
     filtered = substituted(
         system.numerator, system.denominator, lambda f: oustaloup(f, band, order)
@@ -215,7 +214,7 @@ def _check(
 
 def _continuous(
     system: FractionalTransferFunction, band: tuple[float, float], order: int
-) -> tuple[Complexes, Complexes, float]:
+) -> tuple[Complex, Complex, float]:
     exact = poles(system)
     # The fit places its poles in the open left half plane only. For an unstable system
     # it would silently return the stable function that is closest on the axis.

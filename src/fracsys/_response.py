@@ -17,8 +17,8 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys._held import HeldQuotient, Part
 from fracsys._modes import DiscreteModes
 from fracsys._quotient import Quotient, singular_order
-from fracsys._terms import Reals, Term, grid, largest, refuse_beyond_memory
-from fracsys.checks import Array, Between, Positive, checked
+from fracsys._terms import Term, grid, largest, refuse_beyond_memory
+from fracsys.checks import Array, Between, Positive, Real, checked
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError, NotConvergedError
 
@@ -47,8 +47,8 @@ class TimeResponse:
     request.
     """
 
-    time: Reals
-    output: Reals
+    time: Real
+    output: Real
     method: str
     error_estimate: float
     modes: int
@@ -259,7 +259,7 @@ def discrete_modes(
     )
 
 
-def _instants(time: object, period: float | None) -> Reals:
+def _instants(time: object, period: float | None) -> Real:
     """The times given as duration and period, or as times."""
     if isinstance(time, float):
         if period is None:
@@ -318,7 +318,7 @@ def _fixed(
 
 
 def _added(
-    time: Reals,
+    time: Real,
     parts: Sequence[Part | TimeResponse],
     period: float | None,
     hold: str,
@@ -336,7 +336,7 @@ def _added(
 def _by_inversion(
     G: FractionalTransferFunction,
     exact: FractionalTransferFunction,
-    u: Reals,
+    u: Real,
     period: float,
     hold: Hold,
 ) -> TimeResponse:

@@ -19,7 +19,7 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fracsys._exponential import (
     ROUNDING,
@@ -28,11 +28,8 @@ from fracsys._exponential import (
     count_box,
     count_strip,
 )
-from fracsys._terms import Complexes
+from fracsys.checks import Complex, Mask
 from fracsys.errors import NotConvergedError
-
-Mask = NDArray[np.bool_]
-
 
 # Candidate heights above `angle` for the upper edge of the counted strip: the first one
 # without a zero nearby is used. The large ones are for multiple zeros on the edge: at
@@ -44,9 +41,7 @@ _ON_EDGE = 1e-12
 _BLURRED = 1e-7
 
 
-def log_zeros(
-    coefficients: ArrayLike, orders: ArrayLike, *, angle: float
-) -> NDArray[np.complex128]:
+def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Complex:
     """Return z = ln s of every zero of Σ a_k s^α_k with 0 ≤ arg s ≤ `angle`.
 
     Σ_k a_k e^(α_k z) = 0, with z = ln|s| + j arg s.
@@ -136,7 +131,7 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
     )
 
 
-def _complete(roots: NDArray[np.complex128], count: int) -> bool:
+def _complete(roots: Complex, count: int) -> bool:
     """Whether the points are as many as certified and closed under conjugation (two
     points on the same zero are not).
     """
@@ -148,9 +143,7 @@ def _complete(roots: NDArray[np.complex128], count: int) -> bool:
     return bool(np.all(distance.min(axis=1, initial=np.inf) < 1e-9))
 
 
-def _by_bisection(
-    terms: ExponentialSum, height: float, count: int
-) -> NDArray[np.complex128]:
+def _by_bisection(terms: ExponentialSum, height: float, count: int) -> Complex:
     low, high = terms.bounds
     # The walls lie slightly beyond the bounds, so that no side runs along a line where
     # two terms are equal.
@@ -168,9 +161,7 @@ def _by_bisection(
     return zeros
 
 
-def _upper(
-    terms: ExponentialSum, points: NDArray[np.complex128], angle: float
-) -> NDArray[np.complex128]:
+def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
     z = points.copy()
     # In a close group a zero is known to ε/|D'| only; without the tolerance one
     # slightly beyond the edge would be lost.
@@ -211,7 +202,7 @@ def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
     return list(itertools.pairwise(hull))
 
 
-def _starts(sum_: ExponentialSum, height: float) -> Complexes:
+def _starts(sum_: ExponentialSum, height: float) -> Complex:
     """Zeros of the two terms of each edge of the Newton polygon, in |Im z| ≤ height and
     one spacing beyond.
     """
@@ -237,7 +228,7 @@ def _starts(sum_: ExponentialSum, height: float) -> Complexes:
     return np.array(points) * (1 + 1e-4j) + 1e-3j
 
 
-def aberth(sum_: ExponentialSum, height: float, count: int) -> Complexes:
+def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     """Simultaneous Newton iteration with mutual repulsion until `count` points with |Im
     z| ≤ height rest.
 
@@ -288,7 +279,7 @@ def _halton(index: int, base: int) -> float:
     return value
 
 
-def settle_clusters(sum_: ExponentialSum, points: Complexes) -> Complexes:
+def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:
     """Refine every zero; points at the same multiple zero get the same value.
 
     m points near one m-fold zero are known to ε^(1/m) only, but that zero is a simple
@@ -306,7 +297,7 @@ def settle_clusters(sum_: ExponentialSum, points: Complexes) -> Complexes:
 
 
 def _cluster(
-    sum_: ExponentialSum, points: Complexes, free: Mask, i: int
+    sum_: ExponentialSum, points: Complex, free: Mask, i: int
 ) -> tuple[Mask, complex]:
     """The points that represent the same zero as points[i], and that zero."""
     for radius in _CLUSTERS:
@@ -346,7 +337,7 @@ def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
     return z
 
 
-def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Complexes:
+def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Complex:
     """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms per zero) but
     certain.
     """

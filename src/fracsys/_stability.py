@@ -13,8 +13,8 @@ from fracsys._loops import as_loop
 from fracsys._nyquist import ON_AXIS, modulus_margin, unstable_closed_loop_poles
 from fracsys._roots import log_zeros
 from fracsys._sweep import sweep
-from fracsys._terms import Complexes, Term
-from fracsys.checks import checked
+from fracsys._terms import Term
+from fracsys.checks import Complex, checked
 from fracsys.errors import FieldError
 
 # relative distance at which a zero cancels a pole: the resolution of twelve-digit
@@ -59,7 +59,7 @@ class StabilityVerdict:
 
 
 @checked
-def poles(system: FractionalTransferFunction) -> Complexes:
+def poles(system: FractionalTransferFunction) -> Complex:
     """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and
     multiplicities.
 
@@ -272,7 +272,7 @@ def _poles_at_origin(system: FractionalTransferFunction) -> int:
     )
 
 
-def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes]:
+def _pole_logs(system: FractionalTransferFunction) -> tuple[Complex, Complex]:
     """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those cancelled by a zero of the
     numerator.
     """
@@ -298,13 +298,13 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes
     return np.array(rest, dtype=complex), np.array(cancelled, dtype=complex)
 
 
-def _logs(terms: Sequence[Term]) -> Complexes:
+def _logs(terms: Sequence[Term]) -> Complex:
     return log_zeros(
         [t.coefficient for t in terms], [t.order for t in terms], angle=math.pi
     )
 
 
-def _both_halves(z: Complexes, at_origin: int) -> Complexes:
+def _both_halves(z: Complex, at_origin: int) -> Complex:
     """s = e^z and its conjugates, exact on the axes."""
     points: list[complex] = [0j] * at_origin
     for log in z:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import SampledLoop, as_loop
-from fracsys._terms import Complexes, Reals
+from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import FieldError
 
 # [rad] largest change of phase between neighbours, so that no crossing is missed
@@ -28,7 +28,7 @@ POINT_LIMIT = 50_000
 _PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
-def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]:
+def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Real, Complex, float]:
     """Return (ln ω, L, quiet): neither ln L nor 1 + L changes much between neighbours
     where |L| > quiet.
 
@@ -55,8 +55,8 @@ def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Reals, Complexes,
 
 
 def _refined(
-    loop: SampledLoop, x: Reals, values: Complexes, quiet: float, limit: int
-) -> tuple[Reals, Complexes] | None:
+    loop: SampledLoop, x: Real, values: Complex, quiet: float, limit: int
+) -> tuple[Real, Complex] | None:
     while (wide := _too_wide(loop, x, values, quiet)).size:
         if x.size + wide.size > limit:
             return None
@@ -67,7 +67,7 @@ def _refined(
 
 
 def _too_wide(
-    loop: SampledLoop, x: Reals, values: Complexes, quiet: float
+    loop: SampledLoop, x: Real, values: Complex, quiet: float
 ) -> NDArray[np.intp]:
     """Intervals to halve: ln L changes too much, or 1 + L by more than its modulus."""
     change = np.log(values[1:] / values[:-1])
@@ -94,11 +94,11 @@ _FAINT = 1e-3
 
 
 def frequency_grid(
-    loop: FractionalTransferFunction | Callable[[Complexes], Complexes],
+    loop: FractionalTransferFunction | Callable[[Complex], Complex],
     *,
     points: int = 300,
     limit: float | None = None,
-) -> Reals:
+) -> Real:
     """Return frequencies [rad/s] for plotting a loop: `points` evenly spaced ones and
     those where it changes fast.
 
@@ -125,11 +125,11 @@ def frequency_grid(
     # The even points cover the range where the phase turns slowly, the others that
     # where L changes fast.
     grid = np.union1d(even, x[np.isfinite(values)])
-    frequencies: Reals = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
+    frequencies: Real = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
     return frequencies
 
 
-def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Complexes]:
+def _bent(x: Real, values: Complex, *, keep_top: bool) -> tuple[Real, Complex]:
     """Cut the ends where d ln L/dx is constant, down to one decade each."""
     # 0.02 is 0.4 dB per decade; a smaller change of slope is not visible in a Bode
     # plot.
@@ -150,18 +150,18 @@ def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Comple
     return x[inside], values[inside]
 
 
-def _leading(flags: NDArray[np.bool_]) -> int:
+def _leading(flags: Mask) -> int:
     """Number of flags set before the first that is not."""
     return int(np.argmin(flags)) if not flags.all() else len(flags)
 
 
 def refined(
-    curve: Callable[[Reals], tuple[Reals, Reals]],
-    x: Reals,
+    curve: Callable[[Real], tuple[Real, Real]],
+    x: Real,
     *,
     bend: float = 0.03,
     limit: int = 4000,
-) -> Reals:
+) -> Real:
     """Return a grid on which the drawn curve looks smooth.
 
     `curve` maps x to the two plotted coordinates, in units of the axes' sizes.
@@ -201,8 +201,8 @@ _NEAR = 1e-8
 
 
 def bracketed_roots(
-    function: Callable[[Reals], Reals], low: ArrayLike, high: ArrayLike
-) -> Reals:
+    function: Callable[[Real], Real], low: ArrayLike, high: ArrayLike
+) -> Real:
     """Return the root of a continuous function in each bracket [low, high], to
     rounding.
 
@@ -247,7 +247,7 @@ def bracketed_roots(
 # --- Roots and extremes of a response inside their brackets -------------------------------------------
 
 
-def valleys(values: Reals, *, spare: float) -> list[int]:
+def valleys(values: Real, *, spare: float) -> list[int]:
     """Indices of the inner points not above their neighbours, if below `spare` times
     the least value.
 
@@ -262,32 +262,32 @@ def valleys(values: Reals, *, spare: float) -> list[int]:
 
 
 # a function of ln ω, elementwise
-Tendency = Callable[[SampledLoop, Reals], Reals]
+Tendency = Callable[[SampledLoop, Real], Real]
 
 
-def gain_level(loop: SampledLoop, x: Reals) -> Reals:
+def gain_level(loop: SampledLoop, x: Real) -> Real:
     """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, so
     that it stays a number.
     """
     return np.asarray(np.clip(np.log(np.abs(loop(x))), -745.0, 745.0))
 
 
-def phase_level(loop: SampledLoop, x: Reals) -> Reals:
+def phase_level(loop: SampledLoop, x: Real) -> Real:
     """arg(−L)."""
     return np.angle(-loop(x))
 
 
-def gain_slope(loop: SampledLoop, x: Reals) -> Reals:
+def gain_slope(loop: SampledLoop, x: Real) -> Real:
     """d ln |L|/d ln ω."""
     return loop.slope(x).real
 
 
-def phase_slope(loop: SampledLoop, x: Reals) -> Reals:
+def phase_slope(loop: SampledLoop, x: Real) -> Real:
     """d arg L/d ln ω."""
     return loop.slope(x).imag
 
 
-def modulus_slope(loop: SampledLoop, x: Reals) -> Reals:
+def modulus_slope(loop: SampledLoop, x: Real) -> Real:
     """½ d|1 + L|²/d ln ω."""
     value = loop(x)
     return np.asarray(((1 + value).conj() * value * loop.slope(x)).real)

@@ -9,13 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError, SizeError
-
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-
 
 # Orders that are sums of the same numbers in a different sequence differ by a few units
 # in the last place (0.1 + 0.2 and 0.3). No measured order is known to 1e-13, so closer
@@ -270,7 +266,7 @@ def written(terms: tuple[Term, ...], notation: Notation) -> str:
 
 def evaluate(
     numerator: Sequence[Term], denominator: Sequence[Term], s: Any
-) -> complex | NDArray[np.complex128]:
+) -> complex | Complex:
     """Return numerator(s)/denominator(s) on the principal sheet, in the shape of `s`."""
     points = np.asarray(s)
     if points.dtype.kind not in "biufc":
@@ -293,9 +289,7 @@ def evaluate(
     return value.reshape(points.shape) if points.ndim else complex(value[0])
 
 
-def _sum(
-    terms: Sequence[Term], s: Complexes, logs: Complexes, shift: float
-) -> Complexes:
+def _sum(terms: Sequence[Term], s: Complex, logs: Complex, shift: float) -> Complex:
     total = np.zeros(s.shape, np.complex128)
     for term in terms:
         order = term.order - shift
@@ -318,9 +312,9 @@ def _sum(
 def _extreme(
     numerator: Sequence[Term],
     denominator: Sequence[Term],
-    s: Complexes,
-    logs: Complexes,
-) -> Complexes:
+    s: Complex,
+    logs: Complex,
+) -> Complex:
     """Values where the plain quotient is not finite: poles, s = 0, and |s| so large
     that powers overflow.
     """
@@ -337,12 +331,12 @@ def _extreme(
     return value
 
 
-def largest(values: Reals) -> float:
+def largest(values: Real) -> float:
     """Largest modulus, NaN if there is a NaN; two passes without a copy."""
     return max(float(values.max()), -float(values.min())) if len(values) else 0.0
 
 
-def grid(count: int, period: float) -> Reals:
+def grid(count: int, period: float) -> Real:
     """Times k·period [s], k = 0 … count - 1."""
     times = np.arange(count, dtype=np.float64)
     times *= period

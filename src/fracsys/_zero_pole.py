@@ -15,15 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import tf2ss, zpk2sos
 
-from fracsys._terms import Complexes, Reals, Term
+from fracsys._terms import Term
+from fracsys.checks import Complex, Real
 from fracsys.errors import NotConvergedError
 
 Band = tuple[float, float]
 
 
-def evaluate(
-    s: Complexes, zeros: Complexes, poles: Complexes, gain: float
-) -> Complexes:
+def evaluate(s: Complex, zeros: Complex, poles: Complex, gain: float) -> Complex:
     """gain Π(s − z)/Π(s − p) at any shape of s, factor by factor so that nothing
     overflows.
     """
@@ -39,8 +38,8 @@ def evaluate(
 
 
 def zeros_of_fractions(
-    poles: Complexes, parts: Complexes, direct: float
-) -> tuple[Complexes, float]:
+    poles: Complex, parts: Complex, direct: float
+) -> tuple[Complex, float]:
     """Zeros and gain of direct + Σ parts/(s − poles) with direct ≠ 0: eigenvalues, then
     Aberth's iteration.
 
@@ -52,7 +51,7 @@ def zeros_of_fractions(
     matrix = np.diag(poles) - np.outer(np.ones(len(poles)), parts) / direct
     start = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
 
-    def rate(s: Complexes) -> Complexes:
+    def rate(s: Complex) -> Complex:
         distance = 1 / (s[:, None] - poles)
         value, slope = direct + (parts * distance).sum(1), -(parts * distance**2).sum(1)
         return np.asarray(slope / value + distance.sum(1))
@@ -60,7 +59,7 @@ def zeros_of_fractions(
     return aberth(start, rate), direct
 
 
-def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexes:
+def aberth(start: Complex, rate: Callable[[Complex], Complex]) -> Complex:
     """All zeros of a real polynomial P of degree len(start) from P′/P = `rate`; exactly
     real or conjugate.
     """
@@ -95,8 +94,8 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
 
 
 def cascade(
-    zeros: Complexes, poles: Complexes, gain: float
-) -> tuple[Reals, Reals, Reals, Reals]:
+    zeros: Complex, poles: Complex, gain: float
+) -> tuple[Real, Real, Real, Real]:
     """Real A, B, C, D: sections of second order in series."""
     a, b = np.zeros((0, 0)), np.zeros((0, 1))
     c, d = np.zeros((1, 0)), np.ones((1, 1))
@@ -120,12 +119,12 @@ def cascade(
 class PowerFilter:
     """s^f ≈ gain · Π(s − z)/Π(s − p), with as many zeros as poles."""
 
-    zeros: Complexes
-    poles: Complexes
+    zeros: Complex
+    poles: Complex
     gain: float
 
 
-def corners(power: float, band: Band, order: int) -> tuple[Reals, Reals]:
+def corners(power: float, band: Band, order: int) -> tuple[Real, Real]:
     """ω′ and ω of s^power ≈ ω_h^power Π (s + ω′)/(s + ω), evenly spread over the band."""
     low, high = band
     i = np.arange(order)
@@ -144,7 +143,7 @@ def substituted(
     numerator: Sequence[Term],
     denominator: Sequence[Term],
     power: Callable[[float], PowerFilter],
-) -> tuple[Complexes, Complexes, float]:
+) -> tuple[Complex, Complex, float]:
     """Zeros, poles and gain of a system with `power(f)` for each s^f, 0 < f < 1."""
     filters = {
         f: power(f)
@@ -190,7 +189,7 @@ class _Sum:
             [np.empty(0, complex), *(filters[f].poles for f in sorted(self.fractions))]
         )
 
-    def value_and_slope(self, s: Complexes) -> tuple[Complexes, Complexes]:
+    def value_and_slope(self, s: Complex) -> tuple[Complex, Complex]:
         value, slope = np.zeros_like(s), np.zeros_like(s)
         for c, n, part in self.terms:
             term = c * s**n * evaluate(s, part.zeros, part.poles, 1.0)
@@ -204,7 +203,7 @@ class _Sum:
         """Coefficient of the highest power at infinity."""
         return math.fsum(c for c, n, _ in self.terms if n == self.degree)
 
-    def zeros(self) -> Complexes:
+    def zeros(self) -> Complex:
         """All zeros of the numerator polynomial of the sum over its filters' poles."""
         at_origin = np.zeros(min(n for _, n, _ in self.terms), dtype=complex)
         if len(self.terms) == 1:
@@ -219,7 +218,7 @@ class _Sum:
             dtype=complex,
         )
 
-        def rate(s: Complexes) -> Complexes:
+        def rate(s: Complex) -> Complex:
             value, slope = self.value_and_slope(s)
             quotient = slope / value - len(at_origin) / s
             return np.asarray(quotient + (1 / (s[:, None] - self.down)).sum(1))

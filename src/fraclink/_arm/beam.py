@@ -22,12 +22,11 @@ from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink.errors import FieldError
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Complex, Real, checked
 
 __all__ = [
     "DEFAULT_MASS",
@@ -46,8 +45,6 @@ __all__ += [
     "unmodelled_modes",
 ]
 
-Vector = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # 48 cubic elements: the third mode with the lightest payload is exact to 2e-7, the
 # fifth to 1e-5. Doubling the number gains nothing, since rounding limits the
@@ -229,11 +226,11 @@ class BeamModes:
     deflection and slope of each node but the clamped one).
     """
 
-    frequencies: Vector
-    participation: Vector
-    tip: Vector
-    curvature: Vector
-    shapes: NDArray[np.float64]
+    frequencies: Real
+    participation: Real
+    tip: Real
+    curvature: Real
+    shapes: Real
 
     @property
     def count(self) -> int:
@@ -254,7 +251,7 @@ _STIFFNESS = np.array(
 )
 
 
-def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def matrices(beam: Beam) -> tuple[Real, Real]:
     """Mass matrix [kg] and stiffness matrix [N/m] of the clamped beam; slopes times
     element length.
     """
@@ -282,7 +279,7 @@ def residual_inertia(beam: Beam, modes: BeamModes) -> float:
     return max(beam.inertia - float(np.sum(modes.participation**2)), 0.0)
 
 
-def rigid_rotation(beam: Beam) -> Vector:
+def rigid_rotation(beam: Beam) -> Real:
     """Return the nodal values of w = x, the straight link rotated by one radian."""
     size = beam.length / ELEMENTS
     rigid = np.full(2 * ELEMENTS, size)
@@ -343,7 +340,7 @@ _MODES = 3
 
 
 @lru_cache(maxsize=64)
-def modal_shares(beam: Beam) -> tuple[Vector, Vector]:
+def modal_shares(beam: Beam) -> tuple[Real, Real]:
     """(ω_i [rad/s], Γi² ω_i² [N·m]) of the first three modes; cached, since every
     request for a rig needs them.
     """

@@ -7,9 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from itertools import product
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
@@ -17,11 +14,11 @@ from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink.errors import FieldError
+from fracsys.checks import Complex
 
 __all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "in_loop", "outward"]
 
 Interval = tuple[float, float]
-Complex = NDArray[np.complex128]
 # Relative uncertainty where neither the fit nor the rig states one: two logs of the
 # same arm rarely agree on the damping to better than a tenth, and the second mode
 # varies with the material by a few per cent.

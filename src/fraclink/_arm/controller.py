@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
@@ -15,7 +15,7 @@ from fraclink._arm.reference import Path
 from fraclink._files import document
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys._margins import Margins
-from fracsys.checks import Between, Period, checked
+from fracsys.checks import Between, Complex, Period, checked
 
 __all__ = ["Controller"]
 
@@ -115,7 +115,7 @@ class Controller:
         """Whether Ĉ(jω) → 0 for ω → ∞, the high-frequency noise condition (32)."""
         return self.filter_time > 0.0 and self.filter_order > self.derivative_order
 
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency: ArrayLike) -> Complex:
         """Return Ĉ(jω) (eq. (57) without its 1) at real `frequency` [rad/s] > 0, shape
         kept.
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.log_columns import SI, Channel, LogColumns, OutputKind, parse_columns
 from fraclink._arm.timebase import time_base
@@ -17,7 +17,7 @@ from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document, write_text
 from fraclink.errors import LogError
 from fraclink.findings import Finding
-from fracsys.checks import Array, Between, Payload, Positive, checked
+from fracsys.checks import Array, Between, Payload, Positive, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["Experiment"]
@@ -87,17 +87,17 @@ class Experiment:
     __made_by__ = "read_log(path)"
 
     period: Positive
-    motor_angle: Annotated[NDArray[np.float64], Array(1, min_size=2)]
-    output: Annotated[NDArray[np.float64], Array(1)]
+    motor_angle: Annotated[Real, Array(1, min_size=2)]
+    output: Annotated[Real, Array(1)]
     output_kind: OutputKind = "torque"
     payload: Payload | None = None
     source: str = ""
     sha256: str = ""
     findings: tuple[Finding, ...] = ()
     start_time: float = 0.0
-    voltage: Annotated[NDArray[np.float64], Array(1)] | None = None
+    voltage: Annotated[Real, Array(1)] | None = None
     notes: tuple[tuple[str, str], ...] = ()
-    earlier_angle: Annotated[NDArray[np.float64], Array(1)] | None = None
+    earlier_angle: Annotated[Real, Array(1)] | None = None
 
     def __post_init__(self) -> None:
         count = self.motor_angle.size
@@ -190,7 +190,7 @@ class Experiment:
         )
 
     @property
-    def time(self) -> NDArray[np.float64]:
+    def time(self) -> Real:
         """Time of the samples, shape (N,) [s]."""
         return np.asarray(
             self.start_time + self.period * np.arange(self.motor_angle.size),
@@ -235,7 +235,7 @@ class Experiment:
         )
 
     @property
-    def whole_angle(self) -> NDArray[np.float64]:
+    def whole_angle(self) -> Real:
         """θm from before the cut on: `earlier_angle` and `motor_angle`, shape (H + N,)
         [rad].
 
@@ -305,7 +305,7 @@ class Experiment:
         return slice(0, border), slice(border, count)
 
 
-def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
+def _column(frame: Any, channel: Channel) -> Real:
     try:
         # By column name only, which every kind of frame supports: no frame library is
         # imported.

@@ -9,12 +9,12 @@ from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._files import Saved, document
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Complex, checked
 
 __all__ = ["FractionalPid"]
 
@@ -109,7 +109,7 @@ class FractionalPid(Saved):
             parts.append(part)
         return "C(s) = " + " + ".join(parts)
 
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency: ArrayLike) -> Complex:
         """Return C(jω) at real `frequency` [rad/s] > 0, shape kept."""
         return self.transfer()(1j * np.asarray(frequency, dtype=float))
 

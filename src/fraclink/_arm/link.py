@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._display import number, quantity
 from fraclink._files import document
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._terms import Term
-from fracsys.checks import Between, Where, checked, checked_choice
+from fracsys.checks import Between, Complex, Real, Where, checked, checked_choice
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
 
@@ -131,7 +131,7 @@ class SecondMode:
         ),
     ] = 0.02
 
-    def about(self, count: int) -> NDArray[np.float64]:
+    def about(self, count: int) -> Real:
         """Return `count` frequencies about the mode [rad/s], close within its width and
         wider apart to either side.
         """
@@ -141,7 +141,7 @@ class SecondMode:
         shape = self.damping_ratio * np.sinh(np.linspace(-reach, reach, count))
         return np.asarray(self.frequency * np.exp(shape))
 
-    def response(self, s: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, s: ArrayLike) -> Complex:
         """Return ``gain s²/(s² + 2 ζ ω₂ s + ω₂²)`` at complex `s` [rad/s], shape kept."""
         x = np.asarray(s, dtype=np.complex128) / self.frequency
         return np.asarray(
@@ -412,7 +412,7 @@ class LinkModel:
             minimize_scalar,
         )
 
-        def level(log_frequency: ArrayLike) -> NDArray[np.float64]:
+        def level(log_frequency: ArrayLike) -> Real:
             s = 1j * np.exp(np.asarray(log_frequency, dtype=float))
             restoring = self.damping * s**self.damping_order + self.natural_frequency**2
             return np.asarray(np.abs(restoring / (s**self.order + restoring)))

@@ -15,10 +15,9 @@ from types import MappingProxyType
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Where, checked, length
+from fracsys.checks import Between, Real, Where, checked, length
 
 __all__ = [
     "QUANTITY_OF",
@@ -104,7 +103,7 @@ class Channel:
     ] = 1.0
     offset: Annotated[float, Between(-1e15, 1e15)] | Literal["first"] = 0.0
 
-    def in_si(self, raw: NDArray[np.float64], role: str) -> NDArray[np.float64]:
+    def in_si(self, raw: Real, role: str) -> Real:
         """The column in SI units and radians; `role` is time, motor_angle, torque,
         deflection or voltage.
         """

@@ -30,6 +30,7 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.notch import Notch
 from fracsys._margins import Margins, margins
 from fracsys._sweep import bracketed_roots
+from fracsys.checks import Complex, Mask, Real
 
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller
@@ -44,8 +45,6 @@ __all__ = [
     "worst_margins",
 ]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # links evaluated at a time; a minimum inside the range is refined between its
 # neighbours
@@ -380,7 +379,7 @@ class Loop(GaugedLink):
         np.minimum.at(margin, crossings.row, np.abs(crossings.phase_margin))
         return crossover, np.where(_turns(crossings, w0.size) == 0.0, margin, -margin)
 
-    def _at_mode(self, crossings: Crossings, w0: Real) -> NDArray[np.bool_]:
+    def _at_mode(self, crossings: Crossings, w0: Real) -> Mask:
         """Flags of the crossings that belong to the resonance of the second mode."""
         low, high = self.mode_band(w0)
         near = (crossings.frequency > low[crossings.row]) & (

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._terms import Term
+from fracsys.checks import Complex, Real
 
 __all__ = [
     "ContinuousPid",
@@ -28,9 +28,6 @@ __all__ = [
     "held_motor",
     "place_pid",
 ]
-
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
 
 
 class MotorConstants(Protocol):

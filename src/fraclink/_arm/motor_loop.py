@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.motor import (
     DiscretePid,
@@ -27,7 +27,7 @@ from fraclink._arm.motor import (
     place_pid,
 )
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Frequency, checked
+from fracsys.checks import Between, Complex, Frequency, Real, checked
 
 if TYPE_CHECKING:
     pass
@@ -39,8 +39,6 @@ __all__ = [
     "direct_placement",
 ]
 
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
 
 LONGEST_DELAY = 100  # samples; a motor loop with a longer delay is useless for an arm
 # A faster filter would ring at the Nyquist frequency for longer than the loop takes to

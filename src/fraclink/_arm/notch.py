@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys.checks import Between, Frequency, checked
+from fracsys.checks import Between, Complex, Frequency, checked
 
 __all__ = ["Notch"]
 
-Complex = NDArray[np.complex128]
 Ratio = Annotated[float, Between(0.0, 1.0, low_open=True)]
 
 

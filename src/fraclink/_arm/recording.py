@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document
 from fraclink.errors import FieldError, LogError
-from fracsys.checks import Array, Between, Positive, checked
+from fracsys.checks import Array, Between, Complex, Positive, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
@@ -22,7 +21,7 @@ __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_we
 # share of the whole swing: a link that moves less than this at the beginning is held by
 # hand
 _HELD = 0.05
-Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
+Signal = Annotated[Real, Array(1, min_size=2)]
 
 
 @displayed
@@ -91,7 +90,7 @@ class Recording:
     def ring_down(
         cls,
         period: float,
-        output: NDArray[np.float64],
+        output: Real,
         *,
         source: str = "",
         sha256: str = "",
@@ -140,7 +139,7 @@ class Recording:
         )
 
     @property
-    def time(self) -> NDArray[np.float64]:
+    def time(self) -> Real:
         """Time of the samples from the first one on, shape (N,) [s]."""
         return np.asarray(self.period * np.arange(self.input.size), dtype=np.float64)
 
@@ -183,17 +182,14 @@ class Recording:
         return cls(log.period, signal, measured, rest, log.source, log.sha256)
 
 
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-
 _OUT = "leave the line at zero frequency out"
 Lines = Annotated[
-    NDArray[np.float64],
+    Real,
     Array(1),
     Between(0.0, low_open=True, unit="rad/s", remedy=_OUT),
 ]
 Coherence = Annotated[
-    NDArray[np.float64],
+    Real,
     Array(1),
     Between(0.0, 1.0, low_open=True, remedy="leave lines without it out"),
 ]
@@ -236,8 +232,8 @@ class FrequencyResponse:
     """
 
     frequency: Lines
-    response: Annotated[NDArray[np.complex128], Array(1, min_size=1)]
-    magnitude: Annotated[NDArray[np.float64], Array(1), Between(0.0)] | None = None
+    response: Annotated[Complex, Array(1, min_size=1)]
+    magnitude: Annotated[Real, Array(1), Between(0.0)] | None = None
     coherence: Coherence | None = None
     source: str = ""
     sha256: str = ""
@@ -300,7 +296,7 @@ class FrequencyResponse:
         return FrequencyResponse(**cut, source=self.source, sha256=self.sha256)  # type: ignore[arg-type]
 
 
-def coherence_weights(response: Complexes, coherence: Reals) -> Reals:
+def coherence_weights(response: Complex, coherence: Real) -> Real:
     """Weight √(γ²/(1 − γ²))/|H| of each line's error: proportional to the inverse of
     its standard deviation.
     """

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink.errors import FieldError, SizeError
-from fracsys.checks import Array, Between, Period, checked
+from fracsys.checks import Array, Between, Period, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = [
@@ -33,7 +33,6 @@ __all__ = [
     "spline",
 ]
 
-Real = NDArray[np.float64]
 
 # Samples of one reference: 2 h at 4 ms; angle, velocity and acceleration take 48 MB.
 LONGEST = 2_000_000
@@ -457,12 +456,16 @@ def chirp(
     return Chirp(amplitude, start_frequency_hz, end_frequency_hz, duration)
 
 
-def sampled(reference: Reference, period: float, count: int) -> Real:
-    """Return angle, velocity and acceleration at 0, period, 2 period ..., shape (3,
-    count).
+def sampled(reference: Reference, period: float, length: float) -> Real:
+    """Return angle, velocity and acceleration at 0, period, 2 period ... up to `length`
+    [s], shape (3, N).
 
-    Raises SizeError above 2 000 000 samples, before memory is taken.
+    Raises SizeError above 2 000 000 samples, before memory is taken, and FieldError for
+    a reference that is not finite.
     """
+    # The last instant counts even if the quotient is slightly too small by rounding:
+    # 4.9 ms are 48.99999999999999 periods of 0.1 ms.
+    count = math.floor(length / period * (1 + 1e-12)) + 1
     if count > LONGEST:
         raise SizeError(
             "duration",
@@ -472,7 +475,16 @@ def sampled(reference: Reference, period: float, count: int) -> Real:
             remedy="simulate a shorter time or a longer period",
         )
     time = period * np.arange(count)
-    return np.array([reference.derivative(time, order) for order in range(3)])
+    path = np.array([reference.derivative(time, order) for order in range(3)])
+    if not np.all(np.isfinite(path)):
+        raise FieldError(
+            "reference",
+            "NaN",
+            "not finite",
+            allowed="finite",
+            remedy="check the reference",
+        )
+    return path
 
 
 def _steps(kind: str, times: list[float], levels: list[float], duration: float) -> Path:

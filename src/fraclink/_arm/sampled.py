@@ -15,16 +15,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
 from fraclink._arm.motor_loop import MotorLoop
+from fracsys.checks import Complex, Real
 
 __all__ = ["SampledPlant", "sampled_plant", "tail_sum"]
 
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
 
 # aliases summed one by one on either side; the rest, 1e-7 of the sum, is summed in
 # closed form

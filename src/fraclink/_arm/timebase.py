@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fraclink.errors import LogError
 from fraclink.findings import Finding
+from fracsys.checks import Real
 
 _SILENT = 0.01  # fraction of a period: stamps printed with few digits
 # fraction of a period: jitter that changes no parameter, see the figures above
@@ -37,7 +38,7 @@ class TimeBase:
 
 
 def time_base(
-    stamps: NDArray[np.float64], *, resample: bool = False, slowest: float = _SLOWEST
+    stamps: Real, *, resample: bool = False, slowest: float = _SLOWEST
 ) -> TimeBase:
     """The uniform time base of `stamps`, shape (N,) [s], N >= 2.
 
@@ -100,7 +101,7 @@ def time_base(
     return TimeBase(start, period)
 
 
-def _distance(stamps: NDArray[np.float64], start: float, period: float) -> float:
+def _distance(stamps: Real, start: float, period: float) -> float:
     return float(np.max(np.abs(stamps - (start + period * np.arange(stamps.size)))))
 
 
@@ -109,9 +110,7 @@ def _rounded(period: float) -> float:
     return float(f"{period:.10g}")
 
 
-def _check_order(
-    stamps: NDArray[np.float64], steps: NDArray[np.float64], resample: bool
-) -> None:
+def _check_order(stamps: Real, steps: Real, resample: bool) -> None:
     back = np.flatnonzero(steps < 0)
     if back.size:
         row = int(back[0]) + 1
@@ -145,8 +144,8 @@ def _check_order(
 
 
 def _gap(
-    stamps: NDArray[np.float64],
-    steps: NDArray[np.float64],
+    stamps: Real,
+    steps: Real,
     gaps: NDArray[np.intp],
     typical: float,
     resample: bool,
@@ -203,7 +202,7 @@ def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
     )
 
 
-def uniform_before(stamps: NDArray[np.float64], first: int, period: float) -> slice:
+def uniform_before(stamps: Real, first: int, period: float) -> slice:
     """The samples before sample `first` that lead to it in steps of `period`, without
     gaps or repeated stamps.
     """
@@ -213,9 +212,7 @@ def uniform_before(stamps: NDArray[np.float64], first: int, period: float) -> sl
     return slice(int(odd[-1]) + 1 if odd.size else 0, first)
 
 
-def resampled(
-    stamps: NDArray[np.float64], base: TimeBase, values: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def resampled(stamps: Real, base: TimeBase, values: Real) -> Real:
     """`values` interpolated linearly from their stamps onto the uniform grid of `base`."""
     # A repeated stamp keeps its first value: `np.interp` needs increasing stamps, and
     # the second value is probably a copy.

@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["ROUNDING", "Disc", "Span"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 ROUNDING = 2.0**-48
 
 
@@ -172,7 +171,7 @@ class Disc:
             self.d,
         )
 
-    def placed(self, where: NDArray[np.bool_]) -> Disc:
+    def placed(self, where: Mask) -> Disc:
         """The discs in sequence at the places where the flag is set, zero at all
         others.
         """

@@ -27,15 +27,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._certify.discs import ROUNDING, Disc, Span
 from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 from fraclink._law import block as layout
 from fraclink._law.block import inside_circle, modes_of
+from fracsys.checks import Mask, Real
 
-Real = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
 _HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest ones included in L
@@ -166,7 +164,7 @@ class BoxLoop:
             s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)
         ).inverse()
 
-    def held(self, frequency: Real) -> Flags:
+    def held(self, frequency: Real) -> Mask:
         """Whether L includes the nearest aliases for boxes from these frequencies on."""
         return np.asarray(frequency >= 0.5 * ALIASES_FROM * self.turn)
 
@@ -243,7 +241,7 @@ class BoxLoop:
     # ---- the loop in two forms ----------------------------------------------------------------------------
 
     def forms(
-        self, low: Real, high: Real, held: Flags | None = None
+        self, low: Real, high: Real, held: Mask | None = None
     ) -> tuple[Disc, Disc, Real]:
         """(L, 1/L, bound of the aliases not included in L) over boxes, with their
         slopes.
@@ -257,7 +255,7 @@ class BoxLoop:
                 self.box(low, high), self.held(low[:, 0]) if held is None else held
             )
 
-    def _forms(self, box: dict[str, Span], held: Flags) -> tuple[Disc, Disc, Real]:
+    def _forms(self, box: dict[str, Span], held: Mask) -> tuple[Disc, Disc, Real]:
         (front,), alias = self.fronts(box)
         w, log = (
             self._variable("frequency", box["frequency"]),

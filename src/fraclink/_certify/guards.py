@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig_parts import Moves
@@ -19,6 +18,7 @@ from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._law.limits import CREDIBLE_SHARE, TRIP_SHARE, derive_limits
 from fraclink._law.tracking import Following, held_reference
 from fraclink.errors import FieldError
+from fracsys.checks import Complex, Real
 
 __all__ = ["check_guards"]
 
@@ -98,7 +98,7 @@ def _followed(s: Statement) -> Following:
     """
     c, period = s.coefficients, float(s.coefficients["period"])
 
-    def follows(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def follows(frequency: Real) -> Complex:
         if s.motor_loop == "sampled":
             gain = 0.5 * (s.gain_low + s.gain_high)
             return motor_loop(s, frequency, s.delay_high, gain)[1]

@@ -8,18 +8,17 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
+from fracsys.checks import Complex, Mask, Real
 
 if TYPE_CHECKING:
     from fraclink._law import Law
 
 __all__ = ["loop_values", "motor_loop", "windings", "worst_distance"]
 
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
 _ROWS = 32
 # corners of the box; with more than nine uncertain parameters, a random selection of
 # this size
@@ -32,7 +31,7 @@ def loop_values(
     frequency: ArrayLike,
     place: Mapping[str, ArrayLike],
     *,
-    held: NDArray[np.bool_] | None = None,
+    held: Mask | None = None,
 ) -> Complex:
     """Return L at `frequency` [rad/s], up to Nyquist; `place` contains all other axes
     of the statement.

@@ -24,6 +24,7 @@ from fraclink._certify.statement import AXES, Certificate, Statement, state
 from fraclink._law import Law, discretize_controller
 from fraclink._law.design import Design
 from fraclink._law.limits import JUMP
+from fraclink._law.requirement import LEAST_MODULUS
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Payload, ascending, checked
 
@@ -31,9 +32,6 @@ __all__ = ["certify"]
 
 PayloadRange = Annotated[tuple[Payload, Payload], ascending()]
 ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
-# Least |1 + L| of a loop that passes: a phase margin of 14.4° and a gain margin of a
-# factor of 1.33, also for deviations not covered by the box.
-LEAST_MODULUS = 0.25
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005

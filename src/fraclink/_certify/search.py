@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from fraclink._certify.discs import ROUNDING, Disc
 from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.statement import AXES, LEAVES, LETTERS
+from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["MarginFailure", "MarginProof", "prove"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Flags = NDArray[np.bool_]
 _DEPTH = 80
 # The proof is for slightly more than the claim, so that a different arithmetic confirms
 # the same leaves.
@@ -101,8 +99,8 @@ class _Judged:
     it and the value there.
     """
 
-    proved: Flags
-    loud: Flags
+    proved: Mask
+    loud: Mask
     axis: NDArray[np.int64]
     point: Real
     value: Complex
@@ -154,7 +152,7 @@ def _downhill(
     axes: tuple[str, ...],
     plain: Disc,
     inverse: Disc,
-    loud: Flags,
+    loud: Mask,
     normal: Complex,
     first: Real,
     second: Real,

@@ -11,7 +11,6 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from fraclink import _identify as identification
 from fraclink._arm.draft import doubts_of
@@ -42,7 +41,7 @@ from fraclink._reading.responses import read_frequency_response, read_recording
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import errors_of
 from fraclink.logs import diagnose
-from fracsys.checks import Between
+from fracsys.checks import Between, Real
 
 app = group()
 
@@ -173,7 +172,7 @@ def _motor(
     return Answer(fit, fit.passed)
 
 
-def _load(log: Experiment, rig: Rig | None) -> NDArray[np.float64] | None:
+def _load(log: Experiment, rig: Rig | None) -> Real | None:
     """The link's torque on the motor; None for a log of the drive alone."""
     if log.output_kind == "torque":
         return log.output

@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import __version__
 from fraclink._arm.reference import Reference, sampled
@@ -16,7 +15,7 @@ from fraclink._export.data import hex_float, identifier, law_source
 from fraclink._files import atomic_write, output_path, write_text
 from fraclink._reading.responses import COLUMNS
 from fraclink.errors import FieldError
-from fracsys.checks import Period, checked
+from fracsys.checks import Period, Real, checked
 
 __all__ = ["export_arm_firmware", "export_reference"]
 
@@ -115,8 +114,8 @@ def export_reference(
     # The last row lies at or after the end of the motion, where the reference rests.
     # Pieces of 0.1 and 0.2 s last 3.0000000000000004 periods of 0.1 s; without the 1e-9
     # there would be a second row at rest.
-    count = math.ceil(reference.duration / period - 1e-9) + 1
-    values = sampled(reference, period, count)
+    length = math.ceil(reference.duration / period - 1e-9) * period
+    values = sampled(reference, period, length)
     write_text(
         place,
         _rows(values, period)
@@ -126,7 +125,7 @@ def export_reference(
     return place
 
 
-def _rows(values: NDArray[np.float64], period: float) -> str:
+def _rows(values: Real, period: float) -> str:
     time = period * np.arange(values.shape[1])
     # repr gives the shortest text that reads back to the same double; tolist() gives
     # Python floats, because the repr of numpy's starts with their type.
@@ -134,10 +133,10 @@ def _rows(values: NDArray[np.float64], period: float) -> str:
     return "\n".join([",".join(COLUMNS), *lines]) + "\n"
 
 
-def _arrays(values: NDArray[np.float64], period: float, stem: str) -> str:
+def _arrays(values: Real, period: float, stem: str) -> str:
     name = identifier("out", stem)
 
-    def listed(row: NDArray[np.float64]) -> str:
+    def listed(row: Real) -> str:
         # In double precision with a cast: one table serves both builds of law.c, and
         # the cast rounds in the same way as the simulation rounded the reference.
         return "\n".join(

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import Recording
@@ -25,12 +24,11 @@ from fraclink._export.fmu import complaint, found
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink.errors import FieldError
-from fracsys.checks import checked_noun
+from fracsys.checks import Real, checked_noun
 from fracsys.checks.equality import compared
 
 __all__ = ["Replay", "replay_log"]
 
-Real = NDArray[np.float64]
 
 _HARNESS = """\
 #include "law.h"

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
@@ -32,11 +31,13 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fracsys.checks import (
     Between,
+    Complex,
     Duration,
     Frequency,
     NaturalFrequency,
     Payload,
     PhaseMargin,
+    Real,
     ascending,
     checked_choice,
 )
@@ -47,9 +48,6 @@ if TYPE_CHECKING:
     from fracsys._margins import Margins
 
 __all__ = ["Design", "Requirement", "Specification", "deg"]
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def deg(angle: float) -> float:

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
@@ -35,7 +34,7 @@ from fracsys._discrete import (
     checked_band,
     fit_discrete,
 )
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = [
     "TOLERANCE_DB",
@@ -48,7 +47,6 @@ __all__ = [
     "modes_from",
 ]
 
-Real = NDArray[np.float64]
 
 # A slow pole must not round to 1, an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))

@@ -15,7 +15,7 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.fractional_pid import FractionalPid
 from fraclink._arm.motor import DiscretePid
@@ -34,11 +34,10 @@ from fraclink._law.law import Law
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError
 from fracsys._discrete import Band, Order, checked_band, fit_discrete
-from fracsys.checks import Between, Positive, checked
+from fracsys.checks import Between, Complex, Positive, Real, checked
 
 __all__ = ["discretize_pid", "pid_response"]
 
-Complex = NDArray[np.complex128]
 
 # Below ω_b/3, where ω_b is the lower end of the band, the integral is an integer one
 # with k_I = k_i (ω_b/3)^(1−λ). The phase turns by 90° (1 − λ) where the two meet; the
@@ -143,7 +142,7 @@ def _fitted(
 ) -> tuple[Modes, tuple[float, float]]:
     """Ĉ = C/P − 1 as modes, and its largest error on the band [dB], [°]."""
 
-    def rest(frequency: NDArray[np.float64]) -> Complex:
+    def rest(frequency: Real) -> Complex:
         return controller.response(frequency) / _response(base, frequency) - 1.0
 
     # 1 + Ĉ = C/P is 1 at rest only if P has the entire integral of C: Ĉ has a zero at z

@@ -27,12 +27,9 @@ from fraclink._law.block import (
 )
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError
+from fracsys.checks import Complex
 
 __all__ = ["MODES", "REASONS", "Law", "LawInputs", "LawOutputs"]
-
-Complex = NDArray[np.complex128]
-
-Real = NDArray[np.float64]
 
 
 MODES: tuple[str, ...] = ("idle", "run", "degraded", "hold", "off")

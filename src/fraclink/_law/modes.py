@@ -24,7 +24,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
 from fraclink._law.requirement import Requirement
-from fracsys.checks import Between
+from fracsys.checks import Between, Real
 
 __all__ = [
     "MODE_LIMIT",
@@ -34,8 +34,6 @@ __all__ = [
     "mode_requirements",
 ]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # share of the loop gain: 6 dB below 1, beyond which only the phase would decide
 MODE_LIMIT = 0.5

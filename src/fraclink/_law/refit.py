@@ -7,11 +7,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._law.block import Modes
 from fraclink._law.law import Law
+from fracsys.checks import Complex, Real
 
 __all__ = ["refitted"]
 
@@ -65,7 +65,7 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     return replace(law, correction=modes), error
 
 
-def _terms(law: Law, w: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _terms(law: Law, w: Real) -> Complex:
     """Response of every term of (1 - z⁻¹)(d + Σ g/(z - p)) with the gain 1, shape (N,
     terms).
     """

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.beam import model_at, unmodelled_modes
 from fraclink._arm.box import Arm, arms_of
@@ -18,15 +17,17 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.sampled import SampledPlant
 from fraclink._display import Row, quantity
-from fraclink._law.discretization import discretize_controller
+from fraclink._law.discretization import TOLERANCE_DEG, discretize_controller
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys._margins import Margins, margins
+from fracsys.checks import Complex, Real
 
 if TYPE_CHECKING:
     from fraclink._law.design import Design
 
 __all__ = [
+    "LEAST_MODULUS",
     "Requirement",
     "law_rows",
     "least_modulus",
@@ -112,13 +113,11 @@ class Requirement:
         return f"{name}: {achieved} at {payload}, required {required}: {verdict}"
 
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 LAW_MARGIN = "phase margin, shipped law"
 LAW_MODULUS = "distance to -1, shipped law"
-_ALLOWANCE = math.radians(0.5)  # error of the fit of C, which the law states itself
-_MODULUS = 0.25  # the default of `certify`
+# Least |1 + L| of a loop that passes: a phase margin of 14.4° and a gain margin of a
+# factor of 1.33, also for deviations not covered by the box.
+LEAST_MODULUS = 0.25
 # Payloads at which the law is checked: each one takes a sampled plant with its aliases
 # for every motor loop.
 _PAYLOADS = 9
@@ -189,7 +188,8 @@ def no_law_rows(design: Design) -> tuple[Requirement, Requirement]:
 def _wanted_of_law(design: Design) -> tuple[float, float]:
     if design.margins_kind == "ideal":
         return 0.0, 0.0
-    return design.phase_margin - _ALLOWANCE, least_modulus(design.phase_margin)
+    margin = design.phase_margin - math.radians(TOLERANCE_DEG)
+    return margin, least_modulus(design.phase_margin)
 
 
 def _tabled(
@@ -253,7 +253,7 @@ def least_modulus(phase_margin: float) -> float:
     """Return the |1 + L| that the law that ships has to keep: half of the largest
     distance that a margin allows, and no more than a proof requires.
     """
-    return min(_MODULUS, math.sin(0.5 * phase_margin))
+    return min(LEAST_MODULUS, math.sin(0.5 * phase_margin))
 
 
 def no_law(error: FieldError) -> Finding:

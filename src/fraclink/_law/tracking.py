@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import DiscretePid, MotorConstants
@@ -24,6 +23,7 @@ from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, Modes, MotorModel, Tracking
 from fracsys._discrete import DiscreteRational, fit_discrete
+from fracsys.checks import Complex, Real
 
 __all__ = [
     "Following",
@@ -34,8 +34,6 @@ __all__ = [
     "tracking_for",
 ]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # Share of the resonance: below it the flexion is less than 5 % of the motor's motion,
 # and its error less than 1 %.
@@ -235,7 +233,7 @@ def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
     reference (1/G − 1 over s²).
     """
 
-    def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def response(frequency: Real) -> Complex:
         s = 1j * frequency
         # The inverse without θt* itself and per acceleration: it falls with s, so that
         # no derivative of the reference has to be formed.

@@ -10,14 +10,13 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
 from fraclink._reading.table import NUMBER, LogTable
 from fraclink.errors import LogError
 from fraclink.findings import Finding
-from fracsys.checks import Payload, rule
+from fracsys.checks import Payload, Real, rule
 
 # A role, then a unit: both are in the name, or a person has to state them. A person
 # reads "theta" alone as a motor angle; this reader does not.
@@ -73,7 +72,7 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
 _LOOKED_AT = 100_000  # samples; a 16-bit converter has 65 536 values
 
 
-def converter_step(values: NDArray[np.float64]) -> float:
+def converter_step(values: Real) -> float:
     """Step of the converter: the smallest gap between distinct values, 0 if values do
     not repeat.
 
@@ -139,9 +138,7 @@ def check_count(count: int) -> None:
         raise LogError("log", size, "too short", allowed=allowed, remedy=remedy)
 
 
-def check_signals(
-    angle: NDArray[np.float64], output: NDArray[np.float64], kind: str
-) -> None:
+def check_signals(angle: Real, output: Real, kind: str) -> None:
     """Raise LogError if the motor angle or the output is equal in all samples."""
     remedies = {
         "motor_angle": "excite the arm: a pulse, a PRBS or a square wave; or state another column",

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import (
@@ -36,7 +35,7 @@ from fraclink._reading.formats import read_table
 from fraclink._reading.table import LogTable, check_size, clock_step
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
-from fracsys.checks import Payload
+from fracsys.checks import Mask, Payload, Real
 from fracsys.errors import printable
 
 _LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
@@ -71,7 +70,7 @@ def bundled_log(name: str) -> Path:
     return _LOGS / f"{name}.csv"
 
 
-def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
+def read_columns(path: Path | str) -> dict[str, Real]:
     """Read a table of numbers as it stands: column name to values, shape (N,), in the
     file's own units.
 
@@ -190,9 +189,7 @@ def read_log(
     )
 
 
-def _kept(
-    stamps: NDArray[np.float64], begin: float, end: float
-) -> tuple[NDArray[np.bool_], Finding]:
+def _kept(stamps: Real, begin: float, end: float) -> tuple[Mask, Finding]:
     """Mask of the samples from `begin` to `end` [s] after the first, and the finding
     that reports the selection (W237).
     """
@@ -233,9 +230,9 @@ def _unstated(table: LogTable) -> LogError:
 
 def _channels(
     table: LogTable, columns: LogColumns, interpolate: bool
-) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
+) -> tuple[dict[str, Real], list[Finding]]:
     """Every stated channel in SI units, and the findings."""
-    data: dict[str, NDArray[np.float64]] = {}
+    data: dict[str, Real] = {}
     findings: list[Finding] = []
     channels = columns.channels()
     table = table.with_combined([channel.column for channel in channels.values()])

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import UNITS
 from fraclink._arm.recording import FrequencyResponse, Recording
@@ -22,11 +21,10 @@ from fraclink._reading.names import names_time, stated_unit, unit_of_name, words
 from fraclink._reading.reading import read_columns
 from fraclink._reading.table import LogTable
 from fraclink.errors import FieldError, FileFormatError, LogError
-from fracsys.checks import checked
+from fracsys.checks import Real, checked
 
 __all__ = ["COLUMNS", "read_frequency_response", "read_recording", "read_reference"]
 
-Reals = NDArray[np.float64]
 
 # Words in the name of a column, by quantity; the first match applies.
 _ROLES = {
@@ -107,10 +105,10 @@ def read_frequency_response(
 
 
 # By role: values, unit ("" if not stated), name.
-Given = dict[str, tuple[Reals, str, str]]
+Given = dict[str, tuple[Real, str, str]]
 
 
-def _in_si(columns: Given, role: str) -> Reals:
+def _in_si(columns: Given, role: str) -> Real:
     if role not in columns:
         raise _absent(
             columns, role, f"a column such as {role}_{next(iter(_UNITS[role]))}"

@@ -15,12 +15,12 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._files.codec import suggestion
 from fraclink._reading.names import names_time, roles_of, unit_of_name, words_of
 from fraclink.errors import FileFormatError, LogError, SizeError
 from fraclink.findings import Finding
+from fracsys.checks import Real
 
 __all__ = [
     "DECIMAL_COMMA",
@@ -130,7 +130,7 @@ class LogTable:
     """
 
     names: tuple[str, ...]
-    values: tuple[NDArray[np.float64], ...]
+    values: tuple[Real, ...]
     kind: str
     notes: tuple[tuple[str, str], ...] = ()
     faults: Mapping[int, CellFaults] = field(
@@ -272,7 +272,7 @@ class LogTable:
 
     def clean(
         self, place: int, *, interpolate: bool = False
-    ) -> tuple[NDArray[np.float64], list[Finding]]:
+    ) -> tuple[Real, list[Finding]]:
         """A column without missing cells, or an error that names the first missing one."""
         values, name = self.values[place], self.names[place]
         faults = self.faults.get(place)
@@ -330,7 +330,7 @@ class LogTable:
         ]
 
 
-def clock_step(values: NDArray[np.float64]) -> float | None:
+def clock_step(values: Real) -> float | None:
     """Median step of values that never decrease, like those of a clock; None for
     others.
     """
@@ -344,7 +344,7 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
     return step if step > 0 else None
 
 
-def moves(values: NDArray[np.float64]) -> bool:
+def moves(values: Real) -> bool:
     """Whether a column contains a moving signal."""
     finite = values[np.isfinite(values)]
     # A column with more than a tenth of its cells missing is an event counter or a

@@ -31,7 +31,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._reading.names import unit_of_name
 from fraclink._reading.table import (
@@ -44,6 +43,7 @@ from fraclink._reading.table import (
     check_size,
 )
 from fraclink.errors import FileFormatError, LogError, SizeError
+from fracsys.checks import Real
 
 __all__ = ["read_text_table"]
 
@@ -497,7 +497,7 @@ def _ragged(layout: Layout, row: int, count: int) -> LogError:
     return LogError(f"line {line}", lines[row], problem, allowed=allowed, remedy=remedy)
 
 
-def _parsed(layout: Layout) -> NDArray[np.float64] | None:
+def _parsed(layout: Layout) -> Real | None:
     """The whole body by numpy's C parser, or None if a cell is not a plain finite
     number.
     """
@@ -517,7 +517,7 @@ def _parsed(layout: Layout) -> NDArray[np.float64] | None:
     return values if whole and np.isfinite(values).all() else None
 
 
-def _parse_cells(layout: Layout) -> tuple[NDArray[np.float64], dict[int, CellFaults]]:
+def _parse_cells(layout: Layout) -> tuple[Real, dict[int, CellFaults]]:
     """Every cell on its own, NaN where it is not a finite number, and the faults by
     column.
     """

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._files.containers import UNPACKED_LIMIT, write_archive
 from fraclink._reading.table import check_size
 from fraclink.errors import FieldError, MissingExtraError
+from fracsys.checks import Real
 
 # such limits do not exist there; the parent's time limit remains
 if sys.platform != "win32":
@@ -39,7 +39,7 @@ class RawColumn:
 
     name: str
     unit: str
-    values: NDArray[np.float64]
+    values: Real
 
 
 MATLAB = ("{name}(:,{one})", "{name}({one},:)")

@@ -25,9 +25,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = [
     "Chain",
@@ -37,7 +36,6 @@ __all__ = [
     "PowerLaw",
 ]
 
-Vector = NDArray[np.float64]
 
 # Range of the relaxation rates [1/s] covered by the trapezoidal rule. The rest is
 # represented by two elements at either end with the first four moments of the tail, so
@@ -58,8 +56,8 @@ class Chain:
 
     spring: float
     dashpot: float
-    weights: Vector
-    rates: Vector
+    weights: Real
+    rates: Real
 
     def __call__(self, s: complex) -> complex:
         """Return D(s)."""
@@ -68,7 +66,7 @@ class Chain:
         )
 
 
-def _gauss(moments: list[float]) -> tuple[Vector, Vector]:
+def _gauss(moments: list[float]) -> tuple[Real, Real]:
     """Two nodes and weights, all positive, with the first four moments of a positive
     measure on (0, 1).
     """

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import residual_inertia
@@ -24,6 +23,7 @@ from fraclink._simulate.arm import Twin
 from fraclink._simulate.kernel import SUBSTEPS, twin_numbers
 from fraclink._simulate.links import link_weights
 from fraclink._simulate.plant import resolved
+from fracsys.checks import Real
 
 __all__ = [
     "LONGEST",
@@ -39,7 +39,6 @@ __all__ = [
     "twin_noise",
 ]
 
-Real = NDArray[np.float64]
 
 # periods: capacity of the engine's buffers; 16 s at 4 ms show a move and its residual
 # vibration

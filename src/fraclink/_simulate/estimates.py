@@ -20,6 +20,7 @@ from fraclink._law.design import Design
 from fraclink._law.estimator import Estimates, PayloadEstimator, payload_estimator
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks import Mask, Real
 
 __all__ = [
     "ESTIMATED",
@@ -30,7 +31,6 @@ __all__ = [
     "joined",
 ]
 
-Real = NDArray[np.float64]
 
 # value of `told` and of a run's "payload_given" if the law was given the estimate
 ESTIMATED = "estimated"
@@ -49,7 +49,7 @@ def estimated_over(
     motor_angle: Real,
     torque: Real,
     ticks: NDArray[np.integer[Any]],
-    called: NDArray[np.bool_],
+    called: Mask,
 ) -> tuple[bytes, Estimates]:
     """Run the estimator over the sensors of a run, with the same bits as in the loop.
 

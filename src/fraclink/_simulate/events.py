@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._arm.reference import Reference
+from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Gauge
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.kernel import ArmState
 from fraclink.errors import FieldError
-from fracsys.checks import Angle, Between, Duration, Time, checked
+from fracsys.checks import Angle, Between, Duration, Real, Time, checked
 
 __all__ = [
     "FAULTS",
@@ -32,7 +31,6 @@ __all__ = [
     "healthy_inputs",
 ]
 
-Vector = NDArray[np.float64]
 Action = Callable[[ArmState], None]
 
 # Columns of the twin's inputs (csrc/kernels/twin.h); for the model only those of faults
@@ -222,15 +220,16 @@ def healthy_inputs(
     gauge: Gauge,
     reference: Reference,
     period: float,
-    count: int,
+    length: float,
     generator: np.random.Generator,
-) -> Vector:
-    """Return the kernel's inputs of a run without events or faults, shape (count, 12)."""
-    time = period * np.arange(count)
+) -> Real:
+    """Return the kernel's inputs of a run of `length` [s] without events or faults, shape
+    (N, 12).
+    """
+    path = sampled(reference, period, length)
+    count = path.shape[1]
     inputs = fault_rows((), period, count)
-    inputs[:, REFERENCE] = reference.angle(time)
-    inputs[:, VELOCITY] = reference.velocity(time)
-    inputs[:, ACCELERATION] = reference.acceleration(time)
+    inputs[:, [REFERENCE, VELOCITY, ACCELERATION]] = path.T
     inputs[:, GAUGE_ERROR] = gauge.offset
     # Drawn even if the noise is 0, so that a seed gives the same noise sequence for
     # every amplitude.
@@ -238,7 +237,7 @@ def healthy_inputs(
     return inputs
 
 
-def fault_rows(faults: tuple[SensorFault, ...], period: float, count: int) -> Vector:
+def fault_rows(faults: tuple[SensorFault, ...], period: float, count: int) -> Real:
     """Return the kernels' inputs of faults alone, shape (count, 12)."""
     inputs = np.zeros((count, _kernels.TWIN_INPUTS))
     inputs[:, ENCODER_GAIN] = inputs[:, GAUGE_GAIN] = 1.0
@@ -247,7 +246,7 @@ def fault_rows(faults: tuple[SensorFault, ...], period: float, count: int) -> Ve
 
 
 def actions_of(
-    events: Sequence[Event], period: float, inputs: Vector
+    events: Sequence[Event], period: float, inputs: Real
 ) -> dict[int, list[Action]]:
     """Return the actions on the arm with the period before which they happen; pulses
     and sensor faults are written to the inputs directly.
@@ -271,7 +270,7 @@ def actions_of(
     return actions
 
 
-def _inject(fault: SensorFault, rows: Vector) -> None:
+def _inject(fault: SensorFault, rows: Real) -> None:
     """Write a sensor's fault into the kernel's inputs."""
     bit, column = FAULTS[fault.kind]
     # Two simultaneous faults are combined: the column holds a bit mask as a real.

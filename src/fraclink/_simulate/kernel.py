@@ -26,6 +26,7 @@ from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import estimated_over
 from fraclink._simulate.links import LinkWeights
 from fraclink._simulate.plant import Plant, StepMatrices, substeps
+from fracsys.checks import Real
 
 __all__ = [
     "ArmState",
@@ -36,7 +37,6 @@ __all__ = [
     "twin_numbers",
 ]
 
-Real = NDArray[np.float64]
 
 SUBSTEPS = 10  # friction steps per period: a stop is located to 0.4 ms at 4 ms
 
@@ -293,11 +293,11 @@ class ArmState:
     def run(
         self,
         block: bytes,
-        inputs: NDArray[np.float64],
+        inputs: Real,
         *,
         single: bool = False,
         estimator: PayloadEstimator | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> Real:
         """Advance by the rows of `inputs` under a law's block; returns the kernel's
         record.
 

@@ -26,11 +26,10 @@ from scipy.special import gammaln
 
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink.errors import FieldError
+from fracsys.checks import Complex, Real
 
 __all__ = ["LinkWeights", "batch_links", "link_weights", "second_mode_weights"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # Degree 5: angle, speed and acceleration of the motor at both ends of a period are six
 # conditions.
@@ -58,8 +57,8 @@ class LinkWeights:
 
     decay: Real
     weight: Real
-    pair: NDArray[np.complex128]
-    pair_weight: NDArray[np.complex128]
+    pair: Complex
+    pair_weight: Complex
     first: Real
     second: Real
 

@@ -15,10 +15,10 @@ from scipy.special import stdtrit
 from fraclink import _kernels
 from fraclink._display import Row
 from fraclink._law import MODES, REASONS
+from fracsys.checks import Real
 
 __all__ = ["Metrics", "MoveVerdict", "judge", "judge_many", "measure", "measure_many"]
 
-Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
 BAND = 0.02  # fraction of the move: the usual band of the settling time

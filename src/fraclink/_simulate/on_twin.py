@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference
@@ -38,10 +37,9 @@ from fraclink._simulate.kernel import RECORD, ArmState, motor_loop_of
 from fraclink._simulate.run import Run, judged_run
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks import Real
 
 __all__ = ["acted", "on_twin", "twin_run", "with_motor_loop"]
-
-Real = NDArray[np.float64]
 
 
 def with_motor_loop(
@@ -92,9 +90,8 @@ def on_twin(
     estimator: PayloadEstimator | None,
 ) -> Run:
     law, findings = with_motor_loop(law, twin=twin)
-    count = round(length / law.period) + 1
     inputs = healthy_inputs(
-        twin.gauge, reference, law.period, count, np.random.default_rng(seed)
+        twin.gauge, reference, law.period, length, np.random.default_rng(seed)
     )
     state = ArmState(
         twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE])
@@ -110,13 +107,13 @@ def on_twin(
         estimates.extend(rows)
         return part
 
-    record, payloads = acted(state, count, actions, period)
+    record, payloads = acted(state, len(inputs), actions, period)
     return twin_run(
         record,
         payloads,
         twin,
         law.period,
-        finished=len(record) == count,
+        finished=len(record) == len(inputs),
         ended=reference.duration,
         about={
             "law_sha256": law.digest,

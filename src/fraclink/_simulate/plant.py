@@ -18,13 +18,12 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
 from fraclink._simulate.damping import Chain, Damping, KelvinVoigt
 from fraclink.errors import FieldError
-from fracsys.checks import Between, NonNegative, Period, Positive, checked
+from fracsys.checks import Between, NonNegative, Period, Positive, Real, checked
 
 __all__ = [
     "LONGEST_STEP",
@@ -35,8 +34,6 @@ __all__ = [
     "substeps",
 ]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 # Relative error of D(jω), the same for all modes, so that the elements keep their
 # meaning when the payload, and with it the mode shapes, change. At λ = 1.92 the
@@ -63,17 +60,17 @@ class StepMatrices:
 
     step: float
     order: int
-    transition: Matrix
-    hub: Vector
-    tip: Vector
-    outputs: Matrix
+    transition: Real
+    hub: Real
+    tip: Real
+    outputs: Real
 
     @property
-    def arrays(self) -> tuple[Matrix, Vector, Vector, Matrix]:
+    def arrays(self) -> tuple[Real, Real, Real, Real]:
         """The first arguments of the kernel."""
         return self.transition, self.hub, self.tip, self.outputs
 
-    def rest(self) -> Vector:
+    def rest(self) -> Real:
         """Return the state of a straight link at rest with its hub at 0."""
         return np.zeros(self.hub.size)
 
@@ -90,9 +87,9 @@ class Plant:
     beam: Beam
     modes: BeamModes
     chain: Chain
-    dynamics: Matrix
-    inputs: Matrix
-    outputs: Matrix
+    dynamics: Real
+    inputs: Real
+    outputs: Real
 
     @property
     def order(self) -> int:
@@ -158,7 +155,7 @@ def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
 
 def _rows(
     size: int, at: int, omega: float, load: float, chain: Chain
-) -> tuple[Vector, Vector, Vector]:
+) -> tuple[Real, Real, Real]:
     """One mode's qi, q̇i and fi as rows over the states."""
     place, speed, force = np.zeros(size), np.zeros(size), np.zeros(size)
     place[at], place[0] = 1.0, -load

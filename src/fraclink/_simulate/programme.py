@@ -17,17 +17,16 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from fraclink._arm.reference import Path
 from fraclink._arm.rig import Rig
 from fraclink._simulate.arm_set import ArmSet
 from fraclink.errors import FieldError
+from fracsys.checks import Real
 
 __all__ = ["Programme"]
 
-Real = NDArray[np.float64]
 Bounds = list[tuple[float | None, float | None]]
 
 UNLIMITED = 1e4  # [V]: a law's block holds finite numbers

@@ -14,11 +14,11 @@ from fraclink._display import Overview, Row, displayed, quantity, state_of
 from fraclink._files import Saved, document
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
+from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
 __all__ = ["Run", "judged_run", "payload_rejected"]
 
-Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
 SIGNALS = (

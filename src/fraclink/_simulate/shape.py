@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.reference import Path, SampledReference
 from fraclink._display import Overview, Row, displayed, number, quantity, state_of
@@ -21,12 +20,11 @@ from fraclink._simulate.programme import Programme
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Duration, checked
+from fracsys.checks import Between, Duration, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["ShapedMove", "shape"]
 
-Real = NDArray[np.float64]
 
 # Vibration periods after settling that the programme covers: beyond them a vibration
 # only decays, and a tip that was in the band for 2.5 periods stays there.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -143,19 +142,7 @@ def run_realtime(
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, 1e300, "s").check("duration", length)
-    # The last deadline belongs to the run even if length/period is slightly too small
-    # by rounding: 0.3 s at 20 ms is 16 periods.
-    path = sampled(
-        reference, law.period, math.floor(length / law.period * (1 + 1e-12)) + 1
-    )
-    if not np.all(np.isfinite(path)):
-        raise FieldError(
-            "reference",
-            "NaN",
-            "not finite",
-            allowed="finite",
-            remedy="check the reference",
-        )
+    path = sampled(reference, law.period, length)
     # Filled and not only allocated, so that no page of the record is missing in the
     # loop.
     record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)

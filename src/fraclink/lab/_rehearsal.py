@@ -22,8 +22,8 @@ def rehearse(
     `payload` [kg] is given to the law; with 0 it gets none, and the simulated payload
     is the rig's nominal one.
     """
-    count = int(reference.duration / law.period) + 1
-    reach = float(np.max(np.abs(sampled(reference, law.period, count)[0])))
+    path = sampled(reference, law.period, reference.duration)
+    reach = float(np.max(np.abs(path[0])))
     # Relative to the position of the arm, which may be anywhere in the encoder's range.
     most = law.limits.motor_limit - abs(design.rig.moves.centre)
     if reach > most:

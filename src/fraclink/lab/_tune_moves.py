@@ -224,7 +224,7 @@ def _moved(
         path = sampled(
             smooth_step(far, duration),
             period,
-            math.ceil((duration + _AFTER) / period),
+            duration + _AFTER,
         )
         # The reference starts where the last one ended, not where friction has left the
         # arm.

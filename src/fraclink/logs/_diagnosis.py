@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
@@ -19,7 +18,7 @@ from fraclink._identify.shape import moving_angle
 from fraclink._reading.columns import converter_step
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, Findings, worst_first
-from fracsys.checks import checked
+from fracsys.checks import Real, checked
 
 __all__ = ["diagnose", "share_of", "vibration_of"]
 
@@ -156,7 +155,7 @@ def _labels(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
         )
 
 
-def _channels(log: Experiment) -> tuple[tuple[str, NDArray[np.float64], str], ...]:
+def _channels(log: Experiment) -> tuple[tuple[str, Real, str], ...]:
     """Name in words, values and unit of the two channels."""
     return (
         ("motor angle", log.motor_angle, "rad"),

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import (
@@ -47,11 +46,10 @@ from fraclink.logs._questions import (
     Question,
     statements,
 )
-from fracsys.checks import Period, checked
+from fracsys.checks import Period, Real, checked
 
 __all__ = ["Match", "match", "match_table"]
 
-Reals = NDArray[np.float64]
 # A vibrating arm is sampled every 0.2 ms to 0.1 s. This window spans less than a factor
 # of 1000, so at most one of s, ms, us and ns puts the step of a clock into it.
 _FASTEST, _SLOWEST = 2e-4, 0.1
@@ -185,7 +183,7 @@ class _Matching:
     def label(self, place: int) -> str:
         return self.table.label(place)
 
-    def cells(self, place: int) -> Reals:
+    def cells(self, place: int) -> Real:
         """The numbers of a column; LogError for a cell that is not a number."""
         return self.table.clean(place, interpolate=self.interpolate)[0]
 
@@ -296,7 +294,7 @@ class _Matching:
             self.ask("time", "unit", text, ("s", "ms", "us"), f"time={name} [ms]")
         return None
 
-    def stamps(self, time: Channel, rows: int) -> Reals:
+    def stamps(self, time: Channel, rows: int) -> Real:
         """The stamps in seconds."""
         if time.column == ROW_NUMBER:
             return time.in_si(np.arange(rows, dtype=np.float64), "time")
@@ -429,7 +427,7 @@ class _Matching:
     # --- the output ---
 
     def from_the_hub(
-        self, channel: Channel, turned: Reals, output: int, period: float
+        self, channel: Channel, turned: Real, output: int, period: float
     ) -> int | None:
         """The place of the output, or of the deflection computed from it if it is the
         tip's angle in space; None if that is a question (the tip's position).
@@ -558,7 +556,7 @@ class _Matching:
         self.conclude("sign of the output", "+" if sign > 0 else "-", sure, why)
         return sign
 
-    def voltage(self, angle: Reals, *, taken: tuple[int, int]) -> Channel | None:
+    def voltage(self, angle: Real, *, taken: tuple[int, int]) -> Channel | None:
         """The channel of the amplifier's voltage, if a column has such a name; a fit of
         the link does not need it.
         """
@@ -584,7 +582,7 @@ class _Matching:
         return Channel(name, unit or "V", sign=sign, scale=statement.scale or 1.0)
 
 
-def _vibration(angle: Reals, output: Reals, period: float) -> Fit | None:
+def _vibration(angle: Real, output: Real, period: float) -> Fit | None:
     """The single mode from `angle` to `output`; None if there is none."""
     try:
         log = Experiment(

@@ -21,11 +21,10 @@ from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import model_run
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import PART_RUNS, Campaign, draw
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = ["arm_of", "replay_run", "simulate_part"]
 
-Real = NDArray[np.float64]
 
 # runs simulated before they are measured: 50 × 1000 periods × 6 signals fit into the
 # cache
@@ -70,9 +69,9 @@ def unit_paths(campaign: Campaign, times: int = 1) -> Real:
     """Return angle and acceleration of each of the campaign's references, (shapes, 2,
     N).
     """
-    count = round(times * campaign.duration / campaign.law.period) + 1
+    length = times * campaign.duration
     rows = [
-        sampled(each, campaign.law.period, count)[[0, 2]]
+        sampled(each, campaign.law.period, length)[[0, 2]]
         for each in campaign.references
     ]
     return np.ascontiguousarray(np.stack(rows))

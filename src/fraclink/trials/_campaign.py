@@ -14,7 +14,6 @@ from pathlib import Path as FilePath
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fraclink._arm.link import LinkModel
@@ -32,7 +31,7 @@ from fraclink._files.codec import plain
 from fraclink._law import Law, equip
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink.errors import FieldError, SizeError
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = [
     "FILE",
@@ -46,7 +45,6 @@ __all__ = [
     "load_campaign",
 ]
 
-Real = NDArray[np.float64]
 
 FILE = "campaign.json"
 # runs of a part: an interruption costs a second of work; a file has 100 kB
@@ -377,8 +375,8 @@ class Campaign:
             ranges = replace(ranges, amplitude=_always(1.0))
         if reference is not None and not isinstance(reference, Path | SampledReference):
             # for any other reference, the samples that can be stored in a file
-            count = math.ceil(reference.duration / own.period) + 1
-            rows = sampled(reference, own.period, count)
+            length = math.ceil(reference.duration / own.period) * own.period
+            rows = sampled(reference, own.period, length)
             reference = SampledReference(own.period, rows)
         return Campaign(
             rig, model, own, ranges, runs, seed, length, reference, estimated

@@ -21,11 +21,10 @@ from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import acted, twin_run, with_motor_loop
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = ["PHASES", "Bench", "Case", "Phase", "Trial", "end_of", "execute"]
 
-Real = NDArray[np.float64]
 Rows = slice | NDArray[np.int_]
 Action = Callable[[ArmState], None]
 Phase = Literal["whole", "start", "mid", "rest"]
@@ -139,7 +138,6 @@ class Trial:
         self.use(law)
         self.twin = bench.twin.with_payload(case.payload)
         self.period = law.period
-        self.count = round(duration / self.period) + 1
         # The fault has its own random numbers, so that the noise is that of the clean
         # run; they depend on seed and name.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
@@ -147,8 +145,9 @@ class Trial:
         # change, and clean and faulty run would differ by more than the fault.
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(
-            self.twin.gauge, reference, self.period, self.count, noise
+            self.twin.gauge, reference, self.period, duration, noise
         )
+        self.count = len(self.inputs)
         self.wanted = self.inputs[:, columns.REFERENCE].copy()
         # The nearest period to the time of each phase, so that a rig with another
         # period has its fault at the same moment of the move.

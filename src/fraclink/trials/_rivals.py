@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete, tf2ss
 
@@ -27,11 +27,10 @@ from fraclink._design import deg, design
 from fraclink._law import Law, Modes, discretize
 from fraclink._law.design import Design
 from fraclink.errors import InfeasibleError, NotConvergedError
+from fracsys.checks import Complex, Real
 
 __all__ = ["FRACLINK", "Rival", "Shaped", "builders", "motor_alone"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FRACLINK = "fraclink"
 # Far above every angle, torque and speed of an arm, and within the range of a block in

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._files import checked_path, document, load, save
 from fraclink.errors import FieldError, FileFormatError, MissingExtraError
@@ -29,7 +28,7 @@ from fraclink.trials._campaign import (
     is_campaign,
     load_campaign,
 )
-from fracsys.checks import FilePath, Workers, checked
+from fracsys.checks import FilePath, Real, Workers, checked
 
 __all__ = [
     "Progress",
@@ -41,7 +40,6 @@ __all__ = [
     "write_part",
 ]
 
-Real = NDArray[np.float64]
 
 PARTS = "part-*.npz"
 CONNECT = 10  # [s] for connecting to a scheduler

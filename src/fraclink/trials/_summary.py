@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from fraclink._display import Overview, Row, Table, displayed, state_of
@@ -18,6 +17,7 @@ from fraclink._simulate.metrics import Metrics
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import Campaign, Draws, load_campaign
 from fraclink.trials._run import PARTS, read_part
+from fracsys.checks import Real
 
 __all__ = [
     "METRICS",
@@ -30,7 +30,6 @@ __all__ = [
     "summarise",
 ]
 
-Real = NDArray[np.float64]
 
 METRICS = tuple(field.name for field in fields(Metrics))
 PARAMETERS = tuple(field.name for field in fields(Draws))

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.beam import DEFAULT_MASS
 from fraclink._arm.link import LinkModel
@@ -34,10 +33,10 @@ from fraclink.errors import FieldError
 from fraclink.trials._rivals import motor_alone
 from fraclink.trials._study import Study
 from fraclink.view._pages import squeezed
+from fracsys.checks import Real
 
 __all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
 
-Real = NDArray[np.float64]
 
 MOST_PAYLOADS = 24
 # relative to the design's payloads: 8 to 80 g for 20 to 40 g

@@ -23,6 +23,7 @@ from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
 from fraclink.view._scales import Scale, envelope
+from fracsys.checks import Complex, Real
 
 __all__ = [
     "fit_figure",
@@ -43,8 +44,6 @@ OUTPUT_LABEL = {
 }
 _SHORT = {"torque": "Γ [N·m]", "deflection": "θm − θt [rad]"}
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Floats = NDArray[np.floating[Any]]
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._display import number, size_of
 from fraclink.trials._faults import GROUPS, FaultTable, fault_named
@@ -21,6 +20,7 @@ from fraclink.view._drawing import Figure, Panel, beside, figure_of
 from fraclink.view._marks import Bars, Cells, Mark, Point, Upright
 from fraclink.view._scales import Scale
 from fraclink.view._text import grams
+from fracsys.checks import Mask, Real
 
 __all__ = [
     "SHOWN",
@@ -36,7 +36,6 @@ __all__ += [
     "rivals_figure",
 ]
 
-Real = NDArray[np.float64]
 
 # Metric of a campaign -> title of its histogram.
 SHOWN = {
@@ -112,7 +111,7 @@ def strongest(summary: Summary) -> tuple[str, str]:
 
 
 def failures_figure(
-    across: Real, up: Real, failed: NDArray[np.bool_], names: tuple[str, str]
+    across: Real, up: Real, failed: Mask, names: tuple[str, str]
 ) -> Figure:
     """Failure rate over two drawn parameters, with axes titled `names`."""
     # Cells with 2 · 30 runs on average, so that most of them can be coloured: a share

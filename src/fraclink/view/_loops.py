@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
@@ -39,6 +38,7 @@ from fraclink.view._pages import LINES
 from fraclink.view._responses import Response, loop_figure, loop_response
 from fraclink.view._scales import Scale
 from fraclink.view._text import grams
+from fracsys.checks import Mask, Real
 
 __all__ = [
     "bode_figure",
@@ -49,7 +49,6 @@ __all__ = [
 ]
 __all__ += ["nyquist_figure", "payloads_of", "pid_figure", "pid_step_figure"]
 
-Real = NDArray[np.float64]
 
 # The margins are shown down to this share of the lightest payload: 8 g for 20 g.
 BEYOND = 0.4
@@ -345,7 +344,7 @@ def map_figure(
     return Figure("map", description, (panel,), name, "map", sx, key=key)
 
 
-def _outline(x: Real, y: Real, feasible: NDArray[np.bool_]) -> list[Mark]:
+def _outline(x: Real, y: Real, feasible: Mask) -> list[Mark]:
     """The upper and lower edge of the feasible region, column by column."""
     some = feasible.any(axis=0)
     # Steps along the computed cells: a smooth curve would suggest values that were not

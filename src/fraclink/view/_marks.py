@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.view._scales import Scale
+from fracsys.checks import Real
 
 __all__ = [
     "ACROSS",
@@ -31,7 +32,6 @@ __all__ = [
 ]
 __all__ += ["Upright", "Zone", "escaped", "percent", "reach"]
 
-Real = NDArray[np.float64]
 
 # Size in steps of the box of the curves, which is stretched to its panel. Integers make
 # a path half as long as decimals would. A step is a fifth of a dot at a text width of

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.recording import FrequencyResponse
 from fraclink._law.design import Design
@@ -27,11 +27,10 @@ from fraclink.view._scales import Scale
 from fracsys._loops import as_loop
 from fracsys._margins import margins as find_margins
 from fracsys._sweep import frequency_grid, refined
+from fracsys.checks import Complex, Real
 
 __all__ = ["bode", "line_of", "margin_plot", "named", "nichols", "nyquist"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut off
 _SPREAD = 30.0  # factor on either side of the crossing frequencies that is shown

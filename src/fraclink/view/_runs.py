@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._law import MODES
 from fraclink._simulate import Run
@@ -26,7 +25,6 @@ from fraclink.view._text import grams
 
 __all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
 
-Real = NDArray[np.float64]
 
 _BAND = 0.02  # share of the move that counts as settled
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._display import number
+from fracsys.checks import Real
 
 __all__ = ["Scale", "envelope", "nice_ticks"]
 
-Real = NDArray[np.float64]
 
 _POINTS = 900  # a line gets twice this many points; the page shows about 800 dots
 

@@ -45,6 +45,12 @@ from fracsys.errors import FieldError
 Target = TypeVar("Target", bound=Callable[..., Any])
 Instance = TypeVar("Instance")
 
+# --- arrays of any shape -------------------------------------------------------------------------------
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
 # --- ranges that recur --------------------------------------------------------------------------------
 
 Positive = Annotated[float, Between(0.0, low_open=True)]
