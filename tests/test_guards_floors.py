@@ -186,12 +186,12 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2911,
-    "_arm": 1699,
+    "fracsys": 2906,
+    "_arm": 1694,
     "_certify": 862,
     "_cli": 1013,
     "_design": 1599,
-    "_export": 544,
+    "_export": 543,
     "_files": 581,
     "_identify": 3089,
     "_law": 969,
@@ -201,7 +201,7 @@ CEILINGS = {
     "logs": 676,
     "studio": 1213,
     "trials": 1474,
-    "view": 1679,
+    "view": 1676,
 }
 
 

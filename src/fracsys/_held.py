@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from fracsys._contour import convolve, step_error, step_values
-from fracsys._modes import DiscreteModes, Expansion, expand, split_delay
+from fracsys._modes import TOLERANCE, DiscreteModes, Expansion, expand, split_delay
 from fracsys._quotient import STRONG, Quotient, singular_order, without_integrator
-from fracsys._terms import Term, collect, largest, same, snap
+from fracsys._terms import TOGETHER, Term, collect, largest, same, snap
 from fracsys.checks import Real
 
 # Times at which the modes are compared with the contour integral.
@@ -33,7 +33,6 @@ _MOST_WEIGHTS = 200_000
 _CORRECTIONS = 3  # corrections of the tolerance requested of an expansion
 _FINEST = 1e-14  # where rounding begins
 _ROUNDING = 4e-15  # fraction of the largest output
-_CHUNK = 4096  # times evaluated together: 60 modes take 2 MB
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ class HeldQuotient:
         t = times[later]
         shortest, longest = float(t.min()), float(t.max())
         if self.has_modes:
-            parts = self.expansion(shortest, longest, _ENOUGH_OF_ONE)
+            parts = self.expansion(shortest, longest, TOLERANCE)
             error, peak, first = self.error(parts, shortest, longest)
             if _will_do(error, peak, len(t)):
                 output[later] = self._by_modes(parts, t, first)
@@ -254,8 +253,8 @@ class HeldQuotient:
 
     def _by_modes(self, parts: Expansion, t: Real, first: float) -> Real:
         value = np.empty(len(t))
-        for k in range(0, len(t), _CHUNK):
-            value[k : k + _CHUNK] = parts.increments(t[k : k + _CHUNK])
+        for k in range(0, len(t), TOGETHER):
+            value[k : k + TOGETHER] = parts.increments(t[k : k + TOGETHER])
         # The modes hold increments only; one exact value fixes the constant. It is
         # taken at the first time, where the value is smallest and an error in the
         # constant shows most.
@@ -320,10 +319,6 @@ class HeldQuotient:
         value = parts.increments(times)
         value += first - value[0] + self.integrator * times
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
-
-
-# The corresponding limit for responses at single times.
-_ENOUGH_OF_ONE = 1e-12
 
 
 def _will_do(error: float, peak: float, count: int) -> bool:

@@ -135,7 +135,10 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
 # factor of 1.6 in modulus.
 _REACH = 0.15
 _NEAR = 0.3  # 20 points per decade resolve zeros farther from the axis than this
-_ON_AXIS = 1e-9
+# A zero or pole closer to the axis than this (in ln s) lies on it, between two
+# neighbours of the grid that are not parted any further.
+CLOSEST = 1e-9
+FAINT = 1e-3  # |L| of −60 dB, below which crossings do not matter
 # ln ω up to which a loop is evaluated. Corner frequencies of terms of neighbouring
 # orders may lie anywhere, even at 1e100 rad/s; e^650 is near the largest double.
 _FARTHEST, _LARGEST = 600.0, 650.0
@@ -172,7 +175,7 @@ def _fractional_loop(
     bottom, certain = _near_axis(system.denominator)
     top, _ = _near_axis(system.numerator)
     # `bottom` holds the upper one of each pair; a real zero is its own conjugate.
-    right = [z for z in bottom if z.imag < 0.5 * math.pi - _ON_AXIS]
+    right = [z for z in bottom if z.imag < 0.5 * math.pi - CLOSEST]
     end = _limit(system, 0) if limit is None else complex(math.nan)
     return SampledLoop(
         _values(system),
@@ -220,7 +223,7 @@ def _faint(system: FractionalTransferFunction) -> float:
     up, down = system.numerator[0], system.denominator[0]
     slope = up.order - down.order
     level = math.log(abs(up.coefficient / down.coefficient))
-    return (level + math.log(1e3)) / -slope if slope < 0 else -math.inf
+    return (level + math.log(1.0 / FAINT)) / -slope if slope < 0 else -math.inf
 
 
 def _limit(system: FractionalTransferFunction, end: int) -> complex:
@@ -265,9 +268,9 @@ def around(zero: complex) -> Real:
     distance = abs(zero.imag - 0.5 * math.pi)
     if distance > _NEAR:
         return np.empty(0)
-    # a pole on the axis itself: a gap of width 0.9e-9 that is not evaluated
-    if distance < _ON_AXIS:
-        steps = 0.45e-9 * 1.7 ** np.arange(37)
+    # on the axis itself: a gap that is not evaluated
+    if distance < CLOSEST:
+        steps = 0.45 * CLOSEST * 1.7 ** np.arange(37)
     else:
         steps = distance * np.sinh(
             0.45 * np.arange(math.asinh(_REACH / distance) / 0.45)

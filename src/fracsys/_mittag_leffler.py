@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import rgamma
 
+from fracsys._terms import TOGETHER
 from fracsys.checks import Between, Complex, Real, checked
 from fracsys.errors import FieldError, value_text
 
@@ -25,7 +26,6 @@ _OFFSETS = np.array([0.0, 0.25, 0.5, 0.75])
 _TAIL, _BETWEEN = 40.0, 39.0
 # Below this |z| the term z/Γ(α+β) is lost in rounding, while ln z is still finite.
 _TINY = 1e-290
-_CHUNK = 4096  # points evaluated together: about 100 nodes each
 
 
 @checked
@@ -88,8 +88,8 @@ def mittag_leffler(
     value = np.full(flat.shape, complex(rgamma(beta)))
     far = np.flatnonzero(np.abs(flat) > _TINY)
     with np.errstate(all="ignore"):
-        for start in range(0, len(far), _CHUNK):
-            part = far[start : start + _CHUNK]
+        for start in range(0, len(far), TOGETHER):
+            part = far[start : start + TOGETHER]
             value[part] = _values(flat[part], alpha, beta)
     shaped = value.reshape(points.shape)
     result = (

@@ -12,9 +12,12 @@ import numpy as np
 
 from fracsys import _kernels
 from fracsys._quotient import Cluster, Quotient
+from fracsys._roots import RESOLUTION
 from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError
+
+TOLERANCE = 1e-12  # largest error of a response, relative to its peak
 
 
 @compared
@@ -45,7 +48,7 @@ class DiscreteModes:
     span: float
     lag: int = 0
     early: float = 0.0
-    tolerance: float = 1e-12
+    tolerance: float = TOLERANCE
     decays: Real = field(init=False)
     pole_decays: Complex = field(init=False)
 
@@ -148,9 +151,6 @@ _FOLD_ANGLES = np.pi * (2 * np.arange(_FOLD) + 1) / (2 * _FOLD)
 _FOLD_NODES = 0.5 * (1.0 + np.cos(_FOLD_ANGLES))
 _FOLD_SHARES = (-1.0) ** np.arange(_FOLD) * np.sin(_FOLD_ANGLES)
 _REACH = 42.0  # e^-42 is below the rounding of a double
-# A pole this close to the negative axis (in ln s) counts as real; this is the accuracy
-# of log_zeros.
-_REAL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,11 @@ def expand(
     modes = _Modes()
     # without a cut a pole counts once, or by one half at each of ln s = x ± iπ
     if quotient.is_meromorphic:
-        for z in (z for z in simple if z.imag <= math.pi + _REAL):
+        for z in (z for z in simple if z.imag <= math.pi + RESOLUTION):
             modes.add_pole(
-                z, quotient.residue(z) * (0.5 if abs(z.imag - math.pi) < _REAL else 1.0)
+                z,
+                quotient.residue(z)
+                * (0.5 if abs(z.imag - math.pi) < RESOLUTION else 1.0),
             )
         for cluster in (c for c in clusters if c.centre.imag <= math.pi):
             share = whole(0.5 if cluster.centre.imag == math.pi else 1.0)
@@ -253,7 +255,7 @@ class _Modes:
         """Add 2 Re Σ weights·e^(st) at s = `places`; for a pole e^z on the real axis
         they are real.
         """
-        if abs(z.imag - math.pi) < _REAL:
+        if abs(z.imag - math.pi) < RESOLUTION:
             self.real.append(np.array([-places.real, 2.0 * weights.real]))
         elif z.imag == 0.0:  # real: its own conjugate
             self.real.append(np.array([-places.real, weights.real]))
@@ -263,7 +265,7 @@ class _Modes:
     def add_pole(self, z: complex, weight: complex) -> None:
         place = (
             complex(np.exp(z))
-            if abs(z.imag - math.pi) >= _REAL
+            if abs(z.imag - math.pi) >= RESOLUTION
             else complex(-math.exp(z.real))
         )
         self.add_poles(z, np.array([place]), np.array([weight]))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fracsys._contour import convolve, delay_free_part, feedthrough, invert
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._held import HeldQuotient, Part
-from fracsys._modes import DiscreteModes
+from fracsys._modes import TOLERANCE, DiscreteModes
 from fracsys._quotient import Quotient, singular_order
 from fracsys._terms import Term, grid, largest, refuse_beyond_memory
 from fracsys.checks import Array, Between, Positive, Real, checked
@@ -28,7 +28,6 @@ Times = Annotated[ArrayLike, Array(1, min_size=1), Between(0.0, unit="s")]
 SamplePeriod = Annotated[float, Between(1e-12, 1e12, "s")]
 Hold = Literal["zero", "first"]
 
-TOLERANCE = 1e-12
 # bytes per sample of the numerical inversion: four spans, eight times oversampled
 FFT_BYTES = 2000
 _METHODS = ("modes", "contour", "fft")  # from the most to the least direct
@@ -192,7 +191,7 @@ def discrete_modes(
     *,
     hold: Hold = "zero",
     span: Annotated[float, Between(0.0, 1e15, "s")],
-    tolerance: Annotated[float, Between(1e-14, 1e-2)] = 1e-12,
+    tolerance: Annotated[float, Between(1e-14, 1e-2)] = TOLERANCE,
 ) -> DiscreteModes:
     """Return the exact held response of G at `period` as a sum of exponential modes.
 

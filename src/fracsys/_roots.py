@@ -35,8 +35,8 @@ from fracsys.errors import NotConvergedError
 # without a zero nearby is used. The large ones are for multiple zeros on the edge: at
 # smaller heights D is lost in rounding (0.13^12 of its terms).
 _MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093, 0.2419, 0.3704)
-# a zero computed this far above `angle` (or off the real axis) lies on it
-_ON_EDGE = 1e-12
+# A zero computed this far above `angle`, or off an axis, lies on it [rad];
+RESOLUTION = 1e-12
 # and up to this far where rounding blurs it; a multiple zero has D' = 0
 _BLURRED = 1e-7
 
@@ -103,13 +103,13 @@ def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
     size = math.log(abs(ratio)) / gap
     first = math.pi if ratio > 0 else 0.0
     last = (
-        int(((angle + _ON_EDGE) * gap - first) / (2 * math.pi) + 1)
-        if first <= (angle + _ON_EDGE) * gap
+        int(((angle + RESOLUTION) * gap - first) / (2 * math.pi) + 1)
+        if first <= (angle + RESOLUTION) * gap
         else 0
     )
     heights = ((first + 2 * math.pi * m) / gap for m in range(last))
     return [
-        complex(size, angle if abs(y - angle) < _ON_EDGE * (1 + angle) else y)
+        complex(size, angle if abs(y - angle) < RESOLUTION * (1 + angle) else y)
         for y in heights
     ]
 
@@ -167,7 +167,7 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
     # slightly beyond the edge would be lost.
     values, moduli = terms.derivatives(z, 2)
     uncertainty = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
-    reach = np.clip(uncertainty, _ON_EDGE, _BLURRED)
+    reach = np.clip(uncertainty, RESOLUTION, _BLURRED)
     z.imag[np.abs(z.imag) < reach] = 0.0
     z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
     z = z[(z.imag >= 0) & (z.imag <= angle)]

@@ -11,7 +11,7 @@ import numpy as np
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
 from fracsys._nyquist import ON_AXIS, modulus_margin, unstable_closed_loop_poles
-from fracsys._roots import log_zeros
+from fracsys._roots import RESOLUTION, log_zeros
 from fracsys._sweep import sweep
 from fracsys._terms import Term
 from fracsys.checks import Complex, checked
@@ -20,7 +20,6 @@ from fracsys.errors import FieldError
 # relative distance at which a zero cancels a pole: the resolution of twelve-digit
 # coefficients
 _SAME = 1e-10
-_ON_AXIS = 1e-12  # [rad] a pole closer to the imaginary axis than this lies on it
 
 
 @dataclass(frozen=True)
@@ -132,8 +131,8 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     # `log_zeros` returns exactly as many poles as the argument principle certifies, so
     # counting those with Re s > 0 gives a certified number.
     logs, cancelled = _pole_logs(system)
-    bad = logs[logs.imag < 0.5 * math.pi + _ON_AXIS]
-    inside = bad[bad.imag < 0.5 * math.pi - _ON_AXIS]
+    bad = logs[logs.imag < 0.5 * math.pi + RESOLUTION]
+    inside = bad[bad.imag < 0.5 * math.pi - RESOLUTION]
     # Only the upper half plane was searched: each pole off the real axis counts for
     # itself and its conjugate.
     winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
@@ -141,7 +140,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     verdict = _verdict(system, unstable, integrators, winding, delayed=False)
     # A cancelled pole is not part of the transfer function, but the corresponding state
     # still grows; it is therefore reported.
-    hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
+    hidden = cancelled[cancelled.imag < 0.5 * math.pi + RESOLUTION]
     if not hidden.size:
         return verdict
     where = _shown(complex(_both_halves(hidden, 0)[0]))
@@ -313,7 +312,7 @@ def _both_halves(z: Complex, at_origin: int) -> Complex:
         # imaginary part of 1e-16, and a real pole would count as a pair.
         if angle in (0.0, math.pi):
             points.append(complex(math.copysign(size, math.cos(angle))))
-        elif abs(angle - 0.5 * math.pi) < _ON_AXIS:
+        elif abs(angle - 0.5 * math.pi) < RESOLUTION:
             points += [complex(0, size), complex(0, -size)]
         else:
             p = complex(np.exp(log))

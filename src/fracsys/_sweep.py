@@ -12,20 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._loops import SampledLoop, as_loop
+from fracsys._loops import CLOSEST, FAINT, SampledLoop, as_loop
 from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import FieldError
 
 # [rad] largest change of phase between neighbours, so that no crossing is missed
 TURN = 0.5
 RISE = 1.5  # largest change of ln |L| between neighbours: 13 dB
-# between neighbours closer than this in ln ω lies a pole or zero on the axis
-CLOSEST = 1e-9
 POINT_LIMIT = 50_000
 # |L| below which the phase of a delay is not followed, and the largest number of points
 # for it; with more, the next pair applies. A loop that rolls off like ω^(−1/2) would
 # need millions of points for irrelevant crossings at −60 dB.
-_PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
+_PATIENCE = ((FAINT, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
 def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Real, Complex, float]:
@@ -90,7 +88,6 @@ def _too_wide(
 # --- Frequencies for plots and for python-control: even on a logarithmic scale, finer where L moves fast
 
 _DECADES = math.log(100.0)
-_FAINT = 1e-3
 
 
 def frequency_grid(
@@ -139,7 +136,7 @@ def _bent(x: Real, values: Complex, *, keep_top: bool) -> tuple[Real, Complex]:
     first = _leading(still & (np.abs(slope - slope[0]) < 0.02))
     last = len(x) - 1 - _leading((still & (np.abs(slope - slope[-1]) < 0.02))[::-1])
     # at higher frequencies the delay turns the phase without end
-    loud = np.flatnonzero(np.abs(values) > _FAINT)
+    loud = np.flatnonzero(np.abs(values) > FAINT)
     last = min(last, int(loud[-1])) if loud.size else last
     # a straight line from end to end: show four decades around 1 rad/s
     if first >= last:

@@ -343,6 +343,8 @@ def grid(count: int, period: float) -> Real:
     return times
 
 
+# Points evaluated together: about 100 numbers of each take 6 MB.
+TOGETHER = 4096
 # bytes per sample of a response: input, output, time and the arrays of the hold
 _BYTES = 40
 

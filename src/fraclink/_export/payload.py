@@ -9,12 +9,12 @@ import struct
 
 from fraclink import __version__
 from fraclink._export.data import hex_float
+from fraclink._export.selftest import PERIODS
 from fraclink._law.estimator import COUNTS, HEADER, MODEL, REALS, PayloadEstimator
 
 __all__ = ["payload_files", "payload_readme"]
 
 DATA, SELFTEST = "payload_data.h", "payload_selftest.c"
-PERIODS = 1000
 
 
 def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:

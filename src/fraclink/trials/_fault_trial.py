@@ -30,16 +30,18 @@ Action = Callable[[ArmState], None]
 Phase = Literal["whole", "start", "mid", "rest"]
 
 # The move of the catalogue: 1 rad, from 1.0 to 2.2 s; times of its phases [s].
-MOVE = smooth_step(1.0, duration=1.2, start=1.0)
+MOVE_BEGINS = 1.0
+MOVE = smooth_step(1.0, duration=1.2, start=MOVE_BEGINS)
 TIMES: dict[Phase, float] = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2}
-PHASES: tuple[Phase, ...] = ("whole", "start", "mid", "rest")
-MOVE_BEGINS = 1.0  # [s]
+PHASES = tuple(TIMES)
 # [s] start of a second move, ten seconds after the first, which a wound-up loop would
 # spoil
-BACK_AT = 12.2
+BACK_AT = MOVE.duration + 10.0
 MOVES: dict[str, Reference] = {
     "move": MOVE,
-    "there and back": MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2)),
+    "there and back": MOVE.then(hold(0.0, BACK_AT - MOVE.duration)).then(
+        smooth_step(-0.75, duration=1.2)
+    ),
     # The paper's gauge, with a noise of 0.01 N·m, needs 0.24 rad in this time
     # (`Law.wiring_angle`).
     "self-test": smooth_step(0.35, duration=0.12, start=0.1),
