@@ -304,7 +304,7 @@ def test_nobody_is_asked_where_one_end_is_a_pipe(
     assert "angle_deg is required; " in told and "Give --angle-deg" in told
     assert main([*TUNE.split(), "--angle-deg", "90"]) == 2
     told = " ".join(seen.getvalue().split())
-    assert "yes: not confirmed" in told
+    assert "yes is required" in told
     assert "Give --yes where nobody can be asked" in told
 
 

@@ -189,7 +189,7 @@ CEILINGS = {
     "fracsys": 2906,
     "_arm": 1694,
     "_certify": 862,
-    "_cli": 1013,
+    "_cli": 1010,
     "_design": 1599,
     "_export": 543,
     "_files": 581,
@@ -199,7 +199,7 @@ CEILINGS = {
     "_simulate": 1247,
     "lab": 1908,
     "logs": 676,
-    "studio": 1213,
+    "studio": 1211,
     "trials": 1474,
     "view": 1676,
 }

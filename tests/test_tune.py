@@ -353,7 +353,7 @@ def test_the_command_moves_a_law_with_what_was_asked_for_before(
     line = ["tune", "--io", "udp:127.0.0.1:9", "--out", str(tmp_path), "--resume"]
     assert main(line) == 2
     told = capsys.readouterr().err
-    assert "design for 22.5 to 40 g" in told and "not confirmed" in told
+    assert "design for 22.5 to 40 g" in told and "yes is required" in told
     assert "only the wiring and the first moves, with 30 g" in told
 
 

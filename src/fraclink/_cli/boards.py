@@ -393,17 +393,13 @@ def serve_arm(
     io: Annotated[str, Address, "serial:pty or udp:HOST:PORT"],
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
-    duration: Annotated[float, "Time to serve [s]"] = 600.0,
-    watchdog: Annotated[
-        int, "Silent periods after which the drive is switched off"
-    ] = 10,
-    once: Annotated[bool, "End when the first controller has left"] = False,
     out: Annotated[
         Path | None,
         "File for the true motion of the arm (npz); default: none",
         Writes(),
     ] = None,
     payload: NominalPayload = None,
+    **options: Annotated[Any, Keywords(lab.serve_arm, "duration", "watchdog", "once")],
 ) -> Answer:
     """Serve a simulated arm in real time, for run-realtime to move; --duration, --once
     or Ctrl-C ends it.
@@ -428,10 +424,8 @@ def serve_arm(
             arm,
             connection,
             design.rig.period,
-            duration=duration,
-            watchdog=watchdog,
-            once=once,
             begin=tell,
+            **options,
         )
         # Every signal requests the end, which has come: a further signal only has to
         # wait for the file.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 import typer
 
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Gear,
@@ -62,10 +62,7 @@ def montecarlo(
         Path | None,
         "Move of `fraclink shape`, or a table, that every arm follows; default: quintics",
     ] = None,
-    workers: Annotated[int, "Processes on this machine"] = 1,
-    scheduler: Annotated[
-        str | None, "Address of a Dask scheduler, e.g. tcp://host:8786"
-    ] = None,
+    **machines: Annotated[Any, Keywords(run_campaign, "workers", "scheduler")],
 ) -> Answer:
     """Run a law on many arms that differ; resumes, and gives the same result whatever
     the workers.
@@ -95,7 +92,7 @@ def montecarlo(
             share = progress.failed / max(progress.done - progress.before, 1)
             begin(f"{100 * share:.1f} % failed", progress.done)
 
-        run_campaign(study, out, workers=workers, scheduler=scheduler, watch=watch)
+        run_campaign(study, out, watch=watch, **machines)
     return summary_answer(summarise(out), out)
 
 

@@ -114,7 +114,7 @@ def declared(function: Callable[..., Any]) -> dict[str, Parameter]:
     options: dict[str, Parameter] = {}
     for name, each in parameters(function).items():
         if each.way is inspect.Parameter.VAR_KEYWORD:
-            for others in each.hint.__metadata__:
+            for others in getattr(each.hint, "__metadata__", ()):
                 options |= others.options
         else:
             options[name] = each

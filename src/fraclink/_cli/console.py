@@ -51,8 +51,8 @@ __all__ = [
     "tell",
     "tell_written",
     "unread_allowed",
+    "width",
 ]
-__all__ += ["width"]
 
 Answer = TypeVar("Answer")
 
@@ -162,20 +162,22 @@ def ask(
     option: str,
 ) -> Answer:
     """Ask on the terminal until the answer is understood: until `understood` raises no
-    ValueError. `option` gives the answer where nobody can be asked.
+    ValueError. `option` gives the answer where nobody can be asked: FieldError.
     """
     hint = f"[{default}] " if default else ""
     while True:
-        sys.stderr.write(f"{question} {hint}> ".lstrip())
-        sys.stderr.flush()
-        line = sys.stdin.readline()
+        line = ""
+        if interactive():
+            sys.stderr.write(f"{question} {hint}> ".lstrip())
+            sys.stderr.flush()
+            line = sys.stdin.readline()
         if not line:
             raise FieldError(
-                "answer",
-                "(end of input)",
+                option.removeprefix("--").replace("-", "_"),
+                None,
                 "missing",
                 allowed="an answer",
-                remedy=f"or give {option}",
+                remedy=f"give {option} where nobody can be asked",
             )
         try:
             return understood(line.strip() or default)

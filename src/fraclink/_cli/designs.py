@@ -73,6 +73,7 @@ Script = Annotated[
     bool, "With the arm that moves; without it the report holds no script at all"
 ]
 Open = Annotated[bool, "Open the page in a browser when it is written"]
+ARMS = Keywords(run_study, "arms")
 
 
 @command(app)
@@ -81,14 +82,11 @@ def run(
     log: Annotated[str, "The log; `demo` is the bundled one"],
     out: Annotated[Path, "Folder to write to", Writes(_STUDY)] = Path("results"),
     certify: Annotated[bool, "Prove the design, too; takes a few seconds"] = False,
-    arms: Annotated[
-        int, "Arms that differ from the model to try; 0 leaves them out"
-    ] = 1000,
     open: Open = False,
     column: Columns = None,
     phase_margin_deg: PhaseMarginDeg = None,
     box: BoxFlag = False,
-    **options: Annotated[Any, LOG, REQUEST],
+    **options: Annotated[Any, LOG, REQUEST, ARMS],
 ) -> Answer:
     """Take a log to a model, a controller, simulated moves and a report; the exit code
     is the verdict.
@@ -103,12 +101,12 @@ def run(
             arm,
             load_log(log, arm, column, **LOG.of(options)),
             certified=certify,
-            arms=arms,
             out=out,
             begin=begin,
             phase_margin=in_radians(phase_margin_deg),
             box=box,
             **REQUEST.of(options),
+            **ARMS.of(options),
         )
         begin("writing the report")
         place = write_report(study, out / "report.html")

@@ -14,7 +14,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._cli.app import group
 from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
 from fraclink._cli.command import Answer, command
-from fraclink._cli.console import ask, interactive, tell
+from fraclink._cli.console import ask, tell
 from fraclink._cli.options import PayloadRange, in_seconds, load_rig
 from fraclink._files import checked_path, load, output_path
 from fraclink.errors import FieldError
@@ -162,33 +162,14 @@ def _following(tuning: Tuning, io: str, out: Path) -> str:
 
 
 def _asked(name: str, value: float | None) -> float:
-    """The value, or the answer to its question; FieldError without an interactive
-    terminal.
-    """
+    """The value, or the answer to its question."""
     if value is not None:
         return value
-    option = f"--{name.replace('_', '-')}"
-    if not interactive():
-        raise FieldError(
-            name,
-            None,
-            "missing",
-            allowed="a number: nothing moves without it",
-            remedy=f"give {option}",
-        )
     question = _LIMITS.get(name, "Which mass does the tip carry now [kg]?")
-    return ask(question, float, option=option)
+    return ask(question, float, option=f"--{name.replace('_', '-')}")
 
 
 def _confirmed() -> bool:
-    if not interactive():
-        raise FieldError(
-            "yes",
-            False,
-            "not confirmed",
-            allowed="an answer, or --yes",
-            remedy="give --yes where nobody can be asked",
-        )
     # A bare Enter means no: moving a machine requires a word.
     answer = ask("Go ahead?", str.lower, default="no", option="--yes")
     return answer in ("y", "yes")

@@ -137,11 +137,11 @@ def serve_arm(
     period
         the law's [s].
     duration
-        [s], at most 2 000 000 periods.
+        time to serve [s], at most 2 000 000 periods.
     watchdog
-        [periods].
+        silent periods after which the drive is switched off.
     once
-        whether to end when the first controller has left.
+        end when the first controller has left.
     seed
         of the gauge's noise.
     priority

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
@@ -38,10 +37,10 @@ from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
 from fraclink.view._figures import residual_density
 from fraclink.view._text import grid_of
+from fracsys.checks import Complex, Real
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
-Real = NDArray[np.float64]
 _POINTS = 2400  # points of a curve over time: two for each pixel of a wide screen
 _SPARKS = 240
 _TEXTS = 16  # statements of columns
@@ -427,7 +426,7 @@ def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
     # 80 dB below the largest: a line without signal would extend the axis to −∞.
     low = 1e-4 * float(np.abs(welch.measured).max())
 
-    def decibels(response: NDArray[np.complex128]) -> Real:
+    def decibels(response: Complex) -> Real:
         return np.asarray(20.0 * np.log10(np.maximum(np.abs(response), low)))
 
     return {

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._arm.link import LinkModel
@@ -28,10 +27,10 @@ from fraclink._law.refit import refitted
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.studio._messages import Reply, checked_request, refusal, wanted_of
 from fraclink.view._text import grams
+from fracsys.checks import Real
 
 __all__ = ["Subject", "blocks_of", "fan_of", "map_of", "nearest", "preview"]
 
-Real = NDArray[np.float64]
 
 _POINTS, _PAYLOADS = 280, 49
 _LIGHTER, _HEAVIER = 0.4, 2.0  # range of the margin plot relative to the rig's payloads

@@ -16,7 +16,6 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._design import Design
 from fraclink._law import Law
@@ -30,11 +29,10 @@ from fraclink.trials._campaign import Campaign, load_campaign
 from fraclink.trials._faults import FaultTable
 from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view._text import grams, grid_of, sentence
-from fracsys.checks import Between
+from fracsys.checks import Between, Real
 
 __all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
 
-Real = NDArray[np.float64]
 
 # Verb -> (part of the study it needs, its options: name, range, default).
 _Option = tuple[str, Between, float | None]

@@ -79,12 +79,12 @@ def run_campaign(
     folder
         where campaign.json and part-*.npz are kept.
     workers
-        processes on this machine, 1 … 1024; the result does not depend on it. One is
+        processes on this machine. The result does not depend on their number. One is
         this process. More import the script that runs: it calls this below ``if
         __name__ == "__main__":``.
     scheduler
-        address of a Dask scheduler, e.g. "tcp://127.0.0.1:8786"; its workers must see
-        `folder`.
+        address of a Dask scheduler, such as tcp://host:8786; its workers must see the
+        folder.
     watch
         called after every part.
 

@@ -78,7 +78,7 @@ def run(
     certified
         whether a proof is asked for.
     arms
-        how many arms that differ from the model are tried; 0 leaves them out.
+        arms that differ from the model to try; 0 leaves them out.
     out
         folder to write the study to, with the arms below it.
     begin
