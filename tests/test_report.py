@@ -362,25 +362,50 @@ document.title = JSON.stringify(said);
 """
 
 
-@pytest.mark.slow
-def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
-    made = designed()
-    page = rendered(Study(rig=RIG, design=made))
+PRINTING = """
+<script>
+const folded = () => document.querySelectorAll('main > section:not(#appendix) details:not([open]) figure').length;
+const said = [folded()];
+dispatchEvent(new Event('beforeprint'));
+said.push(folded(), document.querySelectorAll('#appendix figure').length);
+said.push([...document.querySelectorAll('#appendix h2')].map((one) => one.textContent));
+dispatchEvent(new Event('afterprint'));
+said.push(folded(), document.querySelectorAll('#appendix').length);
+document.title = JSON.stringify(said);
+</script>
+"""
+
+
+def told_by(script: str, folder: Path) -> list[Any]:
+    """What a script at the end of a report says in the title of the page."""
+    page = rendered(Study(rig=RIG, design=designed()))
     # in the copy under test
     page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
-    place = tmp_path / "report.html"
-    place.write_text(page.replace("</body>", POINTER + "</body>"), "utf-8")
+    place = folder / "report.html"
+    place.write_text(page.replace("</body>", script + "</body>"), "utf-8")
     answer = subprocess.run(  # noqa: S603
-        [*command_line(tmp_path, "--dump-dom"), place.as_uri()],
+        [*command_line(folder, "--dump-dom"), place.as_uri()],
         capture_output=True,
         text=True,
         timeout=120,
         check=True,
     )
-    title = html.unescape(
-        re.findall(r"<title>(.*?)</title>", answer.stdout, re.DOTALL)[0]
-    )
-    tip, cursors, left, whole, buttons = json.loads(title)
+    (title,) = re.findall(r"<title>(.*?)</title>", answer.stdout, re.DOTALL)
+    said: list[Any] = json.loads(html.unescape(title))
+    return said
+
+
+@pytest.mark.slow
+def test_what_is_folded_is_printed_as_an_appendix(tmp_path: Path) -> None:
+    before, moved, printed, heads, after, left = told_by(PRINTING, tmp_path)
+    assert before > 3 and moved == 0 and printed == before
+    assert heads[0].startswith("Appendix") and "What is promised?" in heads
+    assert after == before and left == 0
+
+
+@pytest.mark.slow
+def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
+    tip, cursors, left, whole, buttons = told_by(POINTER, tmp_path)
     assert re.fullmatch(r"[\d.]+\n20 g: −?[\d.]+\n30 g: −?[\d.]+\n40 g: −?[\d.]+", tip)
     assert cursors == 2  # both panels
     assert float(left) > 100 and whole == "0 0 4000 2000" and buttons >= 4

@@ -117,13 +117,12 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """The claim in words, with the number of runs needed for a stronger one."""
+        """The claim in words."""
         claim = f"{self.count} of {self.runs} runs failed"
         if self.count:
             interval = f"95 % interval {100 * self.low:.3g} to {100 * self.high:.3g} %"
             return f"{claim}: {100 * self.estimate:.3g} % ({interval})"
-        more = f"to show a tenth of that, {10 * self.runs} runs without a failure are needed"
-        return f"{claim}: less than {100 * self.high:.2g} % fail, at 95 % confidence; {more}"
+        return f"{claim} (95 % confidence: fewer than {100 * self.high:.2g} %)"
 
 
 @displayed
@@ -181,6 +180,8 @@ class Summary:
             Row("given", "", self.given),
             Row("metrics", "", {metric.name: metric for metric in self.metrics}),
         )
+        # rows of zeros, such as of a voltage that is never at its limit, say nothing
+        shown = (m for m in self.metrics if any(q.value for q in m.quantiles))
         trips = (
             f"{count} runs: {MODES[mode]} ({REASONS[reason]})"
             for mode, reason, count in self.trips
@@ -189,7 +190,7 @@ class Summary:
             headline,
             state_of(self.passed),
             rows,
-            (Table.of("", (metric.rows for metric in self.metrics)),),
+            (Table.of("", (metric.rows for metric in shown)),),
             notes=(*filter(None, (self.left_out, self.given)), *trips),
         )
 

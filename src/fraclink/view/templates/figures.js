@@ -126,6 +126,32 @@ for (const figure of figures) {
   });
   figure.svg.addEventListener('dblclick', () => { for (const other of figures) if (other.link === figure.link) zoom(other, 0, 1); });
 }
+// On paper, what is folded follows the rest as an appendix.
+const main = document.querySelector('main');
+let appendix = null;
+addEventListener('beforeprint', () => {
+  appendix = main.appendChild(document.createElement('section'));
+  appendix.id = 'appendix';
+  appendix.append(Object.assign(document.createElement('h2'), {textContent: 'Appendix: what the page folds'}));
+  for (const section of main.querySelectorAll('section[id]')) {
+    const folded = [...section.querySelectorAll('details:not([open])')].filter((one) => !one.closest('.map, .armbox'));
+    if (folded.length) appendix.append(section.querySelector('h2').cloneNode(true));
+    for (const details of folded) {
+      const copy = appendix.appendChild(document.createElement('div'));
+      copy.home = details;
+      details.classList.add('moved');
+      copy.append(Object.assign(document.createElement('h3'), {textContent: details.firstElementChild.textContent}), ...[...details.childNodes].slice(1));
+    }
+  }
+});
+addEventListener('afterprint', () => {
+  for (const copy of appendix.querySelectorAll('div')) {
+    if (!copy.home) continue;
+    copy.home.append(...[...copy.childNodes].slice(1));
+    copy.home.classList.remove('moved');
+  }
+  appendix.remove();
+});
 for (const box of document.querySelectorAll('.command')) {
   const button = box.appendChild(document.createElement('button'));
   button.type = 'button'; button.textContent = 'Copy';
