@@ -184,7 +184,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     # if a requirement is missed that the user did not state, no other request is known
     # to pass
     near = nearest and solution.eases
-    offer = _offer(request, solution, goal, law) if near else {}
+    offer = _offer(request, solution, goal) if near else {}
     raise InfeasibleError(condition, sentence, offer)
 
 
@@ -318,11 +318,9 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
     )
 
 
-def _offer(
-    request: Request, solution: Solution, goal: Goal, law: bool
-) -> dict[str, float]:
+def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]:
     """The nearest request in the user's own quantities, rounded inwards to three
-    digits; empty if no such request passes when followed.
+    digits; empty if no such request passes when followed, with the law as it ships.
     """
     for share in _LOOSER:
         values: dict[str, float] = {}
@@ -336,7 +334,7 @@ def _offer(
                 values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        trial, _ = _best(request.asking(**values), goal, law)
+        trial, _ = _best(request.asking(**values), goal, law=True)
         if not trial.missed:
             return values
     return {}
