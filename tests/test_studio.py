@@ -426,6 +426,28 @@ def test_a_defect_of_an_answer_ends_nothing(client, studio, monkeypatch, capsys)
     assert "curve gain is not finite" in capsys.readouterr().err
 
 
+def test_the_map_waits_for_the_release_of_a_handle(client, studio, monkeypatch):
+    def columns(subject, state, going):
+        going()
+        return {}
+
+    monkeypatch.setattr(conversation, "map_of", columns)
+    with client.websocket_connect(
+        "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
+    ) as socket:
+        socket.send_text(studio.token)
+        held = {"state": ASKED, "held": True}
+        socket.send_text(json.dumps({"seq": 1, "verb": "map", **held}))
+        seen = []
+        for seq in (2, 3):  # dragged
+            socket.send_text(json.dumps({"seq": seq, "verb": "preview", **held}))
+            seen.append(unpacked(socket.receive_bytes())[0]["seq"])
+        assert seen == [2, 3]
+        socket.send_text(json.dumps({"seq": 4, "verb": "preview", "state": ASKED}))
+        rest = {unpacked(socket.receive_bytes())[0]["seq"] for _ in range(2)}
+        assert rest == {1, 4}
+
+
 @pytest.mark.slow
 def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
     with client.websocket_connect(

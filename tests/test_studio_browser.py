@@ -517,7 +517,7 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.until("document.querySelector('.cell')", "faults stream")
         page.run("document.querySelector('#cancel').click()")
         page.until(
-            "document.querySelector('#proof-said').textContent.includes('stopped as you asked')"
+            "document.querySelector('#proof-said').textContent.includes('Cancelled')"
         )
         # A red cell shows its run. As none of the first faults need fail, a failure is
         # simulated.

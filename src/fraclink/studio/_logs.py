@@ -16,7 +16,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
 from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
-from fraclink._display import number
+from fraclink._display import number, source_name
 from fraclink._files import sha256_of
 from fraclink._identify import Fit
 from fraclink._identify.error_map import error_map
@@ -97,12 +97,8 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
             str(name)[:80],
             "unknown",
             allowed=", ".join(bundled_logs()),
-            remedy="drop a file, or take one of these",
+            remedy="drop a file, or choose one of these",
         )
-    return _listing(session)
-
-
-def _listing(session: Session) -> Reply:
     head: dict[str, Any] = {
         "ok": True,
         "bundled": bundled_logs(),
@@ -110,8 +106,9 @@ def _listing(session: Session) -> Reply:
         "log": None,
     }
     head["rig"] = session.study.rig.name if session.study.rig else ""
+    more, signals = _experiment(session)
     if session.source is None:
-        return Reply(head | _experiment(session)[0], _experiment(session)[1])
+        return Reply(head | more, signals)
     listing = inspect_log(session.source)
     table = read_table(session.source)
     curves = {
@@ -149,7 +146,6 @@ def _listing(session: Session) -> Reply:
         for role, channel in roles.items()
     }
     head["units"] = {role: sorted(units) for role, units in UNITS.items()}
-    more, signals = _experiment(session)
     return Reply(head | more, curves | signals)
 
 
@@ -273,8 +269,9 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
     # The findings of the log and of its diagnosis overlap: each is shown once.
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
     whole = session.whole or log
+    said = f"{source_name(log.source)}: {log.output.size} samples, one every {number(1e3 * log.period)} ms."
     head = {
-        "experiment": {"findings": findings, "duration": whole.duration,
+        "experiment": {"said": said, "findings": findings, "duration": whole.duration,
                        "kind": log.output_kind, "payload": log.payload,
                        "keep": session.stretch if session.whole else None, "whole": session.whole is not None}
     }  # fmt: skip

@@ -91,15 +91,7 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
         raise FieldError(
             "target", text, "unknown", allowed=allowed, remedy="choose one of these"
         )
-    design, law = session.study.design, session.study.law
-    if design is None or law is None:
-        raise FieldError(
-            "design",
-            None,
-            "missing",
-            allowed="a study with a design",
-            remedy="make one in step 4",
-        )
+    design, law = session.shippable()
     session.folder.mkdir(parents=True, exist_ok=True)
     paths, command = _TARGETS[target](
         session, design, law, precision, given.get("force") is True

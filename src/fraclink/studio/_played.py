@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fraclink._arm.reference import smooth_step
-from fraclink._simulate import Obstacle, PayloadChange, Twin, simulate
+from fraclink._simulate import Obstacle, PayloadChange, Run, Twin, simulate
 from fraclink._simulate.events import Event
 from fraclink.errors import FieldError
 from fraclink.studio._messages import Reply
@@ -31,9 +31,7 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
     """Run the page's move on the twin, with a hand holding the tip or a payload lost
     during the move.
     """
-    design, law = session.study.design, session.study.law
-    if design is None or law is None:
-        raise _missing()
+    design, law = session.shippable()
     payload, move, time, half, duration, noise, offset, delay = (
         _number(given, name) for name in _NUMBERS
     )
@@ -54,15 +52,9 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
         law, reference, arm=arm, duration=duration, noise=noise, gauge_offset=offset, payload=payload,
         told=given.get("told") is True, delay_samples=round(delay), events=events,
     )  # fmt: skip
-    curves: dict[str, Any] = {
-        "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
-        "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
-    }  # fmt: skip
     # Modes 0 and 1 are idle and run: a higher one is a reaction of the law.
     after = "" if np.asarray(run.mode).max() <= 1 else " The law changed its mode."
-    return _reply(
-        f"On the twin: {sentence}.{after}", payload, math.degrees(move), curves
-    )
+    return _reply(f"On the twin: {sentence}.{after}", run, math.degrees(move))
 
 
 def _events(
@@ -91,16 +83,14 @@ def _events(
         when, payload = _number(throw, "time"), _number(throw, "payload")
         events.append(PayloadChange(when, payload))
         sentences.append(
-            f"the payload falls to {1e3 * payload:.3g} g at {when:.2f} s, and nobody tells the law"
+            f"the payload falls to {1e3 * payload:.3g} g at {when:.2f} s, and the law is not told"
         )
-    return events, "; ".join(sentences) or "the move as it is"
+    return events, "; ".join(sentences) or "the move without events"
 
 
 def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     """Run one case of the fault campaign again, with the same law and noise."""
-    design = session.study.design
-    if design is None:
-        raise _missing()
+    design, _ = session.shippable()
     payload, severity = _number(given, "payload"), _number(given, "severity")
     case = Case(
         str(given.get("fault"))[:8],
@@ -113,22 +103,22 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     bench = Bench.of(design, design.rig)
     # Seed 1, as in the campaign of this page.
     run = observe(bench, case).faulty
-    curves: dict[str, Any] = {
-        "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
-        "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
-    }  # fmt: skip
     what = (
         f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}"
     )
     sentence = f"{what}. Required: {fault.required}"
-    return _reply(sentence, payload, math.degrees(1.0), curves)
+    return _reply(sentence, run, math.degrees(1.0))
 
 
-def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) -> Reply:
+def _reply(said: str, run: Run, move: float) -> Reply:
     """The run, with non-finite values, such as readings changed by a fault, replaced by
     the previous value.
     """
     clean = {}
+    curves = {
+        "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
+        "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
+    }  # fmt: skip
     for name, values in curves.items():
         numbers = np.asarray(values, dtype=float).copy()
         good = np.isfinite(numbers) & (np.abs(numbers) < 1e6)
@@ -136,7 +126,8 @@ def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) ->
         # previous value, and so does the picture.
         last = np.maximum.accumulate(np.where(good, np.arange(numbers.size), 0))
         clean[name] = np.where(good, numbers, 0.0)[last]
-    return Reply({"ok": True, "said": said, "payload": payload, "move": move}, clean)
+    head = {"ok": True, "said": said, "payload": run.payload, "move": move}
+    return Reply(head, clean)
 
 
 def _number(given: Mapping[str, Any], name: str) -> float:
@@ -150,12 +141,6 @@ def _number(given: Mapping[str, Any], name: str) -> float:
             remedy="reload the page",
         )
     return float(value)  # type: ignore[arg-type]
-
-
-def _missing() -> FieldError:
-    return FieldError(
-        "design", None, "missing", allowed="a design", remedy="make one in step 4"
-    )
 
 
 PLAY_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {

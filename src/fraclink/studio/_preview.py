@@ -251,7 +251,9 @@ def described(made: Design, payloads: Real, margin: Real) -> str:
     ends = np.degrees(np.interp([low, high], payloads, margin))
     stable = payloads[margin > 0.0]
     rest = (
-        "; stable from {:.3g} to {:.3g} g of the plot".format(*(1e3 * stable[[0, -1]]))
+        "; stable from {:.3g} to {:.3g} g within the plot".format(
+            *(1e3 * stable[[0, -1]])
+        )
         if stable.size
         else ""
     )

@@ -159,7 +159,12 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     requested.
     """
     contents = {
-        f"/{path.name}": (path.read_bytes(), _KINDS[Path(path.name).suffix])
+        f"/{path.name}": (
+            squeezed(path.name, _PAGE).encode()
+            if path.name.endswith((".js", ".css"))
+            else path.read_bytes(),
+            _KINDS[Path(path.name).suffix],
+        )
         for path in _PAGE.iterdir()
         if Path(path.name).suffix in _KINDS
     }

@@ -18,6 +18,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._display import Table, marked, state_of
 from fraclink._files import kind_of, sha256_of
+from fraclink._law import Law
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fraclink.studio._copied import copies
@@ -131,6 +132,19 @@ class Session:
         """Show another study, whose rig and link may differ."""
         self.study, self.subject = study, _subject_of(study)
 
+    def shippable(self) -> tuple[Design, Law]:
+        """The study's design and law; FieldError without them."""
+        design, law = self.study.design, self.study.law
+        if design is None or law is None:
+            raise FieldError(
+                "design",
+                None,
+                "missing",
+                allowed="a study with a design",
+                remedy="make one in step 4",
+            )
+        return design, law
+
     def renew(self) -> None:
         """Begin a new history for another rig, which may not support the states of the
         old one.
@@ -235,7 +249,7 @@ class Session:
             "files": self.written,
             "board_said": f"Outdated: {self.folder} holds the files of another design."
             if self.written and not self.current
-            else f"Written into {self.folder}." if self.written
+            else f"Written to {self.folder}." if self.written
             else "Nothing written yet." if design else "Make a design first (step 4).",
             "copies": copies(self),
         }  # fmt: skip

@@ -20,7 +20,7 @@ import numpy as np
 from fraclink._design import Design
 from fraclink._law import Law
 from fraclink._law.requirement import margins_of
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, FraclinkError
 from fraclink.studio._logs import fit_answer
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
@@ -105,7 +105,7 @@ class Job:
         ]
         with self._lock:
             if self._cancelled:
-                raise _cancelled(self.verb)
+                raise FraclinkError("Cancelled; nothing was changed.")
             # this interpreter and this package
             self._process = subprocess.Popen(  # noqa: S603
                 command,
@@ -124,7 +124,7 @@ class Job:
                 (process.stderr.read() if process.stderr else ""),
             )
         if self._cancelled:
-            raise _cancelled(self.verb)
+            raise FraclinkError("Cancelled; nothing was changed.")
         if code:
             why = (
                 output.strip().splitlines()[-1][:400]
@@ -151,7 +151,7 @@ class Job:
             another = self.verb != "identify" and now.design != self.study.design
             if another or now.experiment is not self.study.experiment:
                 raise FieldError(
-                    self.verb, "another design", "for a study that has changed meanwhile",
+                    self.verb, "another design", "the study has changed in the meantime",
                     allowed="the study it began with", remedy="start it again",
                 )  # fmt: skip
             if self.verb == "identify":
@@ -173,16 +173,6 @@ class Job:
 
 def _checked(name: str, bounds: Between, value: object) -> Any:
     return None if value is None else bounds.check(name, value)
-
-
-def _cancelled(verb: str) -> FieldError:
-    return FieldError(
-        verb,
-        "cancelled",
-        "stopped as you asked",
-        allowed="a job that ends",
-        remedy="start it again when you want it",
-    )
 
 
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------

@@ -46,7 +46,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
         # Otherwise a cancelled job would leave the result of an earlier one in place.
         return proved(replace(study, certificate=None))
     if verb == "arms":
-        _tell({"said": f"trying {options['runs']:g} arms"})
+        _tell({"said": f"simulating {options['runs']:g} varied arms"})
         return tried(study, int(options["runs"]), folder=place / "arms")
     return _with_faults(study)
 

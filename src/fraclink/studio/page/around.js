@@ -40,7 +40,7 @@ export class Around {
       const go = button('', '', item, () => this.app.go(k), `Go to state ${k + 1}: ${this.words(state)}${kept}`), key = JSON.stringify(state);
       const path = el('path', {}, el('svg', {viewBox: '0 0 64 40', 'aria-hidden': 'true'}, go));
       make('small', '', `${kept ? '★ ' : ''}${this.words(state)}`, go);
-      put(button('B', 'chip', item, () => this.pin(key === this.pinned ? '' : key, state), `Lay state ${k + 1} over this design`), {'aria-pressed': key === this.pinned});
+      put(button('B', 'chip', item, () => this.pin(key === this.pinned ? '' : key, state), `Overlay state ${k + 1} on this design`), {'aria-pressed': key === this.pinned});
       this.look(state).then((seen) => {
         const c = seen.curves;
         if (c?.gain) put(path, {d: line(c.gain[1], 64, (v) => 20 - limited(v, -40, 40) / 2)});

@@ -228,7 +228,7 @@ export class Design {
     make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
     place.append(answer.explanation || answer.error);
     if (Object.keys(answer.nearest || {}).length) {
-      button('Take the nearest that is', '', place, () => this.offer());
+      button('Use the nearest feasible request', '', place, () => this.offer());
     }
     $('step-design').classList.add('stale');
     this.app.refuse(true);

@@ -26,7 +26,7 @@ export class Link {
     socket.onmessage = (event) => this.receive(event.data);
     socket.onclose = (event) => {
       if (socket !== this.socket) return;
-      for (const done of this.waiting.values()) done({ok: false, lost: true, error: 'the studio is not there'});
+      for (const done of this.waiting.values()) done({ok: false, lost: true, error: 'not connected to the studio'});
       this.waiting.clear();
       this.sign();
       this.dragging = false;
@@ -50,7 +50,7 @@ export class Link {
 
   /** @returns {Promise<any>} the answer, which may be a refusal */
   ask(verb, given = {}) {
-    if (this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ok: false, lost: true, error: 'the studio is not there'});
+    if (this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ok: false, lost: true, error: 'not connected to the studio'});
     const seq = ++this.seq;
     this.socket.send(JSON.stringify({seq, verb, ...given}));
     return new Promise((done) => { this.waiting.set(seq, done); this.sign(); });

@@ -24,7 +24,7 @@ export class Logs {
     const hold = (v) => { this.heldout = Math.round(100 - limited(v, 10, 95)) / 100; this.chosen = true; };
     const hand = {change: () => this.split(), end: () => this.fit()};
     this.fitted.handle({
-      id: 'h-split', label: 'Where the part begins that no fit sees', unit: 's', low: 10, high: 95, step: 1, drag: 'x', line: true,
+      id: 'h-split', label: 'Start of the held-out part', unit: 's', low: 10, high: 95, step: 1, drag: 'x', line: true,
       get: () => 100 * (1 - this.heldout), set: hold, toAxis: (v) => (v / 100) * this.duration, fromAxis: (t) => (100 * t) / this.duration,
       at: () => [(1 - this.heldout) * this.duration, this.fitted.y.low], text: (v) => `${plain((v / 100) * this.duration, 3)} s, ${Math.round(100 - v)} % held out`,
     }, hand);
@@ -38,8 +38,8 @@ export class Logs {
     this.cut = [0, 10];
     const hand = {change: () => this.brush()};
     this.two = [this.angle, this.output];
-    this.edges = ['begins', 'ends'].map((word, i) => this.angle.handle({
-      id: `h-cut-${i}`, label: `Where the marked stretch ${word}`, unit: 's', low: 0, high: 10, step: 0.1, drag: 'x', line: true,
+    this.edges = ['Start', 'End'].map((word, i) => this.angle.handle({
+      id: `h-cut-${i}`, label: `${word} of the marked stretch`, unit: 's', low: 0, high: 10, step: 0.1, drag: 'x', line: true,
       get: () => this.cut[i], set: (v) => { this.cut[i] = v; if (this.cut[0] > this.cut[1]) this.cut[1 - i] = v; }, at: () => [this.cut[i], 0],
     }, hand).h);
     for (const plot of this.two) plot.painted(hand, (from, to) => { this.cut = [from[0], to[0]].sort((a, b) => a - b); }, () => this.log?.cuts);
@@ -72,7 +72,7 @@ export class Logs {
     on('replay', 'click', () => { this.play(!this.playing); if (this.playing) requestAnimationFrame((now) => frame(before = now)); });
     on('replay-at', 'input', () => { this.play(false); this.pose((Number($('replay-at').value) / 1e3) * this.log.duration); });
   }
-  play(on) { this.playing = on; say('replay', on ? 'Stop' : 'Move the arm by the log'); }
+  play(on) { this.playing = on; say('replay', on ? 'Stop' : 'Replay the log'); }
   /** The arm at a time of the log: the hub at the motor's angle, the tip behind it by the deflection. */
   pose(t) {
     const {motor, output, duration, turn, bend, unit} = this.log, i = Math.round((t / duration) * (motor.length - 1));
@@ -110,7 +110,7 @@ export class Logs {
     if (name) this.keep = null;
     this.lists(answer);
     this.experiment(answer);
-    if (!answer.log) return;
+    if (!answer.log) { say('log-said', answer.experiment ? `${answer.experiment.said} Drop the file here to see its channels.` : ''); return; }
     if (name || !Object.keys(this.roles).length) this.roles = {...answer.roles};
     this.channels(answer);
     this.slots();
@@ -169,7 +169,7 @@ export class Logs {
     select('Unit', this.known.units[role] || [], set.unit, (name) => { set.unit = name; });
     if (role === 'time') return;
     const turned = set.sign < 0;
-    put(button(turned ? '− turned' : '+ as it is', 'chip', box, () => { set.sign = -set.sign; this.slots(); }, `Sign of the ${words.toLowerCase()}: ${turned ? 'turned' : 'as it is'}`), {'aria-pressed': turned});
+    put(button(turned ? '− reversed' : '+ as recorded', 'chip', box, () => { set.sign = -set.sign; this.slots(); }, `Sign of the ${words.toLowerCase()}: ${turned ? 'reversed' : 'as recorded'}`), {'aria-pressed': turned});
   }
   async read(quiet = false) {
     const columns = Object.entries(this.roles).map(([role, c]) => `${role}=${c.sign < 0 ? '-' : ''}${c.column}${c.scale && c.scale !== 1 ? ` * ${c.scale}` : ''} [${c.unit}]`);
@@ -178,7 +178,7 @@ export class Logs {
     if (this.keep) given.keep = this.keep;
     const answer = await this.app.ask('columns', given);
     if (!answer.ok) {
-      if (quiet) { this.app.toast('The columns of this log are not stated: see step 2'); return; }
+      if (quiet) { this.app.toast('State the columns of this log in step 2'); return; }
       findings($('log-findings'), [{severity: 'error', code: '', message: answer.error}]);
       return;
     }
@@ -206,7 +206,7 @@ export class Logs {
     this.cut = [...(keep || [0, duration])];
     this.brush();
     this.pose(keep?.[0] || 0);
-    say('drawn-said', `${this.log.turn < 1 ? `Angles are drawn ${plain(this.log.turn, 2)} times as large as they are` : 'Angles are as they are'}, the bend is drawn with ${BEND}° at its largest.`);
+    say('drawn-said', `${this.log.turn < 1 ? `Angles are drawn at ${plain(this.log.turn, 2)} of their size` : 'Angles are to scale'}; the largest bend is drawn as ${BEND}°.`);
   }
   over(plot, ys, kind) {
     const {duration} = this.log, high = 1.08 * peak(ys);

@@ -47,7 +47,7 @@ export class Proof {
   /** Show what the board needs for this law, and how to switch it on. */
   async board() {
     const {board, power_on} = await this.app.need('board', {precision: precision()});
-    table($('board-facts'), ['of the law', 'built for this design alone', 'with room for every design'], board, 'What the board needs');
+    table($('board-facts'), ['of the law', 'built for this design', 'with room for any design'], board, 'What the board needs');
     items('power-on', power_on);
   }
   fan({fan_t, ...fans}) {
@@ -92,7 +92,7 @@ export class Proof {
   }
   result(answer) {
     if (answer.proved) say('proof-said', answer.proved.text);
-    if (answer.spread) table($('spread'), answer.spread.header, answer.spread.lines, `${answer.failures.count} of ${answer.failures.runs} arms fail`);
+    if (answer.spread) table($('spread'), answer.spread.header, answer.spread.lines, `${answer.failures.count} of ${answer.failures.runs} arms failed`);
     if (answer.faults) table($('faults-table'), answer.faults.header, answer.faults.lines, answer.faults_said);
     if (answer.cells) {
       this.matrix();
