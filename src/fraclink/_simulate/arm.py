@@ -66,7 +66,7 @@ def damping_of(model: LinkModel) -> Damping:
 
     >>> from fraclink._arm.link import LinkModel
     >>> damping_of(LinkModel(stiffness=1.56, natural_frequency=10.0, order=1.92))
-    PowerLaw(order=1.92)
+    PowerLaw(order=1.92, higher=None)
     """
     if model.order < 2.0:
         return PowerLaw(model.order)

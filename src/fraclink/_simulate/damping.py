@@ -124,6 +124,7 @@ _EMPTY = np.zeros(0)
 
 _ENERGY = "a negative one would make energy: check its sign"
 _LAMBDA = "use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy"
+Time = Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
 Coefficient = Annotated[float, Between(0.0, 1e6, "s^α", remedy=_ENERGY)]
 FractionalOrder = Annotated[
     float,
@@ -143,7 +144,7 @@ class KelvinVoigt:
     equation.
 
     time: η [s], >= 0; 0 is the undamped link. Negative η makes energy and is refused.
-    higher: η of the modes beyond the first [s], where theirs is another than a material's.
+    higher: η of the modes beyond the first [s], where theirs is another than the material's.
 
     A mode at ω has the damping ratio ζ = η ω/2.
 
@@ -151,8 +152,8 @@ class KelvinVoigt:
     KelvinVoigt(time=0.0131, higher=None)
     """
 
-    time: Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
-    higher: Annotated[float | None, Between(0.0, 1e6, "s", remedy=_ENERGY)] = None
+    time: Time
+    higher: Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
@@ -171,7 +172,7 @@ class FractionalKelvinVoigt:
 
     coefficient: η [s^α], >= 0; order: α, 0 < α < 1. Outside of it the element is no
     damper of a material (α = 1 is `KelvinVoigt`, α > 1 is partly an inertia), and η < 0
-    makes energy.
+    makes energy. higher: as in `KelvinVoigt`.
 
     >>> FractionalKelvinVoigt(coefficient=0.012, order=0.9).label
     'fractional, D = 1 + 0.012 s^0.9'
@@ -179,6 +180,7 @@ class FractionalKelvinVoigt:
 
     coefficient: Coefficient
     order: FractionalOrder
+    higher: Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
@@ -201,12 +203,14 @@ class PowerLaw:
     with the second as its reference time.
 
     order: λ, 1 < λ < 2; λ = 2 is `KelvinVoigt(0)`. λ > 2 makes energy and is refused.
+    higher: as in `KelvinVoigt`.
 
     >>> round(abs(PowerLaw(1.92).chain(1e-7)(12.0j)) / 12.0**0.08, 6)
     1.0
     """
 
     order: LinkOrder
+    higher: Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""

@@ -14,14 +14,14 @@ Between two steps the inputs are constant and the step is the exact matrix expon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
-from fraclink._simulate.damping import Chain, Damping, KelvinVoigt
+from fraclink._simulate.damping import Chain, Damping
 from fraclink.errors import FieldError
 from fracsys.checks import Between, NonNegative, Period, Positive, Real, checked
 
@@ -214,9 +214,15 @@ def assemble(
             basis.participation[i],
             basis.tip[i],
         )
-        if i and isinstance(damping, KelvinVoigt) and damping.higher is not None:
-            chain = replace(chain, dashpot=damping.higher)
-        place, speed, force = _rows(size, at, omega, load, chain)
+        law = chain
+        if i and damping.higher is not None:
+            # The elements stay, without force, so that all modes have as many states;
+            # the material remains as stiff as it is at that frequency.
+            spring = chain(1j * omega).real
+            law = Chain(
+                spring, spring * damping.higher, 0.0 * chain.weights, chain.rates
+            )
+        place, speed, force = _rows(size, at, omega, load, law)
         elements = slice(at + 2, at + 2 + chain.rates.size)
         a[at, at + 1] = 1.0
         a[at + 1] = -force

@@ -375,10 +375,11 @@ def twins_of(made: Design) -> tuple[Twin, ...]:
         top = model.unseen_up_to or math.pi / made.rig.period
         ratio = _mass_ratio(lambda w, size: w[0] / w[1] - abs(model.pole) / top)
         links.append(_bar(model, payload, min(ratio, _UNSEEN) * payload))
+    damping, mode = damping_of(model), model.second_mode
+    if mode is not None:  # ζ = ηω/2
+        damping = replace(damping, higher=2.0 * mode.damping_ratio / mode.frequency)
     return tuple(
-        Twin.from_rig(
-            replace(made.rig, link=each), damping=damping_of(model), model=model
-        )
+        Twin.from_rig(replace(made.rig, link=each), damping=damping, model=model)
         for each in links
     )
 
