@@ -42,6 +42,7 @@ from fraclink._cli.options import (
 )
 from fraclink._design import Design
 from fraclink._design.completed import design_for
+from fraclink._design.rows import ROWS
 from fraclink._files import output_path
 from fraclink._law.design import Specification
 from fraclink._simulate import Twin
@@ -126,9 +127,17 @@ def run(
     )
 
 
+# Every requirement that a user may state; the crossover is in `REQUEST`, and the phase
+# margin is stated in degrees.
 BOUNDS = Keywords(
     Specification,
-    *("filter_time", "filter_order", "max_sensitivity", "noise_gain", "mode_gain"),
+    *("filter_time", "filter_order"),
+    *(
+        row.key
+        for row in ROWS
+        if row.key in Specification.__annotations__
+        and row.key not in ("gain_crossover", "phase_margin")
+    ),
 )
 
 
