@@ -1,5 +1,5 @@
-"""ARCHITECTURE.md says how to add a structure, a rival, a fault, a reader and an
-export: each is added here.
+"""ARCHITECTURE.md says how to add a structure, a requirement, a rival, a fault, a
+reader and an export: each is added here.
 
 The blocks of the page are inserted into a copy of the package, after the line that each
 names, and then used.
@@ -119,8 +119,9 @@ def run(grown: Path, code: str) -> list[str]:
     return answer.stdout.splitlines()
 
 
-def test_the_page_has_the_five_recipes_and_none_is_long() -> None:
-    assert list(RECIPES) == ["structure", "rival", "fault", "reader", "export"]
+def test_the_page_has_the_six_recipes_and_none_is_long() -> None:
+    names = ["structure", "requirement", "rival", "fault", "reader", "export"]
+    assert list(RECIPES) == names
     for title, blocks in RECIPES.items():
         written = [line for _, _, code in blocks for line in code.splitlines() if line]
         assert 1 <= len(written) <= 14, title
@@ -154,6 +155,26 @@ print(*fl.compare_structures(log).fits)
     # order and damping together explain a single width
     assert abs(float(damping) - 0.5) < 0.15
     assert second.split() == ["UD-IOM", "D-IOM", "UD-FOM", "D-FOM", "VD-FOM"]
+
+
+@pytest.mark.slow
+def test_a_requirement_is_one_row_and_its_words(grown: Path) -> None:
+    code = """
+import fraclink as fl
+from fraclink._cli import main
+rig = fl.Rig.named("paper-2023-geared")
+asked = dict(payloads=(0.02, 0.04), gain_crossover=11.0, phase_margin=fl.deg(45))
+free = fl.design(rig.model, rig, **asked, voltage_noise=1e9)
+(noise,) = [row.achieved for row in free.requirements if row.unit == "V/rad"]
+kept = fl.design(rig.model, rig, **asked, voltage_noise=0.98 * noise)
+(row,) = [row for row in kept.requirements if row.unit == "V/rad"]
+print(kept.passed, row.passed, row.achieved <= 0.98 * noise)
+print(main(["design", "--rig", "paper-2023-geared", "--gain-crossover", "11", "--voltage-noise", f"{noise}", "--out", "quiet.json"]))
+"""
+    lines = run(grown, code)
+    assert lines[0] == "True True True"
+    assert lines[-1] == "0"
+    assert any("noise of the voltage" in line for line in lines)
 
 
 @pytest.mark.slow
