@@ -169,7 +169,8 @@ free = fl.design(rig.model, rig, **asked, voltage_noise=1e9)
 kept = fl.design(rig.model, rig, **asked, voltage_noise=0.98 * noise)
 (row,) = [row for row in kept.requirements if row.unit == "V/rad"]
 print(kept.passed, row.passed, row.achieved <= 0.98 * noise)
-print(main(["design", "--rig", "paper-2023-geared", "--gain-crossover", "11", "--voltage-noise", f"{noise}", "--out", "quiet.json"]))
+words = f"design --rig paper-2023-geared --gain-crossover 11 --voltage-noise {noise} --out quiet.json"
+print(main(words.split()))
 """
     lines = run(grown, code)
     assert lines[0] == "True True True"
