@@ -397,7 +397,7 @@ def with_payload(arm: ArmParams, ratio: float) -> ArmParams:
 def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
     """Run a study of each rig's log; where it passes, its law must hold on the arm."""
     outcomes: Counter[str] = Counter()
-    false = []
+    false: list[str] = []
     for seed in range(first, first + count):
         rig, arm, structure = drawn_rig(seed)
         frequency = math.sqrt(arm.stiffness / arm.tip_inertia)
@@ -409,17 +409,21 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
         )
         study = trials.run(rig, log, structure=structure, certified=True, arms=arms)
         outcomes[study.verdict.state] += 1
-        failed = []
+        failed: list[str] = []
         if study.verdict.state == "passed" and study.law is not None:
             for load in (rig.payloads.low, rig.payloads.nominal, rig.payloads.high):
                 loaded = with_payload(arm, load / rig.payloads.nominal)
-                moved = harness.move(study.law, loaded)
-                if not moved.settled:
-                    failed.append((seed, round(1e3 * load), int(moved.reason[-1])))
+                for told in (0.0, load):
+                    moved = harness.move(study.law, loaded, told=told)
+                    if not moved.settled:
+                        told_or_not = "told" if told else "untold"
+                        failed.append(
+                            f"{seed}: {1e3 * load:.0f} g {told_or_not}, reason {moved.reason[-1]}"
+                        )
         # Each rig is printed as it ends: a run of two hundred takes an hour and may be
         # cut short.
         print(
-            f"    {seed} {structure} {1e3 * arm.gauge_delay:.0f} ms: {study.verdict.state}",
+            f"    {seed} {structure} {1e3 * arm.gauge_delay:.0f} ms: {study.verdict.state}; {study.sentence}",
             *failed,
             flush=True,
         )

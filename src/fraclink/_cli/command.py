@@ -158,10 +158,10 @@ def _option(parameter: Parameter) -> inspect.Parameter:
     info.help += "; may be repeated." if repeated else "."
     if isinstance(info, OptionInfo) and not info.param_decls:
         word = parameter.name.replace("_", "-")
-        # A flag that is on by default needs a word to turn it off; one that is off
-        # needs none.
-        off = f"/--no-{word}" if parameter.default is True else ""
-        info.param_decls = (f"--{word}{off}",)
+        # A flag that is on by default, or left to a rule, needs a word to turn it off;
+        # one that is off needs none.
+        stays_off = parameter.default is False or bool not in (kind, *get_args(kind))
+        info.param_decls = (f"--{word}" if stays_off else f"--{word}/--no-{word}",)
     return inspect.Parameter(
         parameter.name,
         inspect.Parameter.KEYWORD_ONLY,

@@ -86,7 +86,7 @@ def run(
     open: Open = False,
     column: Columns = None,
     phase_margin_deg: PhaseMarginDeg = None,
-    box: BoxFlag = False,
+    box: BoxFlag = None,
     **options: Annotated[Any, LOG, REQUEST, ARMS],
 ) -> Answer:
     """Take a log to a model, a controller, simulated moves and a report; the exit code
@@ -148,7 +148,7 @@ def design(
     link_mass: LinkMass = None,
     out: Annotated[Path, "File to write the design to", Writes()] = Path("design.json"),
     phase_margin_deg: PhaseMarginDeg = None,
-    box: BoxFlag = False,
+    box: BoxFlag = None,
     **request: Annotated[Any, REQUEST, BOUNDS],
 ) -> Answer:
     """Design the outer controller for a payload range; every requirement is listed with
@@ -162,7 +162,7 @@ def design(
     result, assumptions = design_for(arm, link, phase_margin=margin, box=box, **request)
     # Doubts about the fit are passed on to the design: requirements met for a doubtful
     # model do not pass.
-    result = result.doubted(doubts).with_law()
+    result = result.doubted(doubts)
     result.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
     # With the lightest payload, at which the phase margin is smallest.

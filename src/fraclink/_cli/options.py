@@ -56,8 +56,9 @@ PayloadRange = Annotated[
     "Payload range [kg]; default: the rig's",
 ]
 BoxFlag = Annotated[
-    bool,
-    "Keep every requirement over all that fit and rig leave open of the arm, not at the model alone",
+    bool | None,
+    "Keep every requirement over all that fit and rig leave open of the arm, or at the model alone; "
+    "default: over all of it where neither request nor rig states a crossover or a margin",
 ]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 # None if not given, so that it can be rejected together with an option that replaces it

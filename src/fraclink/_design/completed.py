@@ -57,7 +57,7 @@ def design_for(
         if default is not None and not {name, *instead} & set(request):
             request[name] = default
     own_model = with_payload(link, rig)
-    result = design(own_model, rig, **{"law": False, **request})
+    result = design(own_model, rig, **request)
     return result, (*_assumed_payload(link, own_model), *_assumed(request, result))
 
 

@@ -221,7 +221,7 @@ def _designs(
             mode_frequency=_about(mode.frequency, _MODE_FREQUENCY),
             mode_gain=_about(mode.gain, _MODE_SIZE),
         )
-    options: dict[str, Any] = {"box": box, "nearest": False, "law": True}
+    options: dict[str, Any] = {"box": box, "nearest": False}
     preamble: tuple[str, ...] = ()
     if rig.design is not None:
         try:

@@ -88,10 +88,11 @@ def as_command(
     if model is not None:
         words += ["--model", str(model)]
     for name, value in request.items():
-        if value is None or value is False:
+        if value is None:
             continue
-        words.append(f"--{name.replace('_', '-')}")
-        if value is not True:  # a flag has no word after it
+        no = "no-" if value is False else ""
+        words.append(f"--{no}{name.replace('_', '-')}")
+        if not isinstance(value, bool):  # a flag has no word after it
             values = value if isinstance(value, tuple) else (value,)
             words += map(str, values)
     return shlex.join([*words, "--out", str(out)])

@@ -151,7 +151,7 @@ _HINTS: dict[str, Any] = {
     name: hint
     for name, hint in get_type_hints(Specification, include_extras=True).items()
     if name not in _PYTHON_ONLY
-} | {"phase_margin_deg": Annotated[PhaseMarginDeg | None, ""], "box": bool}
+} | {"phase_margin_deg": Annotated[PhaseMarginDeg | None, ""], "box": bool | None}
 NAMES = tuple(_HINTS)
 
 
@@ -189,22 +189,14 @@ def checked_request(given: object) -> dict[str, Any]:
         value = given.get(name)
         if isinstance(value, list):
             value = tuple(value)
-        absent = False if hint is bool else None
-        values[name] = absent if value is None else rule(hint).check(name, value)
+        values[name] = None if value is None else rule(hint).check(name, value)
     return values
 
 
 def wanted_of(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the request as `design_for` takes it: the margin in radians, the box only
-    if requested.
-    """
+    """Return the request as `design_for` takes it, the margin in radians."""
     margin = request["phase_margin_deg"]
     rest = {
-        name: value
-        for name, value in request.items()
-        if name not in ("phase_margin_deg", "box")
+        name: value for name, value in request.items() if name != "phase_margin_deg"
     }
-    return rest | {
-        "phase_margin": None if margin is None else math.radians(margin),
-        "box": request["box"],
-    }
+    return rest | {"phase_margin": None if margin is None else math.radians(margin)}

@@ -113,8 +113,9 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     """
     try:
         request = checked_request(state)
-        # The nearest feasible request is only searched for when the handle is released.
-        options = wanted_of(request) | {"nearest": False}
+        # The law, and the nearest feasible request, are searched for when the handle is
+        # released.
+        options = wanted_of(request) | {"law": False, "nearest": False}
         design, assumptions = design_for(subject.rig, subject.model, **options)
         reply = _shown(subject, design, assumptions)
         curves = fan_of(design, subject.frequencies) if fan else {}

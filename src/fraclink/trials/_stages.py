@@ -217,7 +217,7 @@ def designed(study: Study, **wanted: Any) -> Study:
     """
     rig, model, first = subject(study)
     design, more = design_for(rig, model, **wanted)
-    design = design.doubted(study.fit.findings if study.fit else ()).with_law()
+    design = design.doubted(study.fit.findings if study.fit else ())
     assumptions = (*study.assumptions, *first, *more)
     return replace(
         study,

@@ -74,6 +74,7 @@ export class Design {
       change(input, 'placeholder', shown ? `${digits(shown * factor, 4)}` : 'none');
     }
     this.box.checked = Boolean(this.app.state.box);
+    this.box.indeterminate = this.app.state.box === null;
   }
 
   // ---- plots and their handles ----
