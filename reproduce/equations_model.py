@@ -150,7 +150,7 @@ def _resonance(code: Any, draw: Draw) -> Sides:
         2.0 * scale,
         xtol=1e-13,
     )
-    return printed, code(link.link), true
+    return printed, code(link.natural, link.order), true
 
 
 def _residual(draw: Draw) -> tuple[int, int, float, float]:

@@ -33,6 +33,7 @@ __all__ = [
     "reserve_by_integral",
     "square_of_modulus",
     "tip_estimate",
+    "tip_resonance",
 ]
 
 Complex = NDArray[np.complex128]
@@ -54,6 +55,11 @@ def square_of_modulus(w: float, natural: float, order: float) -> float:
     return float(
         (_cosine(order) * w**order + natural**2) ** 2 + (_sine(order) * w**order) ** 2
     )
+
+
+def tip_resonance(natural: float, order: float) -> float:
+    """The frequency of (14) at which |θt/θm| peaks, (−ω₀² cos(πλ/2))^(1/λ)."""
+    return float((-(natural**2) * _cosine(order)) ** (1.0 / order))
 
 
 def derivative_of_modulus(w: float, natural: float, order: float) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from fraclink._identify import aic
 from reproduce import designs, logs
+from reproduce.forms import tip_resonance
 from reproduce.logs import PAYLOADS
 from reproduce.published import Published
 
@@ -72,7 +73,9 @@ def _law_of_payloads() -> dict[str, float]:
         values[f"resonance.torque.{name}"] = (model.natural_frequency**2 / cosine) ** (
             1.0 / model.order
         )
-        values[f"resonance.tip.{name}"] = model.tip_resonance or math.nan
+        values[f"resonance.tip.{name}"] = tip_resonance(
+            model.natural_frequency, model.order
+        )
     return values
 
 

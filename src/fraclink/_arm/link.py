@@ -201,8 +201,8 @@ class LinkModel:
     Examples
     --------
     >>> link = LinkModel(stiffness=1.56, natural_frequency=10.02, order=1.92)
-    >>> link.structure, round(link.tip_resonance, 3), round(link.damping_ratio, 4)
-    ('UD-FOM', 10.984, 0.0654)
+    >>> link.structure, round(link.damping_ratio, 4)
+    ('UD-FOM', 0.0654)
     """
 
     __made_by__ = "fit.model, or rig.model"
@@ -393,51 +393,6 @@ class LinkModel:
             side = "late" if self.gauge_delay > 0 else "early"
             parts.append(f"gauge {quantity(abs(self.gauge_delay), 'ms', 2)} {side}")
         return "; ".join(parts)
-
-    @property
-    def tip_resonance(self) -> float | None:
-        """Frequency [rad/s] where |θt/θm| peaks, None where it has no peak.
-
-        For UD-FOM it is (14), ω_r = (−ω₀² cos(πλ/2))^(1/λ).
-        """
-        if self.damping == 0:
-            if self.order <= 1:
-                # cos(πλ/2) < 0 for λ > 1 only: the response of a link of order one only
-                # decreases
-                return None
-            cosine = -math.cos(math.pi * self.order / 2)
-            return float((self.natural_frequency**2 * cosine) ** (1 / self.order))
-        # imported late: parsers of logs then start in 0.2 s instead of 0.5 s
-        from scipy.optimize import (
-            minimize_scalar,
-        )
-
-        def level(log_frequency: ArrayLike) -> Real:
-            s = 1j * np.exp(np.asarray(log_frequency, dtype=float))
-            restoring = self.damping * s**self.damping_order + self.natural_frequency**2
-            return np.asarray(np.abs(restoring / (s**self.order + restoring)))
-
-        centre = math.log(abs(self.pole))
-        grid = np.linspace(centre - 3.0, centre + 3.0, 601)
-        values = level(grid)
-        # The highest local maximum, not the highest value, which may be the end of the
-        # grid.
-        humps = (
-            np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:]))
-            + 1
-        )
-        if humps.size == 0:
-            return None
-        best = int(humps[np.argmax(values[humps])])
-        maximum = minimize_scalar(
-            # 1e-9, the square root of the precision: near a maximum the function is
-            # flat to 1e-18
-            lambda x: -float(level(x)),
-            bounds=(float(grid[best - 1]), float(grid[best + 1])),
-            method="bounded",
-            options={"xatol": 1e-9},
-        )
-        return math.exp(float(maximum.x))
 
     @checked
     def at_payload(self, payload: Mass) -> LinkModel:

@@ -296,7 +296,7 @@ def spline(
     >>> float(path.angle(0.4)), float(path.velocity(1.0)), path.duration
     (0.7, 0.0, 1.0)
     """
-    # see LinkModel.tip_resonance: a parser of logs must not import scipy
+    # imported late: parsers of logs then start in 0.2 s instead of 0.5 s
     from scipy.interpolate import (
         CubicSpline,
     )
