@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._display import Overview, Row, displayed, state_of
@@ -24,12 +23,11 @@ from fraclink.lab._machine import (
     granted_priority,
     period_ns,
 )
-from fracsys.checks import Between, Seed, checked
+from fracsys.checks import Between, Real, Seed, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
 
-Real = NDArray[np.float64]
 
 # Two hours at 4 ms take 80 MB: a longer time is a wrong unit, and would end in
 # swapping.

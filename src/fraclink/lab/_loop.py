@@ -34,7 +34,7 @@ from fraclink.lab._run import (
     first_difference,
     saved,
 )
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = ["run_realtime"]
 
@@ -230,7 +230,7 @@ def _gathered(
     estimator: PayloadEstimator | None,
     connection: Connection,
     outcome: dict[str, float],
-    record: NDArray[np.float64],
+    record: Real,
     marks: NDArray[np.uint32],
     priority: int,
     lock_memory: bool,

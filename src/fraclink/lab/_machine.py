@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink.errors import FieldError
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = [
@@ -33,7 +32,6 @@ __all__ = [
     "signals_held",
 ]
 
-Real = NDArray[np.float64]
 
 # Simulated time for tests, in which `threads` loops and their peers take turns; see
 # csrc/kernels/realtime.h. Linux only.

@@ -27,11 +27,11 @@ from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 from fraclink.lab._machine import Spread
+from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
 __all__ = ["STOPS", "RealtimeRun", "first_difference", "saved"]
 
-Real = NDArray[np.float64]
 Count = NDArray[np.uint32]
 
 # Ways in which a run ends, in the order of the kernel's codes; "no sample" and "other

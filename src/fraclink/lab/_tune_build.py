@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from fraclink._arm.beam import Beam
@@ -39,8 +38,7 @@ from fraclink.errors import FieldError, InfeasibleError
 from fraclink.lab._tune_guard import PLANNED, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_wiring import Wiring
-
-Real = NDArray[np.float64]
+from fracsys.checks import Real
 
 __all__ = [
     "Built",

@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_motor import MotorResult, unlimited_pole
 from fraclink.lab._tune_wiring import COUNT, Wiring
+from fracsys.checks import Real
 
 __all__ = ["causes", "domain"]
 
-Real = NDArray[np.float64]
 
 # Phase that the delay of the gauge may cost at the vibration: half of a phase margin of
 # 30°.

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.lab._tune_guard import Record
+from fracsys.checks import Real
 
 __all__ = ["edges_of", "motor_of_doublets"]
 
-Real = NDArray[np.float64]
 
 _LATEST = 0.0401  # [s]
 # B [1/s]: a doublet of 80 ms cannot separate it from friction. Geared laboratory motors

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink.errors import FraclinkError
 from fraclink.lab._line import ArmLine, Reading
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 Opened = Callable[[], AbstractContextManager[tuple[ArmLine, Reading]]]
 Found = TypeVar("Found")
 
 __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 
-Real = NDArray[np.float64]
 
 # Share of the limits that a stage plans to use. The rest is for noise, overshoot, a
 # gauge that reads too low, and for coming to rest after the guard has switched the

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel, SecondMode
@@ -24,8 +23,7 @@ from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
 from fraclink.lab._tune_motor import FIRST, MotorResult, closed_motor, fitted_motor
 from fraclink.lab._tune_wiring import Wiring
-
-Real = NDArray[np.float64]
+from fracsys.checks import Real
 
 __all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 

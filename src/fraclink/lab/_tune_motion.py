@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
@@ -23,6 +22,7 @@ from fraclink._law.limits import derive_limits
 from fraclink._law.tracking import following
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._tune_guard import PLANNED, Guard, Record
+from fracsys.checks import Real
 
 __all__ = [
     "LawTripped",
@@ -34,7 +34,6 @@ __all__ = [
     "random_steps",
 ]
 
-Real = NDArray[np.float64]
 
 # [rad/s], slowest loop; ratio of the speeds of two loops that are tried in turn
 _SLOWEST, _STEP = 4.0, 0.9

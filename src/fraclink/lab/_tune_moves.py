@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.reference import Path, sampled, smooth_step
 from fraclink._design import Design
@@ -19,10 +18,10 @@ from fraclink.lab._tune_build import agree, twins_of
 from fraclink.lab._tune_guard import Guard, Record
 from fraclink.lab._tune_motion import Follower, calm, follow, motor_law
 from fraclink.lab._tune_motor import MotorResult
+from fracsys.checks import Real
 
 __all__ = ["FirstMove", "first_moves"]
 
-Real = NDArray[np.float64]
 # Settling time [s], residual vibration [rad], and half of the peak-to-peak motor angle
 # in the last two seconds [rad].
 Judged = tuple[float, float, float]

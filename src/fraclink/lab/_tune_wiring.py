@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
@@ -22,10 +21,10 @@ from fraclink._identify import identify
 from fraclink.errors import FraclinkError
 from fraclink.lab._tune_doublets import edges_of, motor_of_doublets
 from fraclink.lab._tune_guard import Guard, Record
+from fracsys.checks import Real
 
 __all__ = ["Wiring", "WiringFault", "check_wiring"]
 
-Real = NDArray[np.float64]
 
 # [s] in which the noise of the sensors is measured: the standard deviation of a hundred
 # samples (4 ms) is accurate to 7 %.
