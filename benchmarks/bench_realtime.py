@@ -4,22 +4,40 @@ Loop and bare loop alternate in one run, with the same priority, timer slack and
 memory, on an idle machine and next to two computing processes; every figure is over all
 rounds. Times are wall-clock times: on a busy or virtual machine the tail is due to the
 machine, which the bare loop shows.
+
+Then the serial line: the same loop and a served arm at the two ends of a pseudo-terminal,
+which carries bytes at once whatever its speed, and the exported firmware of an arm with
+damaged commands: bits flipped, bytes lost, bytes added.
 """
 
 from __future__ import annotations
 
+import ctypes
+import io
+import queue
+import struct
 import subprocess
 import sys
+import tempfile
+import threading
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 import fraclink as fl
 from fraclink import Callback, Law, _kernels
 from fraclink.extend import equip, geared
-from fraclink.lab import measure_wake_ups, run_realtime
+from fraclink.lab import (
+    Serial,
+    measure_wake_ups,
+    parse_connection,
+    run_realtime,
+    serve_arm,
+)
 from harness import line, sizes
 
 RIG = geared(fl.Rig.named("paper-2023"))
@@ -81,14 +99,113 @@ def jitter(period: float, seconds: float, rounds: int, busy: int) -> None:
     line(f"{name}records replay to the last bit", str(same), "True", same)
 
 
+def serial_line(period: float, seconds: float) -> None:
+    """Frames lost between the loop and an arm behind a pseudo-terminal."""
+    twin = fl.Twin.from_rig(replace(RIG, period=period))
+    names: queue.Queue[str] = queue.Queue()
+    arm = threading.Thread(
+        target=serve_arm,
+        args=(twin, Serial("pty"), period),
+        kwargs={"duration": seconds + 10.0, "once": True, "begin": names.put},
+    )
+    arm.start()
+    name = names.get(timeout=30.0).removeprefix("arm at ")
+    way = parse_connection(f"{name}@1000000")
+    run = run_realtime(law_at(period), fl.extend.hold(0.0), way, duration=seconds)
+    arm.join()
+    lost, count = run.lost_samples + run.lost_commands, 2 * run.latency.size
+    line(
+        f"serial, 1 Mbaud, {1e3 * period:g} ms, {seconds:g} s: frames lost",
+        f"{lost} of {count}",
+        "< 0.1 %",
+        lost < 1e-3 * count,
+        note=f"{run.scheduling}, latency at most {1e3 * run.latency.max():.2g} ms, {run.overruns} overruns",
+    )
+
+
+def command(sequence: int, voltage: float, mode: int, run: int) -> bytes:
+    """A command to an arm, as the page on file formats describes it."""
+    body = struct.pack(
+        "<4sHHIIddIIIQ", b"FLRT", 2, 2, sequence, 1, 0.0, voltage, mode, 0, 0, run
+    )
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+def damaged(whole: bytes, random: np.random.Generator) -> bytes:
+    """The message with some bits flipped, some bytes lost, or some added."""
+    data = np.frombuffer(whole, dtype=np.uint8)
+    count, kind = int(random.integers(1, 9)), random.integers(3)
+    if kind == 0:
+        bits = random.choice(8 * data.size, count, replace=False)
+        flips = np.zeros(8 * data.size, dtype=np.uint8)
+        flips[bits] = 1
+        return (data ^ np.packbits(flips)).tobytes()
+    places = random.choice(data.size - 1, count, replace=False) + 1
+    if kind == 1:
+        return np.delete(data, places).tobytes()
+    return np.insert(data, places, random.integers(0, 256, count)).tobytes()
+
+
+def damage(count: int) -> None:
+    """Damaged commands that the exported firmware obeys."""
+    random = np.random.default_rng(0)
+    with tempfile.TemporaryDirectory() as folder:
+        with redirect_stdout(io.StringIO()):
+            fl.main(["export", "arm-firmware", "--out", folder])
+        built = Path(folder) / "arm_link.so"
+        words = ["cc", "-O2", "-shared", "-fPIC", str(built.with_suffix(".c")), "-o"]
+        subprocess.run([*words, str(built)], check=True)  # noqa: S603
+        firmware = ctypes.CDLL(str(built))
+    link, message = ctypes.create_string_buffer(512), ctypes.create_string_buffer(56)
+    voltage, zero = ctypes.c_float(), ctypes.c_float(0.0)
+
+    def period(data: bytes) -> float:
+        for byte in data:
+            firmware.arm_link_take(link, ctypes.c_uint8(byte))
+        firmware.arm_link_period(link, zero, zero, ctypes.byref(voltage), message)
+        return voltage.value
+
+    firmware.arm_link_begin(link, 4000, 1)
+    period(command(1, 0.0, 0, 0))
+    (run,) = struct.unpack_from("<Q", message.raw, 44)
+    wrong = recovered = 0
+    for number in range(count):
+        sequence = 3 * number + 2
+        # no whole command has 9 V
+        wrong += period(damaged(command(sequence, 9.0, 1, run), random)) == 9.0
+        # what is left of a damaged message may take the next one with it
+        period(command(sequence + 1, 1.0, 1, run))
+        recovered += period(command(sequence + 2, 2.0, 1, run)) == 2.0
+    line(
+        f"damaged commands that are obeyed, of {count}",
+        f"{wrong}",
+        "0",
+        wrong == 0,
+    )
+    line(
+        "whole commands obeyed, the second after a damaged one",
+        f"{recovered} of {count}",
+        "all",
+        recovered == count,
+    )
+
+
 def main() -> None:
-    given = sizes(__doc__, milliseconds=(2000, 50), rounds=(3, 1))
+    given = sizes(
+        __doc__,
+        milliseconds=(2000, 50),
+        rounds=(3, 1),
+        seconds=(600, 1),
+        damaged=(100_000, 100),
+    )
     if not _kernels.REALTIME:
         line("the real-time loop", "not on this system", "Linux")
         return
     for busy in (0, 2):
         for period in (0.004, 0.001):
             jitter(period, 1e-3 * given.milliseconds, given.rounds, busy)
+    serial_line(0.004, given.seconds)
+    damage(given.damaged)
 
 
 if __name__ == "__main__":
