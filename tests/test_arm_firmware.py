@@ -322,3 +322,22 @@ def test_addresses_of_serial_lines() -> None:
             fl.extend.hold(0.0),
             Serial("/dev/no-such-port"),
         )
+
+
+def test_the_program_on_the_page_compiles_with_the_exported_files(
+    tmp_path: Path,
+) -> None:
+    assert firmware(tmp_path) == 0
+    page = Path(__file__).parents[1] / "docs" / "how-to" / "build-an-arm.md"
+    program = page.read_text(encoding="utf-8").split("```c\n")[1].split("```")[0]
+    # "lines of one's own": those of the board are its maker's
+    assert len([line for line in program.splitlines() if line.strip()]) <= 25
+    source = tmp_path / "own.c"
+    source.write_text(program, encoding="utf-8")
+    (tmp_path / "board.h").write_text(
+        "void board_begin(void);\nunsigned board_noise(void);\nvoid timer_wait(void);\nint uart_get(void);\n"
+        "float encoder_angle(void);\nfloat gauge_torque(void);\n"
+        "void uart_put(const uint8_t *bytes, int count);\nvoid drive(float voltage);\n",
+        encoding="utf-8",
+    )
+    run(tool("cc", "gcc"), *STRICT, "-c", source, "-o", source.with_suffix(".o"))
