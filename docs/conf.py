@@ -2,12 +2,38 @@
 access.
 """
 
+import os
 import sys
+import tempfile
 from pathlib import Path
 
 from fraclink import __version__
+from fraclink.view._pages import colours
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+# Figures that the code of a page draws itself have the colours of the package's drawings.
+# The kernels read the file, and the colours of matplotlib have no "#".
+_colour = {name: value.removeprefix("#") for name, value in colours().items()}
+_lines = ", ".join(f"'{_colour[f'line-{k}']}'" for k in range(1, 5))
+_style = Path(tempfile.mkdtemp(), "matplotlibrc")
+_style.write_text(f"""\
+axes.prop_cycle: cycler('color', [{_lines}])
+axes.grid: True
+axes.axisbelow: True
+axes.spines.top: False
+axes.spines.right: False
+axes.edgecolor: {_colour["quiet"]}
+axes.labelcolor: {_colour["ink"]}
+axes.titlesize: medium
+text.color: {_colour["ink"]}
+xtick.color: {_colour["quiet"]}
+ytick.color: {_colour["quiet"]}
+grid.color: {_colour["faint"]}
+lines.linewidth: 1.3
+legend.fontsize: small
+""")
+os.environ["MATPLOTLIBRC"] = str(_style)
 
 project = "fraclink"
 author = "The fraclink developers"

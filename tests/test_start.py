@@ -260,7 +260,7 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         Shape(
             {"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}
         ),
-        '--column "motor_angle=enc * 1/4096 [rev]"',
+        '--column "motor_angle=enc * 1/N [rev]"',
     ),
     "no stamps": (
         Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),

@@ -415,11 +415,11 @@ class _Matching:
         choices = ("rad", "deg")
         if own in UNITS["voltage"]:
             text = f"{name} is in volts: which angle is one volt?"
-            choices, example = ("36.8 deg", "0.64 rad"), "* 36.8 [deg]"
+            choices, example = ("90 deg", "1.57 rad"), "* N [deg]"
         # Integers are counts, unless they are few: an angle in whole degrees.
         elif reach > 2 * math.pi and (raw == np.round(raw)).all():
             text = f"{name} counts: which angle is one count?"
-            choices, example = ("1/4096 rev", "0.09 deg"), "* 1/4096 [rev]"
+            choices, example = ("1/4096 rev", "0.09 deg"), "* 1/N [rev]"
         example = f"motor_angle={name} {example}"
         self.ask("motor_angle", "unit", text, choices, example)
         return None

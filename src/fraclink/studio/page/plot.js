@@ -35,7 +35,7 @@ export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre +
 const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
 const steps = (low, high, count) => {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].find((s) => s * power >= rough) * power;
+  const step = [1, 2, 2.5, 5, 10].find((s) => s * power >= rough) * power;
   return Array.from({length: Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1}, (_, i) => step * (Math.ceil(low / step - 1e-9) + i));
 };
 const decades = (low, high) => {

@@ -59,9 +59,13 @@ function say() {
   if ('reversed' in state.faults && o.worst <= 1) {
     text += ' The law has no guard against a gauge wired backwards: it keeps running. The wiring test before the first move finds this.';
   }
+  const rests = placed && !Number.isNaN(o.settles);
+  if (rests && state.noise) {
+    const last = Array.from(voltage.slice(Math.round(0.9 * N), N)), mean = last.reduce((a, v) => a + v, 0) / last.length;
+    text += ` At rest the gauge's noise moves the motor's voltage by ${fixed(Math.hypot(...last.map((v) => v - mean)) / Math.sqrt(last.length), 2)} V rms.`;
+  }
   for (const one of arm.pair) one.fate.textContent = fate(one.law);
   said.textContent = text;
-  const rests = placed && !Number.isNaN(o.settles);
   const good = rests && o.worst <= 1 && !Number.isNaN(o.returns);
   said.className = good ? 'good' : o.worst > 2 || !rests ? 'bad' : 'fair';
   $('python').textContent = inPython();
