@@ -143,8 +143,8 @@ def test_an_arm_that_loses_payload_arrives(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_most_arms_that_differ_pass(tmp_path: Path) -> None:
-    text = printed("arms_that_differ", tmp_path)
+def test_most_varied_arms_pass(tmp_path: Path) -> None:
+    text = printed("varied_arms", tmp_path)
     assert 0 <= int(text.split()[0]) < 20
     assert text.count("rank correlation") == 3
     assert "less than" in text or "(" in text  # the rate has an interval

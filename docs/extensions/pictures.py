@@ -346,7 +346,7 @@ def stand_ins() -> Figure:
 
 
 def arms() -> Figure:
-    """Where arms that differ fail without a gear."""
+    """Where varied arms fail without a gear."""
     campaign = Campaign.of(rig(), rig().model, design().law(), runs=4000, seed=1)
     parts = [simulate_part(campaign, part) for part in range(campaign.parts)]
     friction, size, passed = (

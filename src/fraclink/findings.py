@@ -93,7 +93,7 @@ class Scope:
 _SCOPES = {
     "promise": "requirements and proof",
     "model": "simulated moves of the model",
-    "twin": "arm with distributed mass, arms that differ, faults",
+    "twin": "arm with distributed mass, varied arms, faults",
     "arm": "records of the real arm",
 }
 
@@ -105,7 +105,7 @@ class Verdict:
 
     promise: the requirements of the design, and their proof where one was asked for.
     model: simulated moves of the identified model. twin: the arm with distributed mass
-    under the law as it ships, arms that differ from the model, and faults if they were
+    under the law as it ships, varied arms, and faults if they were
     injected. arm: records of what the real one did; "not run" until there is one, which
     leaves the rest as it is. remarks stand beside the verdict and do not change it.
 

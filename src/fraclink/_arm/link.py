@@ -51,13 +51,16 @@ STRUCTURES: dict[str, Structure] = {
             "D-IOM", (_FREQUENCY, "damping"), "(15)", "viscous damping, integer order"
         ),
         Structure(
-            "UD-FOM", (_FREQUENCY, "order"), "(10)", "Newton's law of fractional order"
+            "UD-FOM",
+            (_FREQUENCY, "order"),
+            "(10)",
+            "fractional order in place of damping",
         ),
         Structure(
             "D-FOM",
             (_FREQUENCY, "damping", "damping_order"),
             "(16)",
-            "damping of fractional order",
+            "fractional damping, integer order",
         ),
     )
 }

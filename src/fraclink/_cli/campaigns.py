@@ -64,7 +64,7 @@ def montecarlo(
     ] = None,
     **machines: Annotated[Any, Keywords(run_campaign, "workers", "scheduler")],
 ) -> Answer:
-    """Run a law on many arms that differ; resumes, and gives the same result whatever
+    """Run a law on many varied arms; resumes, and gives the same result whatever
     the workers.
 
     $ fraclink campaign montecarlo --design design.json --runs 10000 --out mc

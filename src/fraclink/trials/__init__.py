@@ -1,4 +1,4 @@
-"""Many runs and their joint result: rivals, arms that differ, faults, the study of a
+"""Many runs and their joint result: rivals, varied arms, faults, the study of a
 log.
 
 A campaign is one law on up to a million arms; it can be resumed, and a seed gives the

@@ -255,7 +255,7 @@ def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
 @document("campaign", version=3, period=lambda campaign: campaign.law.period)
 @dataclass(frozen=True)
 class Campaign:
-    """Monte Carlo runs of one law on arms that differ: payload, stiffness, λ, motor,
+    """Monte Carlo runs of one law on varied arms: payload, stiffness, λ, motor,
     friction, sensors.
 
     rig, model and law: the nominal arm and the law under test, with its motor loop.

@@ -61,7 +61,7 @@ def run(
     **wanted: Any,
 ) -> Study:
     """Examine a log, fit the four structures, design, and try the law on the model and
-    on arms that differ.
+    on varied arms.
 
     Moves are simulated at both ends of the payload range, and at the nominal payload
     where it lies within.
@@ -78,7 +78,7 @@ def run(
     certified
         whether a proof is asked for.
     arms
-        arms that differ from the model to try; 0 leaves them out.
+        varied arms to try; 0 leaves them out.
     out
         folder to write the study to, with the arms below it.
     begin
@@ -272,7 +272,7 @@ def proved(study: Study) -> Study:
 
 
 def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
-    """Return the study with `arms` runs of arms that differ from the model, kept in
+    """Return the study with `arms` runs of varied arms, kept in
     `folder` if given.
     """
     assert study.rig is not None and study.design is not None and study.law is not None  # noqa: S101

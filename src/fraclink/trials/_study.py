@@ -69,7 +69,7 @@ class Study:
     nearest that can be met, where it was the request that ended the study;
     runs: simulated moves, one for each payload; twins: the same moves of the twin, under
     the law's own compensation;
-    arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
+    arms: the summary of varied arms; faults: a fault campaign; assumptions:
     sentences on everything that was not stated.
 
     >>> Study().verdict.state
@@ -233,7 +233,7 @@ class Study:
 
     def _twin(self, doubts: list[str]) -> Scope:
         ran = self.arms is not None or self.faults is not None
-        # The twin alone contains no arms that differ: it can refute a design, but not
+        # The twin alone contains no varied arms: it can refute a design, but not
         # confirm it.
         off = [
             f"twin: {_failed_move(run)}" for run in self.twins if not run.verdict.passed

@@ -2,7 +2,7 @@
 // Step 4: the loop, its handles, and the requests they send.
 import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
 import {Around} from './around.js';
-import {$, make, button, emptied, on, table, findings, say} from './dom.js';
+import {$, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
 
 const grams = (kg) => 1e3 * kg;
 const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
@@ -194,8 +194,8 @@ export class Design {
     const place = emptied('controller'), sign = preview ? '≈ ' : '';
     place.classList.toggle('preview', preview);
     for (const [name, value] of answer.facts.slice(2)) {
-      const box = make('div', '', '', place), [letter, index] = name.split('_'), term = make('dt', '', letter, box);
-      if (index) make('sub', '', index, term);
+      const box = make('div', '', '', place);
+      symbol('dt', name, box);
       make('dd', '', `${sign}${value}`, box);
     }
   }

@@ -46,6 +46,12 @@ export const takes = (node, drop) => {
 };
 /** Fill a list with texts. */
 export const items = (node, texts) => { const place = emptied(node); for (const text of texts) make('li', '', text, place); };
+/** Create an element with a name whose index, as in k_d, is set below the line. */
+export const symbol = (kind, name, parent) => {
+  const [, letter, index] = name.match(/^(\S+)_(\w)$/) || ['', name], made = make(kind, '', letter, parent);
+  if (index) make('sub', '', index, made);
+  return made;
+};
 /** Fill a table with cells from Python. */
 export function table(place, header, rows, caption = '') {
   emptied(place);
@@ -61,8 +67,8 @@ export function table(place, header, rows, caption = '') {
     const line = make('tr', '', '', body);
     row.forEach((cell, i) => {
       const word = i === row.length - 1 ? {'✓': 'good', '✗': 'bad', '!': 'fair'}[cell[0]] || '' : '';
-      const made = make(i ? 'td' : 'th', word, cell, line);
-      if (!i) made.scope = 'row';
+      if (i) make('td', word, cell, line);
+      else symbol('th', cell, line).scope = 'row';
     });
   }
 }

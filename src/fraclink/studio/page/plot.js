@@ -172,8 +172,12 @@ export class Plot {
       }
       c.path.setAttribute('d', parts.join(''));
       if (c.tag && tagged) {
+        const [x, at] = tagged, others = [...this.curves.values()].filter((o) => o !== c && o.spot && Math.abs(o.spot[0] - x) < 42);
+        let y = at + (kind === 'heavy' ? 14 : -5), near;
+        while ((near = others.find((o) => Math.abs(o.spot[1] - y) < 12))) y = near.spot[1] + 13; // always further down
         c.tag.textContent = label;
-        put(c.tag, {x: tenth(tagged[0]), y: tenth(tagged[1] + (kind === 'heavy' ? 14 : -5))});
+        c.spot = [x, y];
+        put(c.tag, {x: tenth(x), y: tenth(y)});
       }
     };
     c.draw();

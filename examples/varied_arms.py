@@ -1,7 +1,7 @@
-"""Run one law on 2000 arms that differ, and ask how many fail and what drives the
+"""Run one law on 2000 varied arms, and ask how many fail and what drives the
 settling time.
 
-python examples/arms_that_differ.py FOLDER
+python examples/varied_arms.py FOLDER
 """
 
 import sys
