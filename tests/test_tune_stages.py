@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import replace
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from fraclink.lab._tune_motion import (
 )
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_wiring import check_wiring
+from shared_data import shared_data
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
 
 if sys.platform != "linux":
@@ -474,3 +476,84 @@ def test_what_reaches_a_limit_is_repeated_smaller_twice(
     assert bool(tuned.stopped) is ends and tuned.has_law is not ends
     if not ends:
         assert tuned.link is not None and tuned.link.rounds[0][0] < 0.05
+
+
+def test_a_stiff_link_at_a_short_period_is_excited(tmp_path: Path) -> None:
+    # Its burst has a thousand bits of one period each.
+    stiffness, payload, length, period = 8.0, 0.05, 0.30, 0.002
+    rig = replace(
+        RIG,
+        period=period,
+        motor=Motor(
+            inertia=0.03,
+            viscous_friction=0.5,
+            torque_constant=0.5,
+            coulomb_torque=0.15,
+            voltage_limit=10.0,
+        ),
+        link=replace(
+            RIG.link,
+            length=length,
+            mass=0.012,
+            stiffness=stiffness,
+            flexural_rigidity=stiffness * length / 3,
+        ),
+        payloads=replace(RIG.payloads, low=0.04, high=0.066, nominal=payload),
+        gauge=replace(RIG.gauge, noise=0.008),
+    )
+    frequency = math.sqrt(stiffness / (payload * length**2))
+    model = fl.LinkModel(stiffness, frequency, order=1.98, payload=payload)
+    twin = fl.Twin.from_rig(rig, model=model, gauge_delay=0.001)
+    tuned = fl.tune(
+        SimulatedArm(twin, period, seed=1).callback,
+        fl.TuningPlan(replace(LIMITS, torque=4.0), payload=payload, period=period),
+        out=tmp_path / "tuned",
+        moves=False,
+        clock="none",
+    )
+    assert tuned.link is not None, tuned
+    assert abs(tuned.link.fit.model.pole) == pytest.approx(42.6, rel=0.02)
+
+
+def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
+    # Its wiring check shows little but the second mode, 15 times as high: a model of
+    # that one fits these doublets better, and does not predict the moves behind them.
+    folder = shared_data("..", "arms")
+    spec = spec_from_file_location("shared_arm", folder / "arm.py")
+    assert spec is not None and spec.loader is not None
+    arms = module_from_spec(spec)
+    spec.loader.exec_module(arms)
+    slow = arms.Arm(
+        L=0.68,
+        c=0.286,
+        link=0.0104,
+        payload=0.0248,
+        J=0.0312,
+        K=0.279,
+        visc=0.26,
+        Fc=0.13,
+        Fs=0.167,
+        T=0.002,
+        seed=10,
+        zeta=0.0185,
+        zeta2=0.0038,
+        gdelay=0.0054,
+        vdelay=0.0012,
+        taue=0.0028,
+        gnoise=0.00057,
+        goffset=0.0076,
+        counts=8192,
+    )
+    tuned = fl.tune(
+        Callback(slow.read, slow.write),
+        fl.TuningPlan(
+            fl.MotionLimits(angle=0.698, speed=4.0, torque=1.0, voltage=10.0),
+            payload=0.0248,
+            period=0.002,
+        ),
+        out=tmp_path / "tuned",
+        moves=False,
+        clock="none",
+    )
+    assert tuned.link is not None and tuned.has_law, tuned
+    assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)

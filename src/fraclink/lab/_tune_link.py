@@ -352,7 +352,7 @@ def _first_model(guard: Guard, wiring: Wiring) -> LinkModel:
     wiring check's guess.
 
     The doublets of the wiring show the second mode of a slow link, and smooth moves its
-    first.
+    first: a model of the wrong mode fails to predict what it was not fitted to.
     """
     fits = []
     for start in {0, guard.starts[-1]}:
@@ -361,4 +361,4 @@ def _first_model(guard: Guard, wiring: Wiring) -> LinkModel:
             fits.append(identify(log, "UD-FOM", details=False))
     if not fits:
         return LinkModel(wiring.stiffness, wiring.natural_frequency)
-    return min(fits, key=lambda fit: fit.nmse).model
+    return min(fits, key=lambda fit: (not fit.passed, fit.nmse)).model

@@ -319,11 +319,11 @@ def random_steps(
 
 
 def _random_levels(size: float, bit: float, bits: int) -> Real:
-    """A binary sequence of ± size that does not repeat."""
+    """A binary sequence of ± size that does not repeat within 2047 bits."""
     # The shortest register with enough bits: a sequence begins with as many equal bits
     # as the register has stages.
-    stages: tuple[Literal[4, 5, 6, 7, 9], ...] = (4, 5, 6, 7, 9)
-    register = next(count for count in stages if bits < 2**count)
+    stages: tuple[Literal[4, 5, 6, 7, 9, 10, 11], ...] = (4, 5, 6, 7, 9, 10, 11)
+    register = next((count for count in stages if bits < 2**count), stages[-1])
     return prbs(size, bit, bits=bits, register=register).coefficients[:-1, 0]
 
 
