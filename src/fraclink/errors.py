@@ -28,6 +28,7 @@ from fracsys.errors import (
     NotConvergedError,
     SizeError,
     UnstableError,
+    required,
 )
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "NotConvergedError",
     "SizeError",
     "UnstableError",
+    "required",
 ]
 
 # A single base for both packages: it catches everything that either raises on purpose.

@@ -20,7 +20,7 @@ from fracsys._quotient import Quotient, singular_order
 from fracsys._terms import Term, grid, largest, refuse_beyond_memory
 from fracsys.checks import Array, Between, Positive, Real, checked
 from fracsys.checks.equality import compared
-from fracsys.errors import FieldError, NotConvergedError
+from fracsys.errors import FieldError, NotConvergedError, required
 
 Signal = Annotated[ArrayLike, Array(1, flags=True)]
 Times = Annotated[ArrayLike, Array(1, min_size=1), Between(0.0, unit="s")]
@@ -261,14 +261,12 @@ def discrete_modes(
 def _instants(time: object, period: float | None) -> Real:
     """The times given as duration and period, or as times."""
     if isinstance(time, float):
-        if period is None:
-            raise FieldError(
-                "period",
-                None,
-                "missing",
-                allowed="> 0 s",
-                remedy="give the period of the samples, or an array of times",
-            )
+        period = required(
+            "period",
+            period,
+            allowed="> 0 s",
+            remedy="give the period of the samples, or an array of times",
+        )
         refuse_beyond_memory("time", time / period)
         # 0.3/0.1 is 2.9999999999999996; the last sample would be missing.
         return grid(int(time / period * (1.0 + 1e-12)) + 1, period)

@@ -213,11 +213,10 @@ def normal(
         )
     # Monic in the highest order, whose coefficient is never zero.
     lead = bottom[0].coefficient
-    numerator, denominator = (
+    return (
         shifted(top, order, delay, lead),
         shifted(bottom, order, delay, lead),
     )
-    return numerator, denominator
 
 
 def scaled(terms: Iterable[Term], factor: float) -> tuple[Term, ...]:
@@ -338,9 +337,7 @@ def largest(values: Real) -> float:
 
 def grid(count: int, period: float) -> Real:
     """Times k·period [s], k = 0 … count - 1."""
-    times = np.arange(count, dtype=np.float64)
-    times *= period
-    return times
+    return period * np.arange(count, dtype=np.float64)
 
 
 # Points evaluated together: about 100 numbers of each take 6 MB.

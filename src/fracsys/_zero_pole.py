@@ -124,19 +124,17 @@ class PowerFilter:
     gain: float
 
 
-def corners(power: float, band: Band, order: int) -> tuple[Real, Real]:
-    """ω′ and ω of s^power ≈ ω_h^power Π (s + ω′)/(s + ω), evenly spread over the band."""
+def oustaloup(fraction: float, band: Band, order: int) -> PowerFilter:
+    """The filter ω_h^f Π (s + ω′)/(s + ω) for s^f, its corners spread evenly over the
+    band.
+
+    Source: Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25.
+    """
     low, high = band
     i = np.arange(order)
-    up = low * (high / low) ** ((i + 0.5 * (1 - power)) / order)
-    down = low * (high / low) ** ((i + 0.5 * (1 + power)) / order)
-    return up, down
-
-
-def oustaloup(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25."""
-    up, down = corners(fraction, band, order)
-    return PowerFilter(-up.astype(complex), -down.astype(complex), band[1] ** fraction)
+    up = low * (high / low) ** ((i + 0.5 * (1 - fraction)) / order)
+    down = low * (high / low) ** ((i + 0.5 * (1 + fraction)) / order)
+    return PowerFilter(-up.astype(complex), -down.astype(complex), high**fraction)
 
 
 def substituted(

@@ -10,6 +10,8 @@ FracsysError
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 __all__ = [
     "FieldError",
     "FracsysError",
@@ -17,7 +19,10 @@ __all__ = [
     "NotConvergedError",
     "SizeError",
     "UnstableError",
+    "required",
 ]
+
+Value = TypeVar("Value")
 
 # Limits what a message repeats of external input: a cell of 10 MB must not flood a
 # terminal.
@@ -141,6 +146,13 @@ def _rebuild(
     remedy: str,
 ) -> FieldError:
     return kind(field, value, problem, allowed=allowed, remedy=remedy)
+
+
+def required(field: str, value: Value | None, *, allowed: str, remedy: str) -> Value:
+    """Return a value that has to be given; FieldError where it is None."""
+    if value is None:
+        raise FieldError(field, None, "missing", allowed=allowed, remedy=remedy)
+    return value
 
 
 class SizeError(FieldError):

@@ -33,7 +33,6 @@ from fraclink._cli.options import (
     named_channels,
     reference_of,
     refuse_beside,
-    required,
 )
 from fraclink._design import Design
 from fraclink._design.pid_tuning import PidTuning
@@ -48,7 +47,7 @@ from fraclink._files import check_ending, kind_of, output_path
 from fraclink._law import Law, discretize
 from fraclink._reading.responses import read_recording
 from fraclink._simulate import Twin
-from fraclink.errors import LogError, MissingExtraError
+from fraclink.errors import LogError, MissingExtraError, required
 from fraclink.lab._machine import signals_held
 from fraclink.lab._rehearsal import rehearse
 from fraclink.lab._run import saved
@@ -260,7 +259,7 @@ def replay(
         refuse_beside("--run", "a campaign's own arm", log_file=log_file)
         return replayed(folder, run, output_path(out, force=force), force=force)
     sources = "a log for a law, or --run of a campaign"
-    log_file = required("log_file", log_file, sources, "give one")
+    log_file = required("log_file", log_file, allowed=sources, remedy="give one")
     log: Experiment | Recording
     # The log of an arm needs a rig for its columns; that of a PID has two columns with
     # unknown names.

@@ -17,14 +17,13 @@ from fraclink._cli.options import (
     load_design,
     load_rig,
     refuse_beside,
-    required,
 )
 from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._files import load, output_path, save, write_text
 from fraclink._reading.responses import read_reference
 from fraclink._simulate import geared
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign, is_campaign, load_campaign
 from fraclink.trials._fault_trial import PHASES, Bench, Phase
@@ -263,7 +262,8 @@ def _bench(
     rig: str | None, design_file: Path | None, gear: float | None, mass: float | None
 ) -> Bench:
     if design_file is None:
-        needed = required("design", rig, "--design, --rig or both", "give one of them")
+        allowed, remedy = "--design, --rig or both", "give one of them"
+        needed = required("design", rig, allowed=allowed, remedy=remedy)
         design, _ = design_for(load_rig(needed))
     else:
         design = load_design(design_file)

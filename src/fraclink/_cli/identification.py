@@ -32,13 +32,12 @@ from fraclink._cli.options import (
     log_path,
     named_channels,
     refuse_beside,
-    required,
     whole,
 )
 from fraclink._files import output_path, save
 from fraclink._reading.reading import read_log
 from fraclink._reading.responses import read_frequency_response, read_recording
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import FieldError, LogError, required
 from fraclink.findings import errors_of
 from fraclink.logs import diagnose
 from fracsys.checks import Between, Real
@@ -107,7 +106,8 @@ def _link(
 
 
 def _rig(name: str | None) -> str:
-    return required("rig", name, "a rig", "give --rig rig.toml, or --rig paper-2023")
+    remedy = "give --rig rig.toml, or --rig paper-2023"
+    return required("rig", name, allowed="a rig", remedy=remedy)
 
 
 def _several(
@@ -145,7 +145,7 @@ def _motor(
     """
     if not column:
         remedy = "give --rig, or --column for time, motor_angle and voltage"
-        rig = required("rig", rig, "a rig, or the columns", remedy)
+        rig = required("rig", rig, allowed="a rig, or the columns", remedy=remedy)
     arm = None if rig is None else load_rig(rig)
     # --column describes the whole log: mixed with the rig's mapping, two columns could
     # have the same role.

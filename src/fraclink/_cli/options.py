@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 
@@ -25,11 +25,10 @@ from fraclink._law.design import Specification
 from fraclink._reading.reading import bundled_log, read_log
 from fraclink._reading.responses import read_reference
 from fraclink._simulate import geared
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fraclink.findings import Finding, errors_of
 from fracsys import checks as ranges
 
-T = TypeVar("T")
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin, as its header states
 
 LogName = Annotated[
@@ -218,13 +217,6 @@ def reference_of(
     return smooth_step(1.0 if amplitude is None else amplitude, duration=time)
 
 
-def required(name: str, value: T | None, allowed: str, remedy: str) -> T:
-    """Return the value of an option; FieldError where it was not given."""
-    if value is None:
-        raise FieldError(name, None, "missing", allowed=allowed, remedy=remedy)
-    return value
-
-
 def refuse_beside(option: str, instead: str, **given: object) -> None:
     """Raise FieldError for the first value that was given though `option` leaves it
     without effect.
@@ -289,6 +281,6 @@ def named_channels(input: str | None, output: str | None) -> tuple[str, str]:
     """Both columns of a recording; FieldError where one of them is not named."""
     column, both = "the name of a column", "a recording needs both, anything else none"
     return (
-        required("input", input, column, f"{both} of them"),
-        required("output", output, column, f"{both} of them"),
+        required("input", input, allowed=column, remedy=f"{both} of them"),
+        required("output", output, allowed=column, remedy=f"{both} of them"),
     )

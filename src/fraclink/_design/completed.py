@@ -12,7 +12,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design.procedure import design
 from fraclink._design.rows import SENSITIVITY
 from fraclink._law.design import Design
-from fraclink.errors import FieldError
+from fraclink.errors import required
 from fracsys.checks import checked
 
 __all__ = ["design_for"]
@@ -44,13 +44,12 @@ def design_for(
     >>> round(made.controller.derivative_gain, 3), assumed
     (0.064, ())
     """
-    link = model or rig.model
-    if link is None:
-        allowed, remedy = (
-            "a model file",
-            "identify a log first, then give --model model.json",
-        )
-        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+    link = required(
+        "model",
+        model or rig.model,
+        allowed="a model file",
+        remedy="identify a log first, then give --model model.json",
+    )
     request = {name: value for name, value in wanted.items() if value is not None}
     for name, instead in _COMPLETED.items():
         default = None if rig.design is None else getattr(rig.design, name)

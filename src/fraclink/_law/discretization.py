@@ -27,7 +27,7 @@ from fraclink._law.block import (
 from fraclink._law.law import Law
 from fraclink._law.limits import derive_limits
 from fraclink._law.tracking import following, forward_fit, tracking_for
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fracsys._discrete import (
     DiscreteRational,
     Order,
@@ -124,15 +124,12 @@ def discretize_controller(
     >>> law.order, law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
     (4, True, True)
     """
-    model = link or controller.link
-    if model is None:
-        raise FieldError(
-            "link",
-            None,
-            "missing",
-            allowed="a LinkModel",
-            remedy="give the nominal link model: tip estimate and feed-forward need it",
-        )
+    model = required(
+        "link",
+        link or controller.link,
+        allowed="a LinkModel",
+        remedy="give the nominal link model: tip estimate and feed-forward need it",
+    )
     _check_period(controller, period)
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
@@ -234,15 +231,12 @@ def discretize(
             remedy="fl.design makes one",
         )
     usual = controller.period if isinstance(design, Controller) else design.rig.period
-    step = usual if period is None else period
-    if step is None:
-        raise FieldError(
-            "period",
-            None,
-            "missing",
-            allowed="> 0 s",
-            remedy="give the control period in seconds",
-        )
+    step = required(
+        "period",
+        usual if period is None else period,
+        allowed="> 0 s",
+        remedy="give the control period in seconds",
+    )
     law = discretize_controller(controller, step, order=order, precision=precision)
     if isinstance(design, Controller):
         return law

@@ -20,7 +20,7 @@ from fraclink._simulate.plant import (
     Plant,
     assemble,
 )
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fraclink.findings import Finding
 from fracsys.checks import (
     Between,
@@ -163,14 +163,12 @@ class Twin:
         """
         link = rig.model if model is None else model
         if damping is None:
-            if link is None:
-                raise FieldError(
-                    "damping",
-                    None,
-                    "missing",
-                    allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
-                    remedy="give damping=, or a [model] in the rig file",
-                )
+            link = required(
+                "damping",
+                link,
+                allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
+                remedy="give damping=, or a [model] in the rig file",
+            )
             _agree(rig, link)
             damping = damping_of(link)
         # A fit expresses a delayed motor angle as a leading gauge; a real gauge never

@@ -227,13 +227,12 @@ def healthy_inputs(
     (N, 12).
     """
     path = sampled(reference, period, length)
-    count = path.shape[1]
-    inputs = fault_rows((), period, count)
+    inputs = fault_rows((), period, path.shape[1])
     inputs[:, [REFERENCE, VELOCITY, ACCELERATION]] = path.T
     inputs[:, GAUGE_ERROR] = gauge.offset
     # Drawn even if the noise is 0, so that a seed gives the same noise sequence for
     # every amplitude.
-    inputs[:, GAUGE_ERROR] += gauge.noise * generator.standard_normal(count)
+    inputs[:, GAUGE_ERROR] += gauge.noise * generator.standard_normal(len(inputs))
     return inputs
 
 

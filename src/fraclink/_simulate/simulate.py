@@ -46,7 +46,7 @@ from fraclink._simulate.kernel import (
 from fraclink._simulate.links import link_weights
 from fraclink._simulate.on_twin import on_twin, with_motor_loop
 from fraclink._simulate.run import Run, judged_run
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fraclink.findings import Finding
 from fracsys.checks import Between, Real, Seed, checked
 
@@ -243,23 +243,18 @@ def _not_here(option: str, allowed: str, remedy: str) -> FieldError:
 def _rig_and_link(
     law: Law, rig: Rig | None, model: LinkModel | None, payload: float | None
 ) -> tuple[Rig, LinkModel]:
-    if rig is None:
-        raise FieldError(
-            "rig",
-            None,
-            "missing",
-            allowed="the rig of the arm",
-            remedy="give rig= (and model=), arm=, or a design in place of the law",
-        )
-    link = model or rig.model
-    if link is None:
-        raise FieldError(
-            "model",
-            None,
-            "missing",
-            allowed="the model of the link",
-            remedy="give model=fit.model, or a rig with a model",
-        )
+    rig = required(
+        "rig",
+        rig,
+        allowed="the rig of the arm",
+        remedy="give rig= (and model=), arm=, or a design in place of the law",
+    )
+    link = required(
+        "model",
+        model or rig.model,
+        allowed="the model of the link",
+        remedy="give model=fit.model, or a rig with a model",
+    )
     check_rigs_period(law, rig)
     return rig, link if payload is None else link_at(link, rig, payload)
 

@@ -77,7 +77,6 @@ _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoo
 # one has hardly any tip motion; without a visible second mode it is at most as heavy as
 # its payload.
 _LIGHTEST, _HEAVIEST, _UNSEEN = 1e-3, 10.0, 1.0
-_FULL_TURN = 2 * math.pi
 # [rad]: a smaller step is the resolution of the encoder, a larger one a motion
 _COUNTED = 2e-2
 
@@ -132,7 +131,7 @@ def measured_rig(
     # The smallest step in a record, if it is small enough to be the encoder's
     # resolution.
     counts = (
-        round(_FULL_TURN / wiring.encoder_step)
+        round(math.tau / wiring.encoder_step)
         if 0 < wiring.encoder_step < _COUNTED
         else None
     )

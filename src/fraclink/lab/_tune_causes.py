@@ -25,7 +25,6 @@ _LATE = math.radians(15.0)
 # and is held for one. These 1.5 periods cost the phase allowed for a gauge if a period
 # is 1/36 of the vibration period.
 _PERIODS = round(1.5 * 2.0 * math.pi / _LATE)
-_FULL_TURN = 2.0 * math.pi
 _CLIPPED = 5  # samples at the extreme; fewer are a peak
 
 
@@ -131,7 +130,7 @@ def domain(period: float | None) -> str:
         part += f" ({1e3 * period:g} ms: vibrations up to {1.0 / (_PERIODS * period):.2g} Hz)"
     return (
         f"domain: {part}; a gauge that is late by at most 1/{1.0 / late:.0f} of it and does not clip; "
-        f"{math.ceil(_FULL_TURN / COUNT)} encoder counts a turn or more; no play in the gear, no cable that pulls"
+        f"{math.ceil(math.tau / COUNT)} encoder counts a turn or more; no play in the gear, no cable that pulls"
     )
 
 
