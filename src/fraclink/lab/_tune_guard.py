@@ -18,7 +18,6 @@ from fraclink.errors import FraclinkError
 from fraclink.lab._line import ArmLine, Reading
 from fracsys.checks import Between, Real, checked
 
-Opened = Callable[[], AbstractContextManager[tuple[ArmLine, Reading]]]
 Found = TypeVar("Found")
 
 __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
@@ -102,7 +101,11 @@ class Guard:
     encoder's noise alone may show [rad/s].
     """
 
-    def __init__(self, opened: Opened, limits: MotionLimits) -> None:
+    def __init__(
+        self,
+        opened: Callable[[], AbstractContextManager[tuple[ArmLine, Reading]]],
+        limits: MotionLimits,
+    ) -> None:
         # A geared motor coasts for a few hundredths of a second: ν/J of 5 to 20 1/s and
         # friction stop it sooner.
         self.limits, self.coast, self.shake = limits, 0.05, 0.0
