@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from fraclink._identify.residual import (
-    coloured_covariance,
+    autocovariance,
     correlation_lag,
     long_run_covariance,
     noise_behind,
@@ -50,8 +50,8 @@ def test_newey_and_wests_sum_with_bartletts_weights(count: int, lags: int) -> No
 
 
 def _covariance(regressors: Array, residual: Array) -> tuple[Array, float]:
-    coefficients, variance, freedom = noise_behind(regressors, residual)
-    return coloured_covariance(regressors, coefficients, variance), freedom
+    noise = noise_behind(regressors, autocovariance(residual))
+    return noise.covariance, noise.freedom
 
 
 @pytest.mark.slow
@@ -127,7 +127,8 @@ def test_the_lag_after_which_a_residual_forgets(
     60 000 samples: the autocorrelation's own error, √((1 + ρ²)/((1 − ρ²) n)), is then
     below a fifth of 0.1.
     """
-    assert least <= correlation_lag(wandering(60_000, correlation, seed=1)) <= most
+    gamma = autocovariance(wandering(60_000, correlation, seed=1))
+    assert least <= correlation_lag(gamma) <= most
 
 
 # --- tests --------------------------------------------------------------------------------------------------

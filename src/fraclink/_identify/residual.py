@@ -68,7 +68,7 @@ def mean_with_error(series: Vector) -> tuple[float, float]:
     """Mean of a series and its standard error, with the colour accounted for."""
     mean = float(series.mean())
     centred = series - mean
-    lags = correlated_lags(centred)
+    lags = correlated_lags(autocovariance(centred))
     power = float(long_run_covariance(centred[None, :], lags)[0, 0])
     return mean, math.sqrt(max(power, 0.0)) / series.size
 
@@ -112,21 +112,31 @@ def _levinson(gamma: Vector) -> tuple[Vector, float]:
     return best[1], best[2]
 
 
-def _power(coefficients: Vector, variance: float, size: int) -> Vector:
-    """Spectrum S of an autoregression at the frequencies of a real transform of `size`."""
-    return np.asarray(variance / np.abs(rfft(coefficients, size)) ** 2)
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """The noise behind the residual of a fit, as its regressors (p, n) meet it.
 
-
-def _memory(count: int) -> int:
-    """Length of the circle used for the memory of an autoregression: noise that rings
-    for longer than the record wraps around.
+    `covariance` (p, p) is that of regressors · noise, `freedom` are the degrees of
+    freedom with which the level of the noise is known, and `observed` is the trace of
+    the covariance with orthonormal regressors, for the residual as it is.
     """
-    return 1 << (2 * count - 1).bit_length()
+
+    covariance: Matrix
+    freedom: float
+    observed: float
 
 
-def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, float]:
-    """Autoregression (coefficients, variance) of the noise behind a residual, and its
-    degrees of freedom.
+def noise_behind(regressors: Matrix, covariance: Vector) -> Noise:
+    """The noise behind a residual with these autocovariances at lags 0..n−1, from the
+    autoregression that describes it:
+
+        Σ_k Σ_l x_k γ(k − l) x_lᵀ
+
+    The estimate of Newey and West from the products x_k e_k cuts off their correlation
+    after some lags and tapers it before: at five correlation times its standard errors
+    were 15 to 20 % too small under slow noise (83 % of "95 %" intervals held the
+    truth), a fault that the autoregression does not have. It assumes that noise and
+    motion are independent, as they are for the residual of a complete model.
 
     With P = QQᵀ the projection on the regressors, the residual's covariance is (I − P)
     Γ (I − P), not Γ: a fit removes from slow noise the part that resembles the link's
@@ -137,50 +147,39 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
     known badly: with T = Σ ρ(l) over all lags ln S(0) has the variance 4T/n of a χ² of
     ν = n/2T degrees of freedom.
     """
-    count = residual.size
+    count = covariance.size
+    # no lag within the record wraps around
     size = next_fast_len(2 * count, real=True)
     scale = np.maximum(np.linalg.norm(regressors, axis=1), 1e-300)
-    basis = np.linalg.qr((regressors / scale[:, None]).T)[0].T
+    columns, triangle = np.linalg.qr((regressors / scale[:, None]).T)
+    basis, weights = columns.T, scale[:, None] * triangle.T
     spectra = rfft(basis, size, axis=1)
-    covariance = autocovariance(residual)
-    coefficients, variance = _levinson(covariance)
-    memory = _memory(count)
-    model = irfft(_power(coefficients, variance, memory), memory)
-    freedom = _freedom(model[:count])
+
+    def filtered(gamma: Vector) -> tuple[Vector, Matrix]:
+        """Γ's first column and ΓQ for the autoregression of autocovariances."""
+        coefficients, variance = _levinson(gamma)
+        power = variance / np.abs(rfft(coefficients, size)) ** 2
+        spread = irfft(spectra * power, size, axis=1)[:, :count]
+        return irfft(power, size)[:count], spread
+
+    model, spread = filtered(covariance)
+    observed = float(np.sum(basis * spread))
     for _ in range(_ROUNDS):
-        again = _levinson(covariance + _taken(basis, spectra, model, size))
-        model = irfft(_power(*again, memory), memory)
+        # The lag sums of Γ − (I − P) Γ (I − P): twice ΓQQᵀ, and QQᵀΓQQᵀ once.
+        whole = 2 * rfft(spread, size, axis=1) - (basis @ spread.T) @ spectra
+        loss = irfft(np.sum(spectra.conj() * whole, axis=0).real, size)[:count] / count
+        # And those of the division by n at every lag.
+        loss += np.arange(count) / count * model
+        again = filtered(covariance + loss)
         # Noise without four independent samples in a log is a drift or a misfit: its
         # strength cannot be estimated from a spectrum, and the correction diverges. For
         # a ring-down of 8 s without noise, fitted to 0.004 %, the frequency was "not
         # determined" because of rounding.
-        if _freedom(model[:count]) < _LEAST_FREEDOM:
+        if _freedom(again[0]) < _LEAST_FREEDOM:
             break
-        (coefficients, variance), freedom = again, _freedom(model[:count])
-    return coefficients, variance, max(freedom, _LEAST_FREEDOM)
-
-
-def _taken(
-    basis: Matrix, spectra: NDArray[np.complex128], model: Vector, size: int
-) -> Vector:
-    """The reduction of sample autocovariances by a fit, for noise with the
-    autocovariances of `model`; basis: shape (p, n), its transforms of `size`.
-
-    The lag sums of Γ − (I − P) Γ (I − P), and of the division by n at every lag.
-    """
-    count = basis.shape[1]
-    # ΓQ, with a circle long enough for Γ from end to end.
-    circle = np.concatenate(
-        [model[:count], np.zeros(size - 2 * count + 1), model[count - 1 : 0 : -1]]
-    )
-    spread = irfft(spectra * rfft(circle), size, axis=1)[:, :count]
-    other = rfft(spread, size, axis=1)
-    # Twice ΓQQᵀ, and QQᵀΓQQᵀ once.
-    whole = np.einsum(
-        "pf,pf->f", spectra.conj(), 2 * other - (basis @ spread.T) @ spectra
-    )
-    reduction = irfft(whole.real, size)[:count] / count
-    return np.asarray(reduction + np.arange(count) / count * model[:count])
+        model, spread = again
+    meat = weights @ basis @ spread.T @ weights.T
+    return Noise(meat, max(_freedom(model), _LEAST_FREEDOM), observed)
 
 
 def _freedom(model: Vector) -> float:
@@ -191,55 +190,27 @@ def _freedom(model: Vector) -> float:
     return model.size / (2 * max(together, 1.0))
 
 
-def coloured_covariance(
-    regressors: Matrix, coefficients: Vector, variance: float
-) -> Matrix:
-    """Covariance of regressors · noise, regressors of shape (p, n), for the noise of an
-    autoregression.
-
-        Σ_k Σ_l x_k γ(k − l) x_lᵀ = ∫ S(ω) X(ω) X(ω)ᴴ dω / 2π
-
-    S is the spectrum of the autoregression. The estimate of Newey and West from the
-    products x_k e_k cuts off their correlation after some lags and tapers it before: at
-    five correlation times its standard errors were 15 to 20 % too small under slow
-    noise (83 % of "95 %" intervals held the truth), a fault that the autoregression
-    does not have. It assumes that noise and motion are independent, as they are for the
-    residual of a complete model.
-    """
-    count = regressors.shape[1]
-    size = _memory(count)
-    spectrum = rfft(regressors, size, axis=1)
-    density = _power(coefficients, variance, size)
-    density[1 : (size + 1) // 2] *= 2  # the negative frequencies
-    return np.asarray(
-        ((spectrum * density) @ spectrum.conj().T).real / size, dtype=np.float64
-    )
-
-
-def correlation_lag(residual: Vector) -> int:
-    """First lag after which the sample autocorrelation stays below 0.1, up to a quarter
-    of the record.
+def correlation_lag(covariance: Vector) -> int:
+    """First lag after which the autocorrelation stays below 0.1, up to a quarter of the
+    record, from its sample autocovariances at lags 0..n−1.
 
     Under slow noise that may be far too long, since the autocorrelation itself
     scatters: of 8000 samples of AR(1), ρ = 0.95, it falls below 0.1 after 45 lags and
     may pass it once more after a thousand.
     """
-    covariance = autocovariance(residual)
     if covariance[0] <= 0:
         return 1
     # A quarter of the record: at larger lags the autocovariance averages few products.
-    large = np.flatnonzero(
-        np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0]
-    )
-    return int(large[-1]) + 1
+    quarter = np.abs(covariance[: covariance.size // 4])
+    return int(np.flatnonzero(quarter > 0.1 * covariance[0])[-1]) + 1
 
 
-def correlated_lags(series: Vector) -> int:
-    """Lags over which products of a series are summed: five correlation times contain
-    its colour up to e^-5, and more than a fifth of its length would make its covariance
-    too noisy.
+def correlated_lags(covariance: Vector) -> int:
+    """Lags over which products of a series with these autocovariances are summed: five
+    correlation times contain its colour up to e^-5, and more than a fifth of its length
+    would make its covariance too noisy.
     """
-    return min(max(5 * correlation_lag(series), 10), series.size // 5)
+    return min(max(5 * correlation_lag(covariance), 10), covariance.size // 5)
 
 
 # --- tests --------------------------------------------------------------------------------------------------
@@ -442,7 +413,7 @@ def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
     rest = residual - gain * response
     scores: NDArray[np.float64] = (response * rest)[None, :]
     variance = max(
-        float(long_run_covariance(scores, correlated_lags(rest))[0, 0]),
+        float(long_run_covariance(scores, correlated_lags(autocovariance(rest)))[0, 0]),
         power * float(rest @ rest) / rest.size,
     )
     return gain, math.sqrt(variance) / power

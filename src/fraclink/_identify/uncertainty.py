@@ -18,8 +18,9 @@ from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.link_problem import LinkProblem
 from fraclink._identify.problem import QUANTILE, Interval, interval_ends, inverted
 from fraclink._identify.residual import (
+    Noise,
+    autocovariance,
     autoregression,
-    coloured_covariance,
     correlated_lags,
     correlation_lag,
     long_run_covariance,
@@ -67,9 +68,21 @@ class Covariance:
         white, lag, effective = variance * inverse, 1, float(len(regressors))
         wide = white
         if coloured:
-            wide = _sandwich(inverse, regressors, residual, are_lines)
-            lag = correlation_lag(residual)
-            effective = effective_parameters(inverse, regressors, residual, variance)
+            colour = autocovariance(residual)
+            noise = noise_behind(regressors, colour)
+            # A misfit that depends on the motion is not independent noise, nor is noise
+            # that is stronger at some lines than at others; there the products of both
+            # give more information.
+            lags = 0 if are_lines else correlated_lags(colour)
+            products = long_run_covariance(regressors * residual, lags)
+            wide, lag = _sandwich(inverse, noise, products), correlation_lag(colour)
+            # Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and
+            # larger under slow noise in proportion to its lack of independent samples.
+            # For the residual as it is: the correction for the noise removed by the fit
+            # is estimated for each structure separately, and for a log with friction in
+            # its residual it gave 1217 effective parameters for one structure and 388
+            # for its rival.
+            effective = noise.observed / variance if variance > 0 else effective
         return cls(names, white, wide, lag, effective, singular)
 
     def of_functions(self, names: tuple[str, ...], gradients: Matrix) -> Covariance:
@@ -121,44 +134,20 @@ def link_covariance(
     return joint.of_functions(names, gradients), joint.errors.get("1", math.nan)
 
 
-def _sandwich(
-    inverse: Matrix, regressors: Matrix, residual: Vector, are_lines: bool
-) -> Matrix:
-    """Covariance under a coloured residual.
+def _sandwich(inverse: Matrix, noise: Noise, products: Matrix) -> Matrix:
+    """Covariance under a coloured residual, at least as wide as the `products` of
+    regressors and residual say.
 
-    `inverse` is that of the normal matrix of the regressors, shape (p, n). The
-    covariance is widened so that 1.96 of its standard errors hold what Student's
-    quantile would: the level of slow noise in a short log is known by few degrees of
-    freedom.
+    `inverse` is that of the normal matrix of the regressors. The covariance is widened
+    so that 1.96 of its standard errors hold what Student's quantile would: the level of
+    slow noise in a short log is known by few degrees of freedom.
     """
-    coefficients, power, freedom = noise_behind(regressors, residual)
-    meat = coloured_covariance(regressors, coefficients, power)
-    # A misfit that depends on the motion is not independent noise, nor is noise that is
-    # stronger at some lines than at others; there the products of both give more
-    # information.
-    lags = 0 if are_lines else correlated_lags(residual)
-    products = long_run_covariance(regressors * residual, lags)
+    own = noise.covariance
     wider = np.sqrt(
-        np.maximum(_diagonal(inverse, products) / _diagonal(inverse, meat), 1.0)
+        np.maximum(_diagonal(inverse, products) / _diagonal(inverse, own), 1.0)
     )
-    wider *= float(stdtrit(freedom, 0.975)) / QUANTILE
-    return np.asarray(inverse @ meat @ inverse * np.outer(wider, wider))
-
-
-def effective_parameters(
-    inverse: Matrix, regressors: Matrix, residual: Vector, variance: float
-) -> float:
-    """Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and larger under
-    slow noise in proportion to its lack of independent samples.
-    """
-    if not variance > 0:
-        return float(inverse.shape[0])
-    # For the residual as it is: the correction for the noise removed by the fit is
-    # estimated for each structure separately, and for a log with friction in its
-    # residual it gave 1217 effective parameters for one structure and 388 for its
-    # rival.
-    own = coloured_covariance(regressors, *autoregression(residual))
-    return float(np.trace(inverse @ own)) / variance
+    wider *= float(stdtrit(noise.freedom, 0.975)) / QUANTILE
+    return np.asarray(inverse @ own @ inverse * np.outer(wider, wider))
 
 
 def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
