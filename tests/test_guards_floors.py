@@ -192,7 +192,7 @@ CEILINGS = {
     "_design": 1596,
     "_export": 543,
     "_files": 581,
-    "_identify": 3089,
+    "_identify": 3074,
     "_law": 965,
     "_reading": 1053,
     "_simulate": 1247,
