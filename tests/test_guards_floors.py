@@ -196,7 +196,7 @@ CEILINGS = {
     "_law": 965,
     "_reading": 1053,
     "_simulate": 1247,
-    "lab": 1908,
+    "lab": 1904,
     "logs": 676,
     "studio": 1205,
     "trials": 1474,

@@ -119,22 +119,8 @@ def _chain(
     )
 
 
-_EMPTY = np.zeros(0)
-
-
 _ENERGY = "a negative one would make energy: check its sign"
-_LAMBDA = "use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy"
-Time = Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
-Coefficient = Annotated[float, Between(0.0, 1e6, "s^α", remedy=_ENERGY)]
-FractionalOrder = Annotated[
-    float,
-    Between(
-        0.0, 1.0, low_open=True, high_open=True, remedy="use KelvinVoigt for α = 1"
-    ),
-]
-LinkOrder = Annotated[
-    float, Between(1.0, 2.0, "(λ)", low_open=True, high_open=True, remedy=_LAMBDA)
-]
+_Time = Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
 
 
 @checked
@@ -152,12 +138,12 @@ class KelvinVoigt:
     KelvinVoigt(time=0.0131, higher=None)
     """
 
-    time: Time
-    higher: Time | None = None
+    time: _Time
+    higher: _Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
-        return Chain(1.0, self.time, _EMPTY, _EMPTY)
+        return Chain(1.0, self.time, np.zeros(0), np.zeros(0))
 
     @property
     def label(self) -> str:
@@ -178,9 +164,14 @@ class FractionalKelvinVoigt:
     'fractional, D = 1 + 0.012 s^0.9'
     """
 
-    coefficient: Coefficient
-    order: FractionalOrder
-    higher: Time | None = None
+    coefficient: Annotated[float, Between(0.0, 1e6, "s^α", remedy=_ENERGY)]
+    order: Annotated[
+        float,
+        Between(
+            0.0, 1.0, low_open=True, high_open=True, remedy="use KelvinVoigt for α = 1"
+        ),
+    ]
+    higher: _Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
@@ -209,8 +200,18 @@ class PowerLaw:
     1.0
     """
 
-    order: LinkOrder
-    higher: Time | None = None
+    order: Annotated[
+        float,
+        Between(
+            1.0,
+            2.0,
+            "(λ)",
+            low_open=True,
+            high_open=True,
+            remedy="use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy",
+        ),
+    ]
+    higher: _Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""

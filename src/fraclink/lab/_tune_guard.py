@@ -145,15 +145,10 @@ class Guard:
 
     @property
     def angle(self) -> float:
-        """Newest motor angle relative to the start [rad]."""
-        return self.reading.angle - self.origin
-
-    def connect_angle(self) -> float:
         """Newest motor angle relative to the start [rad], with the connection opened if
         necessary: a swinging link turns a motor that is off.
         """
-        self.connect()
-        return self.angle
+        return self.connect().angle - self.origin
 
     @property
     def torque(self) -> float:

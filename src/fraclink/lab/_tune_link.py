@@ -151,9 +151,7 @@ def _excited(
         resonance=resonance,
         noise=wiring.gauge_noise,
     )
-    path = _sequence(
-        guard, motor, model, size * reach, duration, start=guard.connect_angle()
-    )
+    path = _sequence(guard, motor, model, size * reach, duration, start=guard.angle)
     record = follow(guard, law, path, origin=guard.origin)
     fast = max(guard.period, min(_BIT, _HALF / (_SECOND * resonance)))
     # The voltage that changes the motor's speed by this amount within one bit; friction

@@ -136,7 +136,7 @@ def tune_motor(
         # with its size.
         reach *= min(
             PLANNED * limits.angle / reach,
-            PLANNED * limits.torque / _peak(record.torque),
+            PLANNED * limits.torque / max(float(np.max(np.abs(record.torque))), 1e-12),
             1.8,
         )
         speed = min(PLANNED * limits.speed, 1.8 * speed)
@@ -171,7 +171,7 @@ def _moved(
     fast = min(speed, 0.35 * pole * reach)
     # From the position in which a swinging link has left the motor, back to about its
     # first position.
-    here = guard.connect_angle()
+    here = guard.angle
     path = random_moves(
         size * reach, size * fast, 3.0, guard.period, seed=seed, start=here
     )
@@ -211,10 +211,6 @@ def unlimited_pole(motor: MotorResult, period: float, delay: float) -> float | N
         ).pole
     except FraclinkError:
         return None
-
-
-def _peak(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    return max(float(np.max(np.abs(torque))), 1e-12)
 
 
 def fitted_motor(
