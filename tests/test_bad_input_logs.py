@@ -298,6 +298,14 @@ def test_b59_wide_encodings(encoding: str, tmp_path: Path) -> None:
     assert "UTF-8" in error.remedy
 
 
+def test_b59_a_wide_encoding_that_is_cut_off(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "log.csv", made_rows())
+    path.write_bytes(path.read_text().encode("utf-16")[:-1])
+    error = refused(path)
+    assert isinstance(error, FileFormatError)
+    assert error.problem.startswith("not UTF-16 (at byte ")
+
+
 def test_b59_a_nul_byte(tmp_path: Path) -> None:
     path = write_log(tmp_path / "log.csv", made_rows())
     path.write_bytes(path.read_bytes()[:500] + b"\x00" + path.read_bytes()[500:])

@@ -575,3 +575,35 @@ def test_the_export_has_the_estimator_and_its_self_test(
     assert "not proved" in page and f"{bank(precision).state_size} bytes" in page
     plain = {path.name for path in fl.export_c(law, tmp_path / "plain")}
     assert not plain & own
+
+
+DAMAGED = """
+#include <stdio.h>
+#include "payload_data.h"
+int main(void)
+{
+    payload_params other = payload_data;
+    payload_state memory;
+    uint32_t reasons[4];
+    reasons[0] = payload_init(&memory, &other);
+    other.model[1].mass *= (law_real)2;
+    reasons[1] = payload_init(&memory, &other);
+    other.size += 1U;
+    reasons[2] = payload_init(&memory, &other);
+    other.version += 1U;
+    reasons[3] = payload_init(&memory, &other);
+    printf("%d %d %d %d", reasons[0] == LAW_OK, reasons[1] == LAW_BAD_CRC,
+           reasons[2] == LAW_BAD_SIZE, reasons[3] == LAW_BAD_VERSION);
+    return 0;
+}
+"""
+
+
+def test_damaged_tables_are_refused_with_the_reason(tmp_path: Path) -> None:
+    compiler = tool("cc", "gcc")
+    fl.export_c(designed().law(), tmp_path, estimator=bank())
+    (tmp_path / "damaged.c").write_text(DAMAGED, "utf-8")
+    line = [compiler, "-std=c99", "-DLAW_SINGLE", "damaged.c", "payload_estimator.c"]
+    subprocess.run([*line, "-o", "damaged"], cwd=tmp_path, check=True)  # noqa: S603
+    answer = subprocess.run([tmp_path / "damaged"], check=True, capture_output=True)  # noqa: S603
+    assert answer.stdout == b"1 1 1 1"
