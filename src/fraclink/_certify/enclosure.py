@@ -157,7 +157,7 @@ class BoxLoop:
         return FrequencyWindow(tuple(fronts), alias, x, both)
 
     def _open(self, s: Disc) -> Disc:
-        """The part of F that is not periodic, without delay and ideal motor loop; with
+        """The part of F that is not periodic, without the delay and the ideal motor loop; with
         the PID it includes the motor.
         """
         return (

@@ -75,7 +75,8 @@ def certify(
         (lightest, heaviest) [kg], > 0; the design's or the rig's when left out.
     delay
         (shortest, longest) computation delay [s], at most Ts apart where the law closes
-        the motor loop; the last of the motor loop's periods of delay when left out.
+        the motor loop; when left out, anything within the last of the motor loop's
+        periods of delay.
     modulus_margin
         m, 0 < m < 1; a hundredth or two below what a search finds when left out, and
         then not below 0.25: a loop that comes closer does not pass.

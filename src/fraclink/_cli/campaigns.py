@@ -105,8 +105,8 @@ def summary_answer(
 
 
 def replayed(folder: Path, run: str, out: Path, *, force: bool) -> Answer:
-    """Repeat one run of a campaign with all its signals: by its number on arms that
-    differ, by its name of faults, whose figure is drawn beside them.
+    """Repeat one run of a campaign with all its signals: a run on varied arms by its
+    number, the run of a fault by its name. A fault is drawn, too.
     """
     if is_campaign(folder):
         if not run.isdigit():
@@ -247,8 +247,8 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
 
 
 def _bench_of(table: FaultTable, folder: Path) -> Bench:
-    """The bench of a finished campaign; one from the studio, without a command, tests
-    the design of its folder.
+    """The bench of a finished campaign. One of the studio states no command: it tested
+    the design in its folder.
     """
     about = table.about
     design = about.get("design", "" if "rig" in about else folder / "design.json")

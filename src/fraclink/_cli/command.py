@@ -48,13 +48,14 @@ __all__ = ["Answer", "Keywords", "Writes", "command", "declared"]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: a result with an overview, or text; and what follows from
+    """What a command prints: the overview of a result, or a text; and what follows from
     it.
 
-    text replaces the overview and values the JSON; values are added to it otherwise. doubts
-    are errors of the input that leave nothing shown by the result. remarks go to
-    standard error and are left out with --json. written are the files; following is the
-    command a user would give next; opened is a page for the browser.
+    `text` takes the place of the overview. `values` are added to the JSON of the
+    result, or are the whole JSON where there is no result. `doubts` are errors of the
+    input: whatever the result, nothing is shown by it. `remarks` go to standard error
+    and are left out with --json. `written` are the files, `following` the command that
+    a user would give next, `opened` a page for the browser.
     """
 
     result: Any = None

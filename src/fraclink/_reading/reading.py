@@ -74,7 +74,7 @@ def read_columns(path: Path | str) -> dict[str, Real]:
     """Read a table of numbers as it stands: column name to values, shape (N,), in the
     file's own units.
 
-    For tables that are no log, such as a frequency response. Every format of `read_log`
+    For tables that are not logs, such as a frequency response. Every format of `read_log`
     is read. Raises FileFormatError, LogError (a cell is no number, a name stands twice)
     or SizeError.
 
