@@ -557,3 +557,33 @@ def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     )
     assert tuned.link is not None and tuned.has_law, tuned
     assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)
+
+
+def test_an_arm_that_loses_samples_is_measured_on_its_own_time(tmp_path: Path) -> None:
+    own, chance = arm(seed=1), np.random.default_rng(1)
+    last: list[Any] = []
+
+    def write(command: Any) -> None:
+        last[:] = [command]
+        own.callback.write(command)
+
+    def read() -> tuple[float, float] | None:
+        sample = own.callback.read()
+        if last and chance.random() < 0.02:
+            own.callback.write(last[0])  # the arm goes on with the voltage it has
+            return None
+        return sample
+
+    tuned = fl.tune(
+        Callback(read, write),
+        fl.TuningPlan(LIMITS, payload=0.030, period=PERIOD),
+        out=tmp_path / "tuned",
+        clock="none",
+    )
+    assert tuned.link is not None
+    assert tuned.link.fit.model.order == pytest.approx(1.92, abs=0.005)
+    for move in tuned.moves:
+        assert move.measured_settling == pytest.approx(
+            move.promised_settling, rel=0.1, abs=0.05
+        )
+    assert tuned.passed, tuned

@@ -152,6 +152,7 @@ def _excited(
         noise=wiring.gauge_noise,
     )
     path = _sequence(guard, motor, model, size * reach, duration, start=guard.angle)
+    start = guard.count
     record = follow(guard, law, path, origin=guard.origin)
     fast = max(guard.period, min(_BIT, _HALF / (_SECOND * resonance)))
     # The voltage that changes the motor's speed by this amount within one bit; friction
@@ -160,7 +161,7 @@ def _excited(
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
     voltages = burst(voltage, fast, _BURST, guard.period)
     follow(guard, law, np.zeros((2, voltages.size)), shaken=voltages)
-    return record, guard.record(guard.count - path.shape[1] - voltages.size)
+    return record, guard.record(start)
 
 
 def _sequence(

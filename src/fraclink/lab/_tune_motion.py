@@ -238,9 +238,10 @@ def follow(
     # A law that continues from the previous path keeps its integrator and its tick.
     runs = follower or Follower(law)
     more = np.zeros(path.shape[1]) if shaken is None else shaken
-    for (angle, acceleration), voltage in zip(
-        path.T.tolist(), more.tolist(), strict=True
-    ):
+    rows = np.vstack([path, more]).T.tolist()
+    # The reference goes on while samples are lost, as time does.
+    while (row := guard.count - start) < len(rows):
+        angle, acceleration, voltage = rows[row]
         reading = guard.reading
         # With the number of periods since the last sample, so that the law counts lost
         # samples in the way of its own guards.
