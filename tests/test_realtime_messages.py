@@ -178,10 +178,17 @@ class Peer(socket.socket):
 
 
 def message(
-    kind: int, sequence: int, first: float, second: float, mode: int = 1, run: int = 0
+    kind: int,
+    sequence: int,
+    first: float,
+    second: float,
+    mode: int = 1,
+    run: int = 0,
+    *,
+    head: tuple[bytes, int] = (b"FLRT", 2),
 ) -> bytes:
     body = struct.pack(
-        MESSAGE, b"FLRT", 2, kind, sequence, 0, first, second, mode, 0, 0, run
+        MESSAGE, *head, kind, sequence, 0, first, second, mode, 0, 0, run
     )
     return body + struct.pack("<I", zlib.crc32(body))
 
@@ -332,6 +339,9 @@ def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) 
             message(1, 10_000, 0.0, 5.0, 1, peer.run),  # a sample instead of a command
             message(2, 1, 0.0, 5.0, 1, peer.run),  # an older sequence number
             message(2, 10_000, 0.0, 5.0, 1, peer.run ^ 1),  # another run
+            # another protocol, and another version of this one
+            message(2, 10_000, 0.0, 5.0, 1, peer.run, head=(b"FLRU", 2)),
+            message(2, 10_000, 0.0, 5.0, 1, peer.run, head=(b"FLRT", 3)),
             *flipped,
         ]
         peer.say(1000)
