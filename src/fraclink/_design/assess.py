@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
@@ -23,8 +23,10 @@ from fraclink.errors import FieldError
 from fracsys.checks import (
     Between,
     Frequency,
+    Mask,
     Payload,
     PhaseMargin,
+    Real,
     checked,
     checked_series,
 )
@@ -44,8 +46,6 @@ __all__ = [
     "phase_budget",
 ]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 GainLimit = Annotated[float, Between(0.0, 1e3, low_open=True)]
 CurveKind = Literal["ideal", "motor", "loop", "sampled"]
@@ -251,7 +251,7 @@ class FeasibilityMap:
     noise_gain: Real
 
     @property
-    def feasible(self) -> NDArray[np.bool_]:
+    def feasible(self) -> Mask:
         """The cells in which a controller meets every row."""
         return np.isfinite(self.noise_gain)
 

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.notch import Notch
+from fracsys.checks import Complex, Real
 
 __all__ = ["Outer"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Index = NDArray[np.int64]
 
 

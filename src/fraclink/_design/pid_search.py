@@ -23,11 +23,10 @@ from fraclink.errors import FraclinkError
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._stability import poles
 from fracsys._sweep import bracketed_roots
+from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["Candidates", "PidProblem", "best_of", "itae", "searched"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Span = tuple[float, float]
 
 FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crossover
@@ -74,7 +73,7 @@ class Candidates:
         """ω_c of each [rad/s]."""
         return np.exp(self.places[:, 3])
 
-    def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Candidates:
+    def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Candidates:
         return Candidates(
             self.gains[chosen], self.places[chosen], self.filter_time[chosen]
         )
@@ -192,7 +191,7 @@ class PidProblem:
         found = found[positive]
         return found[found.measured(self._keeps).astype(bool)]
 
-    def _keeps(self, found: Candidates) -> NDArray[np.bool_]:
+    def _keeps(self, found: Candidates) -> Mask:
         loop = found.response(np.asarray(1j * self.scan)) * self._scanned
         with np.errstate(all="ignore"):
             integral = np.where(found.gains[:, 1] > 0.0, found.places[:, 0], 0.0)
@@ -232,7 +231,7 @@ def _plant_at(plant: FractionalTransferFunction, w: Real) -> tuple[Complex, Real
     return np.asarray(plant(1j * w)), np.asarray(np.angle(up / down) / (2.0 * step))
 
 
-def _stable(loop: Complex, origin: Real) -> NDArray[np.bool_]:
+def _stable(loop: Complex, origin: Real) -> Mask:
     """Whether 1 + L turns exactly as its pole at the origin requires (there is no pole
     elsewhere).
 

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.fractional_pid import FractionalPid
 from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
@@ -24,12 +23,10 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys._margins import Margins, margins
 from fracsys._response import discrete_modes, time_response
 from fracsys._stability import is_stable
-from fracsys.checks import Between
+from fracsys.checks import Between, Complex, Real
 
 __all__ = ["PERIODS", "PidStep", "PidTuning"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # periods of delay: half of one for the hold, and one until the output takes effect
 PERIODS = 1.5

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
@@ -28,10 +27,10 @@ from fraclink._law.design import Design, Requirement
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
 from fracsys._sweep import bracketed_roots
+from fracsys.checks import Real
 
 __all__ = ["ClosedForm", "published"]
 
-Real = NDArray[np.float64]
 
 _SHARE = 0.1  # share of the phase margin that the filter may cost (section 6, step 5)
 _GRID = 240  # trial values of ω̄_c, between which a change of sign is sought

@@ -11,7 +11,6 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.beam import model_at
 from fraclink._arm.box import Arm, ParameterBox, arms_of
@@ -25,10 +24,10 @@ from fraclink._design.table import Table, stacked, tabulated
 from fraclink._law.modes import MODE_LIMIT, HigherModes, higher_modes
 from fraclink._law.requirement import least_modulus
 from fraclink.errors import FieldError
+from fracsys.checks import Real
 
 __all__ = ["Request"]
 
-Real = NDArray[np.float64]
 
 # Mass of a gripper without its load, as a share of the lightest payload, if none is
 # stated.

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._design.table import Figure, Trial
 from fraclink._law.design import Specification
 from fraclink._law.requirement import Requirement
+from fracsys.checks import Real
 from fracsys.checks.rules import rule
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["NOISE_SHARE", "RESERVE", "ROWS", "SENSITIVITY", "Row", "specification"]
 
-Real = NDArray[np.float64]
 
 # Ms of 2 is the customary upper end for a robust loop (1.4 to 2); it implies a gain
 # margin of 2 and a phase margin of 29°. Used if no margin is requested.

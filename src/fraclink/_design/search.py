@@ -10,7 +10,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._design.outer import Outer
@@ -19,10 +18,10 @@ from fraclink._design.rows import RESERVE, Row
 from fraclink._design.solver import KEPT, Rows, eased, lowest
 from fraclink._design.table import Figure, Table, Trial
 from fraclink._law.requirement import Requirement
+from fracsys.checks import Real
 
 __all__ = ["Search", "Solution", "solved"]
 
-Real = NDArray[np.float64]
 
 _ROUNDS = 8  # rounds in which links are added that turn out to be worse
 # δ times the crossover at the first start: a long filter with a steep Ĉ makes a quiet

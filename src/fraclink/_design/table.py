@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from fraclink._arm.loop import Loop, noise_points
 from fraclink._design.outer import Outer
 from fraclink._law.modes import MODE_POINTS, HigherModes
+from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["Figure", "Table", "Trial", "stacked", "tabulated"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Index = NDArray[np.int64]
 
 # Points per decade, from a twentieth of the resonance; cubics between them follow ln L
@@ -57,7 +56,7 @@ class Table:
     modes_w: Real
     modes_level: Real
     modes_number: Index
-    empty: NDArray[np.bool_]
+    empty: Mask
     arm: Index
     natural_frequency: Real
     mode: Real
@@ -177,7 +176,7 @@ class Figure:
         self.value, self.gradient, self.link = value, gradient, link
         self.number = np.zeros_like(link) if number is None else number
 
-    def at(self, kept: NDArray[np.bool_] | Index) -> Figure:
+    def at(self, kept: Mask | Index) -> Figure:
         """Return the entries at the given indices."""
         return Figure(
             self.value[kept], self.gradient[:, kept], self.link[kept], self.number[kept]
@@ -219,7 +218,7 @@ class Trial:
         return u0, h, np.array([f0, s0, 3.0 * a - 2.0 * s0 - s1, s0 + s1 - 2.0 * a])
 
     @cached_property
-    def _crossings(self) -> tuple[Index, Real, Complex, Complex, NDArray[np.bool_]]:
+    def _crossings(self) -> tuple[Index, Real, Complex, Complex, Mask]:
         """(link, ω, ln L, d ln L/d ln ω, whether |L| rises) at the crossings |L| = 1."""
         above = self.log.real > 0.0
         link, i = np.nonzero(above[:, :-1] != above[:, 1:])
@@ -338,7 +337,7 @@ class Trial:
             np.concatenate([figure.link, figure.link]),
         )
 
-    def _at_mode(self, w: Real, link: Index) -> NDArray[np.bool_]:
+    def _at_mode(self, w: Real, link: Index) -> Mask:
         """Whether the given frequencies of links belong to their second modes."""
         low, high = np.moveaxis(self.table.band[link], -1, 0)
         return np.asarray((w > low) & (w < high))

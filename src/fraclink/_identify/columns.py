@@ -6,12 +6,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink.findings import Finding
-
-Vector = NDArray[np.float64]
+from fracsys.checks import Real
 
 # Share of the variance of a channel that another one explains alone: for 300 random
 # vibrating links, angle, speed and acceleration of the motor explain at most 31 % of
@@ -106,14 +104,14 @@ def mains_of(log: Experiment) -> float | None:
     )
 
 
-def lead_of(output: Vector) -> int:
+def lead_of(output: Real) -> int:
     """Samples at the beginning of a log that show whether it begins at rest."""
     # At least ten samples: the mean of fewer is noise of the gauge and not the
     # deflection of the link.
     return max(10, round(0.01 * output.size))
 
 
-def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | None:
+def motion_at_start(angle: Real, vibration: Real, spread: float) -> str | None:
     """What moves in the first samples of a log, None if the arm is at rest; `vibration`
     is without offset.
     """
@@ -129,7 +127,7 @@ def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | No
     )
 
 
-def _explained(values: Vector, source: Vector) -> float:
+def _explained(values: Real, source: Real) -> float:
     """Share of the variance of `values` that a multiple of `source` and a constant
     explain: R².
     """
@@ -140,7 +138,7 @@ def _explained(values: Vector, source: Vector) -> float:
     return float(centred @ other) ** 2 / power if power > 0 else 0.0
 
 
-def _is_ramp(values: Vector) -> bool:
+def _is_ramp(values: Real) -> bool:
     """Whether nearly all steps are equal, like those of a clock or of a counter that
     restarts.
     """
@@ -153,7 +151,7 @@ def _is_ramp(values: Vector) -> bool:
     )
 
 
-def _at_stops(output: Vector) -> float:
+def _at_stops(output: Real) -> float:
     """Share of the samples at the extremes; 0 if it is small or if the neighbouring
     levels are nearly as frequent.
 

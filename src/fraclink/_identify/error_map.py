@@ -6,16 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._identify.fit import Fit
 from fraclink._identify.fitting import fitted_window
 from fraclink._identify.shape import chosen_hold, shape_of
+from fracsys.checks import Real
 
 __all__ = ["ErrorMap", "error_map"]
 
-Real = NDArray[np.float64]
 
 _ORDERS, _RESONANCES = 25, 25  # grid points of the map
 # in λ and ln Ω: first step, smallest and largest extent of the map

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from fraclink._arm.link import LinkModel
@@ -19,10 +18,8 @@ from fraclink._display import Overview, Row, displayed, number
 from fraclink._identify.problem import inverted
 from fraclink._identify.shape import COORDINATE, Window, columns_of, mask_of, shape_of
 from fraclink.errors import InfeasibleError
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 from fracsys.checks.equality import compared
-
-Reals = NDArray[np.float64]
 
 # Centres of the bands that are tried, relative to the resonance.
 _BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
@@ -72,8 +69,8 @@ class ExperimentDesign:
     peak_deflection: float
     peak_voltage: float | None
     limit: str
-    time: Reals = field(repr=False)
-    motor_angle: Reals = field(repr=False)
+    time: Real = field(repr=False)
+    motor_angle: Real = field(repr=False)
 
     def overview(self) -> Overview:
         """What moves, how far, how long, and how sure λ will be."""

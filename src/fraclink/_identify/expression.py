@@ -17,16 +17,14 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
+from fracsys.checks import Complex
 
 __all__ = ["Expression", "Leaves", "Role", "parse_expression"]
 
 Role = Literal["order", "delay", "coefficient"]
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _LONGEST = 1000  # characters; a structure written by hand has about fifty
 _DEEPEST = 60  # nesting depth, since the evaluation below is recursive
@@ -66,7 +64,7 @@ class Expression:
         """Parameters of one role."""
         return tuple(name for name, own in self.roles.items() if own == role)
 
-    def response(self, values: Mapping[str, Any], points: Complexes) -> Complexes:
+    def response(self, values: Mapping[str, Any], points: Complex) -> Complex:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
         # The principal branch, computed once for all powers: s^a is then the same
         # function at every point, with its cut along the negative real axis.

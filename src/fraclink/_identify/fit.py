@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
@@ -19,6 +18,7 @@ from fraclink._files import Saved, document
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
 from fraclink.findings import Finding, errors_of
+from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
 if TYPE_CHECKING:
@@ -184,8 +184,8 @@ class Fit(Saved):
     tests: ResidualTests | None
     converged: bool
     evaluations: int
-    predicted: NDArray[np.float64]
-    residual: NDArray[np.float64]
+    predicted: Real
+    residual: Real
     findings: tuple[Finding, ...] = ()
     source: str = ""
     sha256: str = ""

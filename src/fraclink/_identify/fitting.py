@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel, SecondMode
@@ -25,7 +24,6 @@ from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
     Hold,
-    Vector,
     Window,
     chosen_hold,
     columns_of,
@@ -40,7 +38,7 @@ from fraclink._identify.uncertainty import (
 )
 from fraclink.errors import LogError
 from fraclink.findings import errors_of
-from fracsys.checks import Array, Between, checked, checked_choice
+from fracsys.checks import Array, Between, Real, checked, checked_choice
 
 _FIXABLE: dict[str, tuple[float, float]] = {
     "gain": (-1e12, 1e12),
@@ -58,7 +56,7 @@ Stiffness = Annotated[
         0.0, 1e9, "N·m/rad", low_open=True, remedy="give c in N·m/rad or leave it out"
     ),
 ]
-Motion = Annotated[NDArray[np.float64], Array(1, min_size=2)]
+Motion = Annotated[Real, Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
 # Uncertainty of a fit: the covariance, and the resonance's relative standard error.
 Known = tuple[Covariance, float]
@@ -79,7 +77,7 @@ def simulated_torque(
     *,
     delay: Delay = 0.0,
     hold: Hold = "auto",
-) -> NDArray[np.float64]:
+) -> Real:
     """Return the torque [N·m] of a link whose motor angle [rad] is linear or held
     between its samples.
 
@@ -168,7 +166,7 @@ def _check_motion(window: Window) -> None:
 # --- the held-out part ------------------------------------------------------------------------------------
 
 
-def _activity(signal: Vector) -> Vector:
+def _activity(signal: Real) -> Real:
     """Share of the signal's energy after each of the blocks' borders, shape (_BLOCKS +
     1,).
 
@@ -243,9 +241,7 @@ def fitted_samples(log: Experiment) -> int:
 # --- the fit and how sure it is ----------------------------------------------------------------------------
 
 
-def predicted_output(
-    search: Search, solution: Solution, log: Experiment
-) -> NDArray[np.float64]:
+def predicted_output(search: Search, solution: Solution, log: Experiment) -> Real:
     """The output over the whole log, of which the search only used the first part."""
     whole = fitted_window(log, log.output.size, search.window.hold)
     kernel = search.kernel_of(whole)
@@ -320,7 +316,7 @@ def fit_from(
 
 
 def _figures(
-    log: Experiment, residual: Vector, count: int, solution: Solution
+    log: Experiment, residual: Real, count: int, solution: Solution
 ) -> dict[str, Any]:
     """Errors and criteria over the fitted part and over the held-out part."""
     # Parameters of the structure, as counted in the paper: gain, offset and delay occur
@@ -394,7 +390,7 @@ def _identified(
     )
 
 
-def _tests(search: Search, residual: Vector, covariance: Covariance) -> ResidualTests:
+def _tests(search: Search, residual: Real, covariance: Covariance) -> ResidualTests:
     # The worst ratio: the factor by which the number of samples counts less for the
     # least certain parameter.
     ratio = max(covariance.inflation.values(), default=1.0)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._identify.link_problem import quadratic_of
 from fraclink._identify.problem import Problem, Quadratic, descend
@@ -23,14 +22,13 @@ from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
-    Shape,
-    Vector,
     damping_and_square,
     largest_ratio,
     link_parameters,
 )
 from fraclink._identify.uncertainty import link_covariance
 from fraclink.errors import NotConvergedError
+from fracsys.checks import Real
 
 # The parameters of θ in the order of `link_parameters`.
 _PLACES = ("frequency", "order", "damping", "damping_order", "delay")
@@ -67,7 +65,7 @@ class Coordinates:
             return self.common.index(name)
         return len(self.common) + log * len(self.own) + self.own.index(name)
 
-    def shape(self, theta: Vector, log: int) -> tuple[Shape, NDArray[np.float64]]:
+    def shape(self, theta: Real, log: int) -> tuple[Real, Real]:
         """The shape of a log and its derivative with respect to θ, shapes (5,) and (5,
         size).
         """
@@ -112,7 +110,7 @@ def _log_resonance(square: float, order: float, damping: float, other: float) ->
     return place
 
 
-def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
+def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Real:
     """Every parameter from the separate fit of its log; the mean for common ones."""
     theta, count = np.zeros(coordinates.size), np.zeros(coordinates.size)
     for i, solution in enumerate(alone):
@@ -168,16 +166,16 @@ class JointProblem(Problem):
     weights: Sequence[float]
 
     @cached_property
-    def low(self) -> Vector:
+    def low(self) -> Real:
         """See `Problem`."""
         return self._limits(0)
 
     @cached_property
-    def high(self) -> Vector:
+    def high(self) -> Real:
         """See `Problem`."""
         return self._limits(1)
 
-    def _limits(self, end: int) -> Vector:
+    def _limits(self, end: int) -> Real:
         result = np.full(self.coordinates.size, (-math.inf, math.inf)[end])
         for name, limits in (("order", ORDER_LIMITS), ("damping_order", ALPHA_LIMITS)):
             if name in self.coordinates.names:
@@ -186,7 +184,7 @@ class JointProblem(Problem):
         return result
 
     @cached_property
-    def reach(self) -> Vector:
+    def reach(self) -> Real:
         """See `Problem`: Ω is already well known."""
         own = self.coordinates
         result = np.full(own.size, math.inf)
@@ -206,7 +204,7 @@ class JointProblem(Problem):
         pairs = zip(self.weights, outputs, strict=True)
         return float(sum(weight * (y @ y) for weight, y in pairs))
 
-    def quadratic(self, places: NDArray[np.float64]) -> Quadratic:
+    def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`: the weighted sum over all logs; the cost is infinite for
         impossible links.
         """
@@ -227,7 +225,7 @@ class JointProblem(Problem):
         sums = [sum(column) for column in zip(*parts, strict=True)]
         return Quadratic(*map(np.asarray, sums))
 
-    def minimise(self, theta: Vector) -> tuple[Vector, NDArray[np.float64]]:
+    def minimise(self, theta: Real) -> tuple[Real, Real]:
         """The best θ and the normal matrix there."""
         descent = descend(self, theta[None, :])
         if not math.isfinite(descent.costs[0]):

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import structure
 from fraclink._identify.problem import Problem, Quadratic, reduced
@@ -24,15 +23,15 @@ from fraclink._identify.shape import (
     mask_of,
 )
 from fraclink._kernels import FitProblem
+from fracsys.checks import Real
 
 __all__ = ["LinkProblem", "quadratic_of"]
 
-Reals = NDArray[np.float64]
 _NO_DAMPING = 1e-12  # ζ below which α has no meaning
 
 
 def quadratic_of(
-    kernel: FitProblem, shapes: Reals, chain: Reals, gain: float, offset: float
+    kernel: FitProblem, shapes: Real, chain: Real, gain: float, offset: float
 ) -> Quadratic:
     """The quadratic model of shapes (M, 5) with the derivatives `chain` (M, 5, p) with
     respect to the coordinates; gain and offset are free if NaN.
@@ -80,7 +79,7 @@ class LinkProblem(Problem):
         return cls(search, solution, tuple(free), turned)
 
     @cached_property
-    def _start(self) -> Reals:
+    def _start(self) -> Real:
         """The shape of the solution, with r in place of α if the problem uses it."""
         start = self.solution.shape.copy()
         if self.turned:
@@ -98,12 +97,12 @@ class LinkProblem(Problem):
         return math.pi * float(self.solution.shape[2] or 1.0)
 
     @property
-    def place(self) -> Reals:
+    def place(self) -> Real:
         """The solution's coordinates."""
         return self._start[list(self.free)]
 
     @cached_property
-    def low(self) -> Reals:
+    def low(self) -> Real:
         """See `Problem`."""
         low = self.solution.lower.copy()
         if self.turned:
@@ -111,7 +110,7 @@ class LinkProblem(Problem):
         return low[list(self.free)]
 
     @cached_property
-    def high(self) -> Reals:
+    def high(self) -> Real:
         """See `Problem`."""
         high = self.solution.upper.copy()
         if self.turned:
@@ -142,7 +141,7 @@ class LinkProblem(Problem):
             and not (edge and name == "natural_frequency")
         )
 
-    def expanded(self, places: Reals) -> tuple[Reals, Reals]:
+    def expanded(self, places: Real) -> tuple[Real, Real]:
         """Shapes (M, 5) and their derivatives with respect to the coordinates (M, 5,
         p).
         """
@@ -160,7 +159,7 @@ class LinkProblem(Problem):
             chain[:, 3, 3] = np.where(over, -1 / self._slope, -double / square)
         return shapes, chain[:, :, list(self.free)]
 
-    def clip(self, places: Reals) -> Reals:
+    def clip(self, places: Real) -> Real:
         """See `Problem`: beyond the largest damping ratio ω₀² would be negative."""
         places = np.clip(places, self.low, self.high)
         if self.turned and 3 in self.free:
@@ -173,19 +172,19 @@ class LinkProblem(Problem):
             places[:, column] = np.minimum(places[:, column], largest)
         return places
 
-    def costs(self, places: Reals) -> Reals:
+    def costs(self, places: Real) -> Real:
         """See `Problem`."""
         own = self.search
         return own.kernel.costs(self.expanded(places)[0], own.gain, own.offset)
 
-    def quadratic(self, places: Reals) -> Quadratic:
+    def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`."""
         own = self.search
         return quadratic_of(own.kernel, *self.expanded(places), own.gain, own.offset)
 
     def parameters(
-        self, places: Reals, names: tuple[str, ...], *, squared: bool = False
-    ) -> tuple[Reals, Reals]:
+        self, places: Real, names: tuple[str, ...], *, squared: bool = False
+    ) -> tuple[Real, Real]:
         """Values (M, q) of parameters, with ω₀² for ω₀ if `squared`, and their
         derivatives with respect to the coordinates, shape (M, q, p).
         """
@@ -199,7 +198,7 @@ class LinkProblem(Problem):
         rows = [NAMES.index(name) for name in names]
         return values[:, rows], slopes[:, rows] @ chain
 
-    def linearised(self) -> tuple[Reals, Reals]:
+    def linearised(self) -> tuple[Real, Real]:
         """∂(output)/∂(coordinates, then gain and offset if free), shape (q, n), and the
         residual (n,).
         """

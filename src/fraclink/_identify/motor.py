@@ -17,16 +17,14 @@ from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from fraclink._display import Overview, Row, displayed, number
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding
-from fracsys.checks import Between, checked, checked_series
-
-Reals = NDArray[np.float64]
+from fracsys.checks import Between, Real, checked, checked_series
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5
@@ -279,8 +277,8 @@ class _Bumps:
 
     def __init__(
         self,
-        angle: Reals,
-        load: Reals | None,
+        angle: Real,
+        load: Real | None,
         period: float,
         half: int,
         starts: Sequence[int] = (),
@@ -324,7 +322,7 @@ class _Bumps:
         self.load = None if weighted is None else weighted[self.places]
         self.angle = (np.correlate(angle, _BUMP(x), "valid") * period)[self.places]
 
-    def driven(self, u: Reals, delay: float) -> Reals:
+    def driven(self, u: Real, delay: float) -> Real:
         """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
         width = self.half * self.period
         # A held voltage is a staircase: its integral with the bump is a sum of
@@ -352,7 +350,7 @@ class _Bumps:
             products[self.centres + abs(whole) + 1 - whole], dtype=np.float64
         )
 
-    def matrix(self, u: Reals, delay: float, zone: float) -> Reals:
+    def matrix(self, u: Real, delay: float, zone: float) -> Real:
         """Columns of A, B, C (and 1/J) (and k/J, and k θ₀/J)."""
         columns = [
             self.driven(np.sign(u) * np.maximum(np.abs(u) - zone, 0), delay),
@@ -365,14 +363,14 @@ class _Bumps:
             columns += [-self.angle, np.full(self.sign.size, self.area)]
         return np.column_stack(columns)
 
-    def cost(self, u: Reals, delay: float, zone: float) -> float:
+    def cost(self, u: Real, delay: float, zone: float) -> float:
         matrix = self.matrix(u, delay, zone)
         solution = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
         return float(np.sum((self.acceleration - matrix @ solution) ** 2))
 
 
 def _search(
-    bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
+    bumps: _Bumps, u: Real, period: float, delay: float | None, dead_zone: float | None
 ) -> tuple[float, float]:
     """Delay and dead zone with the least cost: on a grid, then by descent from its best
     point.
@@ -386,7 +384,7 @@ def _search(
     zones = np.linspace(0, top, 9) if dead_zone is None else np.array([dead_zone])
     steps = np.array([0.5 * period, top / 8 or 1.0])
 
-    def cost(place: Reals) -> float:
+    def cost(place: Real) -> float:
         return bumps.cost(u, *(place * steps).tolist())
 
     grid = np.array([[d, z] for d in delays for z in zones]) / steps
@@ -411,7 +409,7 @@ def _search(
 
 
 def _result(
-    bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float | None
+    bumps: _Bumps, u: Real, delay: float, zone: float, inertia: float | None
 ) -> MotorFit:
     matrix = bumps.matrix(u, delay, zone)
     values = np.linalg.lstsq(matrix, bumps.acceleration, rcond=None)[0]
@@ -456,7 +454,7 @@ def _result(
 
 def _channels(
     voltage: ArrayLike, motor_angle: ArrayLike, torque: ArrayLike | None
-) -> tuple[Reals, Reals, Reals | None]:
+) -> tuple[Real, Real, Real | None]:
     """The channels as moving columns of equal length; LogError otherwise."""
     channels = {"voltage": voltage, "motor_angle": motor_angle}
     if torque is not None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from fraclink._arm.experiment import Experiment
@@ -22,9 +21,9 @@ from fraclink._identify.fit import SYMBOLS, aic
 from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
 from fraclink._identify.search import Search, Solution
-from fraclink._identify.shape import Hold, Vector, columns_of, model_of
+from fraclink._identify.shape import Hold, columns_of, model_of
 from fraclink.errors import LogError
-from fracsys.checks import Between, checked, checked_choice
+from fracsys.checks import Between, Real, checked, checked_choice
 from fracsys.checks.equality import compared
 
 _SYMBOLS = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
@@ -104,7 +103,7 @@ class JointFit:
     stiffness_over_square: float | None
     test: LikelihoodRatio
     verdict: str
-    predicted: tuple[NDArray[np.float64], ...]
+    predicted: tuple[Real, ...]
 
     def overview(self) -> Overview:
         """The link of every payload, and how much the common parameters cost."""
@@ -286,8 +285,8 @@ def _result(
     common: tuple[str, ...],
     joint: JointProblem,
     alone: Sequence[Solution],
-    theta: Vector,
-    normal: NDArray[np.float64],
+    theta: Real,
+    normal: Real,
     length: float | None,
 ) -> JointFit:
     coordinates = joint.coordinates
@@ -335,8 +334,8 @@ def _result(
 
 
 def _of_one(
-    log: Experiment, i: int, joint: JointProblem, theta: Vector
-) -> tuple[LinkModel, float, float, float, Vector]:
+    log: Experiment, i: int, joint: JointProblem, theta: Real
+) -> tuple[LinkModel, float, float, float, Real]:
     """Model, gain, offset, delay and prediction of one log."""
     search, coordinates = joint.searches[i], joint.coordinates
     shape, _ = coordinates.shape(theta, i)
@@ -355,9 +354,7 @@ def _of_one(
     return replace(model, gauge_delay=delay), gain, offset, delay, gain * raw + offset
 
 
-def _errors(
-    coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]
-) -> dict[str, float]:
+def _errors(coordinates: Coordinates, theta: Real, normal: Real) -> dict[str, float]:
     # Two parameters that only act together make the matrix singular: the pseudo-inverse
     # gives the determined combination.
     covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)

@@ -18,7 +18,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fracsys.checks import Mask, Real
 
 __all__ = [
     "PERFECT",
@@ -34,8 +35,6 @@ __all__ = [
     "reduced",
 ]
 
-Reals = NDArray[np.float64]
-Bits = NDArray[np.bool_]
 
 QUANTILE = 1.959963984540054  # 97.5 % quantile of the normal distribution
 # Smallest eigenvalue of a normal matrix scaled to ones on its diagonal: since its
@@ -54,11 +53,11 @@ class Quadratic:
     (M,).
     """
 
-    cost: Reals
-    slope: Reals
-    normal: Reals
-    gain: Reals
-    offset: Reals
+    cost: Real
+    slope: Real
+    normal: Real
+    gain: Real
+    offset: Real
 
 
 class Problem(ABC):
@@ -66,12 +65,12 @@ class Problem(ABC):
 
     @property
     @abstractmethod
-    def low(self) -> Reals:
+    def low(self) -> Real:
         """Lower limits (p,)."""
 
     @property
     @abstractmethod
-    def high(self) -> Reals:
+    def high(self) -> Real:
         """Upper limits (p,)."""
 
     @property
@@ -90,27 +89,27 @@ class Problem(ABC):
         return 1e-10
 
     @property
-    def reach(self) -> Reals:
+    def reach(self) -> Real:
         """The longest step (p,) within the validity of a quadratic model: 1 for a
         logarithm, where the parameter itself would reach zero.
         """
         return np.full(self.low.size, math.inf)
 
-    def clip(self, places: Reals) -> Reals:
+    def clip(self, places: Real) -> Real:
         """The nearest admissible places."""
         return np.clip(places, self.low, self.high)
 
-    def costs(self, places: Reals) -> Reals:
+    def costs(self, places: Real) -> Real:
         """Costs (M,) at places (M, p); infinite if a candidate has no response."""
         return self.quadratic(places).cost
 
     @abstractmethod
-    def quadratic(self, places: Reals) -> Quadratic:
+    def quadratic(self, places: Real) -> Quadratic:
         """Costs and quadratic models at places (M, p)."""
 
 
 def reduced(
-    gram: Reals, gain: tuple[float, float], offset: float = math.nan
+    gram: Real, gain: tuple[float, float], offset: float = math.nan
 ) -> Quadratic:
     """The quadratic model from Gram matrices, with optimal gain and offset.
 
@@ -164,9 +163,9 @@ class Descent:
     anything, and the number of candidates used.
     """
 
-    places: Reals
-    costs: Reals
-    converged: Bits
+    places: Real
+    costs: Real
+    converged: Mask
     evaluations: int
 
     @classmethod
@@ -182,10 +181,10 @@ class Descent:
 
 def descend(
     problem: Problem,
-    places: Reals,
+    places: Real,
     *,
     iterations: int = 100,
-    box: tuple[Reals, Reals] | None = None,
+    box: tuple[Real, Real] | None = None,
 ) -> Descent:
     """Levenberg-Marquardt descents from all rows of `places` at once, within the
     problem's limits or within a narrower `box` of each row, (M, p) and (M, p).
@@ -232,7 +231,7 @@ def descend(
 
 
 def descend_within_samples(
-    problem: Problem, place: Reals, k: int, period: float
+    problem: Problem, place: Real, k: int, period: float
 ) -> Descent:
     """Descents with coordinate k, a delay, held within the sampling intervals before
     and after it.
@@ -256,8 +255,8 @@ def descend_within_samples(
 
 
 def _damped_steps(
-    normal: Reals, slope: Reals, damping: Reals, held: Bits
-) -> tuple[Reals, Reals]:
+    normal: Real, slope: Real, damping: Real, held: Mask
+) -> tuple[Real, Real]:
     """Damped steps (M, p) and the gain of undamped ones (M,).
 
     A coordinate stopped by a limit is held, since it would distort the step of the
@@ -275,7 +274,7 @@ def _damped_steps(
     return np.einsum("mpk,mk->mp", vectors, step) / size, gain
 
 
-def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
+def _axes(normal: Real, held: Mask) -> tuple[Real, Real, Real]:
     """Eigenvalues, eigenvectors and column scales of normal matrices scaled to ones on
     their diagonals, without the held coordinates.
     """
@@ -290,7 +289,7 @@ def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
     return values, vectors, size
 
 
-def inverted(normal: Reals) -> tuple[Reals, bool]:
+def inverted(normal: Real) -> tuple[Real, bool]:
     """Inverse of a normal matrix (p, p), and whether the data leave one of its
     directions undetermined.
 
@@ -329,7 +328,7 @@ class Interval:
 
 
 Parameters = Callable[
-    [Reals], tuple[Reals, Reals]
+    [Real], tuple[Real, Real]
 ]  # (M, p) -> values (M, q), gradients (M, q, p)
 
 # Ends that no limit stops are found in 4 to 13 iterations; the others move along a cost
@@ -341,10 +340,10 @@ _FAR = 1.5  # multiple of the quantile, beyond which the quadratic model fails
 
 def interval_ends(
     problem: Problem,
-    best: Reals,
+    best: Real,
     least: float,
     parameters: Parameters,
-    inflation: Reals,
+    inflation: Real,
 ) -> tuple[Interval, ...]:
     """95 % likelihood intervals of parameters: n ln(cost/least) ≤ 1.96² `inflation`
     (q,) with all others at their best.
@@ -404,11 +403,11 @@ def interval_ends(
 def _outward(
     problem: Problem,
     at: Quadratic,
-    gradient: Reals,
-    sign: Reals,
-    target: Reals,
-    places: Reals,
-) -> tuple[Reals, Bits]:
+    gradient: Real,
+    sign: Real,
+    target: Real,
+    places: Real,
+) -> tuple[Real, Mask]:
     """The steps to the extreme value of a parameter on the target surface, with all
     others optimal, and flags where limits stop the parameter.
     """

@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import lstsq, toeplitz
 from scipy.special import gammaincc
 
 from fraclink._arm.link import SecondMode
 from fraclink._identify.search import Search, Solution
-from fraclink._identify.shape import Vector, Window, columns_of, mask_of
-
-Matrix = NDArray[np.float64]
+from fraclink._identify.shape import Window, columns_of, mask_of
+from fracsys.checks import Real
 
 _LAGS = 25  # lags of the portmanteau tests
 # Order of the residual's autoregression: a few resonances, mains hum and slow drift
@@ -29,7 +27,7 @@ _ROUNDS = 3
 _LEAST_FREEDOM = 4.0
 
 
-def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
+def autocovariance(first: Real, second: Real | None = None) -> Real:
     """Sample covariances Σ_k x_{k+l} y_k / n of two series (or of one with itself) at
     lags 0..n−1.
     """
@@ -42,7 +40,7 @@ def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
     )
 
 
-def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
+def long_run_covariance(scores: Real, lags: int) -> Real:
     """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`;
     scores have shape (p, n).
 
@@ -64,7 +62,7 @@ def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
     )
 
 
-def mean_with_error(series: Vector) -> tuple[float, float]:
+def mean_with_error(series: Real) -> tuple[float, float]:
     """Mean of a series and its standard error, with the colour accounted for."""
     mean = float(series.mean())
     centred = series - mean
@@ -73,7 +71,7 @@ def mean_with_error(series: Vector) -> tuple[float, float]:
     return mean, math.sqrt(max(power, 0.0)) / series.size
 
 
-def autoregression(series: Vector) -> tuple[Vector, float]:
+def autoregression(series: Real) -> tuple[Real, float]:
     """Coefficients (1, a₁ … a_p) and innovation variance of the autoregression that
     describes a series.
 
@@ -83,7 +81,7 @@ def autoregression(series: Vector) -> tuple[Vector, float]:
     return _levinson(autocovariance(series))
 
 
-def _levinson(gamma: Vector) -> tuple[Vector, float]:
+def _levinson(gamma: Real) -> tuple[Real, float]:
     """The autoregression of autocovariances at lags 0..n−1 of n samples."""
     # At least ten samples per coefficient: a longer autoregression fits the particular
     # noise.
@@ -121,12 +119,12 @@ class Noise:
     the covariance with orthonormal regressors, for the residual as it is.
     """
 
-    covariance: Matrix
+    covariance: Real
     freedom: float
     observed: float
 
 
-def noise_behind(regressors: Matrix, covariance: Vector) -> Noise:
+def noise_behind(regressors: Real, covariance: Real) -> Noise:
     """The noise behind a residual with these autocovariances at lags 0..n−1, from the
     autoregression that describes it:
 
@@ -155,7 +153,7 @@ def noise_behind(regressors: Matrix, covariance: Vector) -> Noise:
     basis, weights = columns.T, scale[:, None] * triangle.T
     spectra = rfft(basis, size, axis=1)
 
-    def filtered(gamma: Vector) -> tuple[Vector, Matrix]:
+    def filtered(gamma: Real) -> tuple[Real, Real]:
         """Γ's first column and ΓQ for the autoregression of autocovariances."""
         coefficients, variance = _levinson(gamma)
         power = variance / np.abs(rfft(coefficients, size)) ** 2
@@ -182,7 +180,7 @@ def noise_behind(regressors: Matrix, covariance: Vector) -> Noise:
     return Noise(meat, max(_freedom(model), _LEAST_FREEDOM), observed)
 
 
-def _freedom(model: Vector) -> float:
+def _freedom(model: Real) -> float:
     """Degrees of freedom with which the level of noise with these autocovariances (lags
     0..n−1) is known.
     """
@@ -190,7 +188,7 @@ def _freedom(model: Vector) -> float:
     return model.size / (2 * max(together, 1.0))
 
 
-def correlation_lag(covariance: Vector) -> int:
+def correlation_lag(covariance: Real) -> int:
     """First lag after which the autocorrelation stays below 0.1, up to a quarter of the
     record, from its sample autocovariances at lags 0..n−1.
 
@@ -205,7 +203,7 @@ def correlation_lag(covariance: Vector) -> int:
     return int(np.flatnonzero(quarter > 0.1 * covariance[0])[-1]) + 1
 
 
-def correlated_lags(covariance: Vector) -> int:
+def correlated_lags(covariance: Real) -> int:
     """Lags over which products of a series with these autocovariances are summed: five
     correlation times contain its colour up to e^-5, and more than a fifth of its length
     would make its covariance too noisy.
@@ -246,7 +244,7 @@ class ResidualTests:
 
 
 def residual_tests(
-    residual: Vector, motion: Vector, period: float, lag: int, inflation: float
+    residual: Real, motion: Real, period: float, lag: int, inflation: float
 ) -> ResidualTests:
     """Test a residual against whiteness and against the motor's `motion` (its
     increments).
@@ -273,7 +271,7 @@ def residual_tests(
     )
 
 
-def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
+def _input_statistic(residual: Real, motion: Real, lags: int) -> float:
     """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R accounts for colour on
     both sides.
     """
@@ -321,7 +319,7 @@ _SEEN = 0.05
 
 
 def find_second_mode(
-    search: Search, solution: Solution, motor_angle: Vector, whole: Vector
+    search: Search, solution: Solution, motor_angle: Real, whole: Real
 ) -> tuple[SecondMode | None, float | None]:
     """The second mode in the residual of a fit, or else the frequency [rad/s] up to
     which none was found.
@@ -347,10 +345,10 @@ def find_second_mode(
     rest = Window(window.angle, residual, window.period, window.hold)
     kernel = search.kernel_of(rest)
 
-    def row(log_frequency: float, ratio: float) -> Vector:
+    def row(log_frequency: float, ratio: float) -> Real:
         return np.array([2.0, log_frequency, ratio, 1.0, shape[4]])
 
-    def response(place: Vector) -> Vector:
+    def response(place: Real) -> Real:
         column = columns_of(kernel, place)[0]
         return np.asarray(column - basis @ (basis.T @ column))
 
@@ -387,7 +385,7 @@ def find_second_mode(
 
 
 def _shows_again(
-    window: Window, place: Vector, gain: float, motor_angle: Vector, whole: Vector
+    window: Window, place: Real, gain: float, motor_angle: Real, whole: Real
 ) -> bool:
     """Whether the held-out part agrees; three standard errors suffice there, since a
     single mode is tested.
@@ -404,14 +402,14 @@ def _shows_again(
     return again * gain > 0 and abs(again) > 3.0 * error and 1 / 3 < again / gain < 3
 
 
-def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
+def _regressed(residual: Real, response: Real) -> tuple[float, float]:
     """Coefficient of the response in the residual and its standard error, with the
     colour accounted for.
     """
     power = float(response @ response)
     gain = float(response @ residual) / power
     rest = residual - gain * response
-    scores: NDArray[np.float64] = (response * rest)[None, :]
+    scores: Real = (response * rest)[None, :]
     variance = max(
         float(long_run_covariance(scores, correlated_lags(autocovariance(rest)))[0, 0]),
         power * float(rest @ rest) / rest.size,
@@ -419,7 +417,7 @@ def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
     return gain, math.sqrt(variance) / power
 
 
-def _noise(residual: Vector) -> float:
+def _noise(residual: Real) -> float:
     """Standard deviation [unit of the output] of the residual at high frequency.
 
     A slow misfit does not mask a fast mode; the second difference, scaled to white

@@ -10,13 +10,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, structure
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
-    Shape,
     Window,
     columns_of,
     embedded,
@@ -29,6 +27,7 @@ from fraclink._identify.shape import (
 )
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
+from fracsys.checks import Real
 
 # The scan uses ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
 # the grid overlap.
@@ -61,13 +60,13 @@ class Solution:
 
     structure: str
     free: tuple[int, ...]
-    shape: Shape
+    shape: Real
     gain: float
     offset: float
     cost: float
-    gram: NDArray[np.float64]
-    lower: Shape
-    upper: Shape
+    gram: Real
+    lower: Real
+    upper: Real
     status: int
     evaluations: int
     rivals: tuple[Solution, ...] = ()
@@ -111,7 +110,7 @@ class Search:
 
     window: Window
     fixed: Mapping[str, float]
-    start: Shape | None = None
+    start: Real | None = None
     solutions: dict[str, Solution] = field(default_factory=dict)
     _evaluations: int = 0
 
@@ -148,9 +147,7 @@ class Search:
 
     # --- starts
 
-    def _links(
-        self, places: NDArray[np.float64], order: float, part: float
-    ) -> NDArray[np.float64]:
+    def _links(self, places: Real, order: float, part: float) -> Real:
         """Undamped links (K, 5) at given ln Ω, each with a fraction of its period as
         delay.
         """
@@ -160,14 +157,12 @@ class Search:
         rows[:, 4] = self.fixed.get("delay", part * 2 * math.pi * np.exp(-places))
         return rows
 
-    def _costs(
-        self, kernel: FitProblem, rows: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _costs(self, kernel: FitProblem, rows: Real) -> Real:
         self._evaluations += len(rows)
         return kernel.costs(rows, self.gain, self.offset)
 
     @cached_property
-    def _scanned(self) -> NDArray[np.float64]:
+    def _scanned(self) -> Real:
         """Undamped links as starts (K, 5): the valleys of a scan over frequencies and
         delays, or the guess if it is better, and the vibrations after a cut.
         """
@@ -195,7 +190,7 @@ class Search:
             starts.append(np.array(self._sharp()))
         return np.concatenate(starts)
 
-    def _sharp(self) -> list[Shape]:
+    def _sharp(self) -> list[Real]:
         """Starts for a cut log, in which a lightly damped link still swings from all
         earlier motion, while the broad resonances of the scan have decayed.
         """
@@ -208,7 +203,7 @@ class Search:
         )
         kernel = near.kernel(math.exp(low), longest_delay=abs(delay))
         bands, width = self._ringing()
-        starts: list[Shape] = []
+        starts: list[Real] = []
         for ratio in _SHARP:
             order = math.pi / math.acos(-ratio)
             places = np.arange(low, high, ratio / 5)
@@ -218,7 +213,7 @@ class Search:
             starts.extend(rows[valleys])
         return starts
 
-    def _ringing(self) -> tuple[NDArray[np.float64], float]:
+    def _ringing(self) -> tuple[Real, float]:
         """Frequencies (K,) [rad/s] of the vibration after a cut and their spacing:
         those that explain the log with any state of the link at the cut.
         """
@@ -252,7 +247,7 @@ class Search:
         )
         return own if "delay" in self.fixed else (*own, 4)
 
-    def _delays(self, row: Shape, *, may_lead: bool) -> tuple[float, float]:
+    def _delays(self, row: Real, *, may_lead: bool) -> tuple[float, float]:
         """Range of the delay about a row [s]; `may_lead` allows negative values."""
         shortest, longest = (x * 2 * math.pi * math.exp(-row[1]) for x in _DELAY_LIMITS)
         span = self.window.samples * self.window.period
@@ -322,7 +317,7 @@ class Search:
                 yield self._descended(name, row)
 
     def _descended(
-        self, name: str, row: Shape, delays: tuple[float, float] | None = None
+        self, name: str, row: Real, delays: tuple[float, float] | None = None
     ) -> Solution:
         """The end of the kernel's descent from a row, with the delay in a range; with
         infinite cost if there is no response.
@@ -416,7 +411,7 @@ class Search:
                 again = self._descended(name, embedded(inner.shape, name))
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
-    def _starts(self, name: str) -> Iterator[Shape]:
+    def _starts(self, name: str) -> Iterator[Real]:
         """Starts; only the undamped fractional link, which fits any ring-down, needs a
         scan.
         """
@@ -443,7 +438,7 @@ class Search:
             else:
                 yield from self._undamped(fractional)
 
-    def _undamped(self, near: Shape) -> Iterator[Shape]:
+    def _undamped(self, near: Real) -> Iterator[Real]:
         # Without damping the phase must fit over the whole log: the cost has a minimum
         # every π/T, and each one is tried.
         spacing = min(
@@ -458,7 +453,7 @@ class Search:
         costs = self._costs(self.kernel, rows)
         yield from rows[np.argsort(costs)[:3]]
 
-    def _damped(self, name: str, fractional: Shape, ratio: float) -> Iterator[Shape]:
+    def _damped(self, name: str, fractional: Real, ratio: float) -> Iterator[Real]:
         # Special cases first: a step never raises the cost, so the fit is never worse
         # than any of them.
         others: tuple[float, ...] = (0.4, 1.5)

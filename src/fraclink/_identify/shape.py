@@ -24,9 +24,8 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, LinkModel, structure
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
+from fracsys.checks import Real
 
-Shape = NDArray[np.float64]
-Vector = NDArray[np.float64]
 Hold = Literal["auto", "zero", "first"]
 
 # The coordinate that belongs to each parameter; the row of a structure in
@@ -86,7 +85,7 @@ def special_cases(name: str) -> list[str]:
     ]
 
 
-def embedded(shape: Shape, name: str) -> Shape:
+def embedded(shape: Real, name: str) -> Real:
     """The shape of a special case in the coordinates of the structure `name`."""
     return (
         undamped_as_damped(shape)
@@ -95,7 +94,7 @@ def embedded(shape: Shape, name: str) -> Shape:
     )
 
 
-def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
+def lowest_valleys(costs: Real, count: int) -> NDArray[np.int_]:
     """Indices of the lowest local minima, the lowest first; a plateau next to a minimum
     does not count separately.
     """
@@ -104,7 +103,7 @@ def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
     return np.asarray(valleys[np.argsort(costs[valleys])][:count])
 
 
-def link_parameters(shapes: NDArray[np.float64]) -> tuple[Vector, Vector]:
+def link_parameters(shapes: Real) -> tuple[Real, Real]:
     """(ω₀², λ, μ, α, τ) of shapes (M, 5) and their derivatives with respect to the
     coordinates, shape (M, 5, 5).
     """
@@ -132,13 +131,13 @@ def link_parameters(shapes: NDArray[np.float64]) -> tuple[Vector, Vector]:
     return values, slopes
 
 
-def damping_and_square(shape: Shape) -> tuple[float, float]:
+def damping_and_square(shape: Real) -> tuple[float, float]:
     """(μ, ω₀²) of a shape; negative rounding errors become zero."""
     values = link_parameters(shape[None, :])[0][0]
     return float(values[2]), float(values[0])
 
 
-def model_of(shape: Shape, stiffness: float, payload: float | None) -> LinkModel:
+def model_of(shape: Real, stiffness: float, payload: float | None) -> LinkModel:
     """The link model of a shape."""
     damping, square = damping_and_square(shape)
     order, other = float(shape[0]), float(shape[3])
@@ -157,7 +156,7 @@ def model_of(shape: Shape, stiffness: float, payload: float | None) -> LinkModel
     )
 
 
-def shape_of(model: LinkModel, delay: float = 0.0) -> Shape:
+def shape_of(model: LinkModel, delay: float = 0.0) -> Real:
     """The shape of a link model (for λ = 2 exact; a general model's damping is matched
     at its pole).
     """
@@ -186,7 +185,7 @@ def largest_ratio(other: float) -> float:
     return math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
 
 
-def undamped_as_damped(shape: Shape) -> Shape:
+def undamped_as_damped(shape: Real) -> Real:
     """The link with fractional damping that is the undamped one of order λ: its inertia
     divided by s^α.
 
@@ -197,14 +196,14 @@ def undamped_as_damped(shape: Shape) -> Shape:
     return np.array([2.0, log_resonance, largest_ratio(other), other, shape[4]])
 
 
-def last_of(history: Vector, samples: int, most: int) -> Vector:
+def last_of(history: Real, samples: int, most: int) -> Real:
     """The last part of the motion before a cut that still affects a record of
     `samples`.
     """
     return history[-max(3 * samples, most) :]
 
 
-def moving_angle(log: Experiment) -> Vector:
+def moving_angle(log: Experiment) -> Real:
     """The motor angle that moves the link of a log: its own, preceded by the known one
     before a cut.
     """
@@ -215,7 +214,7 @@ def moving_angle(log: Experiment) -> Vector:
     )
 
 
-def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
+def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:
     """The course of the input between samples.
 
     A motor moves smoothly, so "auto" interpolates linearly; a simulated command that
@@ -245,8 +244,8 @@ class Window:
     ``benchmarks/bench_identify.py``).
     """
 
-    angle: Vector
-    output: Vector
+    angle: Real
+    output: Real
     period: float
     hold: Literal["zero", "first"]
 
@@ -276,7 +275,7 @@ class Window:
         steps = np.diff(self.angle)
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
 
-    def increments(self) -> Vector:
+    def increments(self) -> Real:
         """Jump at each sample of `angle` (held input) or slope after it; the link rests
         before the first.
         """
@@ -310,7 +309,7 @@ class Window:
         )
 
 
-def columns_of(kernel: FitProblem, shape: Vector, mask: int = 0) -> NDArray[np.float64]:
+def columns_of(kernel: FitProblem, shape: Real, mask: int = 0) -> Real:
     """Output for unit gain and its derivatives with respect to the coordinates in
     `mask`, shape (1 + k, N).
     """

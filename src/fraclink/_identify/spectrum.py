@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.recording import FrequencyResponse
 from fraclink.errors import LogError
-from fracsys.checks import Array, Between, Fraction, checked
+from fracsys.checks import Array, Between, Fraction, Real, checked
 
 __all__ = ["frequency_response"]
 
 # fraction of the largest input line, below which the ratio of a line is mostly noise
 _EXCITED = 0.05
 
-Signal = Annotated[NDArray[np.float64], Array(1)]
+Signal = Annotated[Real, Array(1)]
 
 
 @checked

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._identify.problem import (
     PERFECT,
@@ -21,10 +20,10 @@ from fraclink._identify.structure_data import Lines
 from fraclink._identify.structure_problem import GENERAL_POINTS, StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
+from fracsys.checks import Real
 
 __all__ = ["Certainty", "certainty_of", "in_order"]
 
-Reals = NDArray[np.float64]
 
 _AT_BOUND = 1e-7  # share of the range of the coordinate
 # share in an undetermined direction beyond which a parameter belongs to it
@@ -143,7 +142,7 @@ def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
     return place <= low + near or place >= high - near
 
 
-def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
+def _blind(jacobian: Real, names: tuple[str, ...]) -> tuple[str, ...]:
     """Parameters in the directions along which the measured output does not change."""
     size = np.sqrt(np.einsum("qr,qr->q", jacobian, jacobian))
     none = {name for name, own in zip(names, size, strict=False) if own == 0.0}

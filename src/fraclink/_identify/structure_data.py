@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from fraclink._arm.recording import Recording
@@ -19,11 +18,10 @@ from fraclink._identify.expression import Expression
 from fraclink._identify.shape import Hold, chosen_hold, last_of
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
+from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["Blocks", "Lines", "RecordStart", "Samples", "Spectrum"]
 
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Limits = tuple[float, float]
 
 # Like `shape.HISTORY`, but shorter: every candidate is a response to all of it, and a
@@ -31,7 +29,7 @@ Limits = tuple[float, float]
 _HISTORY = 50_000
 
 
-def _stacked(values: Complexes) -> Reals:
+def _stacked(values: Complex) -> Real:
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
@@ -45,12 +43,12 @@ class Spectrum:
     `of_state` (2, K) has its terms.
     """
 
-    points: Complexes
-    input: Complexes
-    output: Complexes
-    weight: Reals
-    of_constant: Complexes | None = None
-    of_state: Complexes | None = None
+    points: Complex
+    input: Complex
+    output: Complex
+    weight: Real
+    of_constant: Complex | None = None
+    of_state: Complex | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +56,12 @@ class Lines(Spectrum):
     """A frequency response: the input is 1 at every line."""
 
     @classmethod
-    def of(cls, frequency: Reals, response: Complexes, weight: Reals) -> Lines:
+    def of(cls, frequency: Real, response: Complex, weight: Real) -> Lines:
         """Lines in ascending order of ω [rad/s]."""
         one = np.ones(frequency.size, dtype=np.complex128)
         return cls(np.asarray(1j * frequency), one, response, weight)
 
-    def part(self, kept: NDArray[np.bool_]) -> Lines:
+    def part(self, kept: Mask) -> Lines:
         """The selected lines."""
         return Lines(
             self.points[kept], self.input[kept], self.output[kept], self.weight[kept]
@@ -95,16 +93,16 @@ class Lines(Spectrum):
         return self
 
     @cached_property
-    def measured(self) -> Reals:
+    def measured(self) -> Real:
         """All measured values, weighted, shape (R,)."""
         return _stacked(self.weight * self.output)
 
     @cached_property
-    def constant(self) -> Reals:
+    def constant(self) -> Real:
         """None: an offset is not a line of a response."""
         return np.zeros(self.measured.size)
 
-    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
         where there is no response.
         """
@@ -112,8 +110,8 @@ class Lines(Spectrum):
 
 
 def _of_many(
-    structure: Expression, values: Mapping[str, Any], points: Complexes
-) -> Complexes:
+    structure: Expression, values: Mapping[str, Any], points: Complex
+) -> Complex:
     """G at points (K,) for parameters (M, 1), shape (M, K)."""
     count = max(np.shape(value)[0] for value in values.values())
     response = structure.response(values, points)
@@ -140,17 +138,17 @@ class RecordStart:
     output, but is not compared with it.
     """
 
-    input: Reals
-    output: Reals
+    input: Real
+    output: Real
     period: float
     hold: Literal["zero", "first"]
-    earlier: Reals = field(default_factory=lambda: np.zeros(0))
+    earlier: Real = field(default_factory=lambda: np.zeros(0))
     # Slopes from differences of exact responses, free of the errors of a transform.
     exact: bool = False
 
     @classmethod
     def of(
-        cls, record: Recording, hold: Hold, count: int, earlier: Reals | None = None
+        cls, record: Recording, hold: Hold, count: int, earlier: Real | None = None
     ) -> RecordStart:
         """The first `count` samples; the input is relative to rest, at the beginning of
         the used part of `earlier`.
@@ -177,17 +175,17 @@ class RecordStart:
         )
 
     @cached_property
-    def whole_input(self) -> Reals:
+    def whole_input(self) -> Real:
         """The input from before the cut on, shape (H + N,)."""
         return np.concatenate([self.earlier, self.input])
 
     @property
-    def measured(self) -> Reals:
+    def measured(self) -> Real:
         """All measured values, weighted, shape (R,)."""
         return self.output
 
     @cached_property
-    def constant(self) -> Reals:
+    def constant(self) -> Real:
         """The effect of an offset of one on `measured`, shape (R,)."""
         return np.ones(self.output.size)
 
@@ -208,7 +206,7 @@ class RecordStart:
         """The recording in blocks, for many candidates at once."""
         return Blocks(self, max(self.output.size // _BLOCKS, 1))
 
-    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """Responses of M candidates with parameters (M, 1), each the exact one to the
         held input, shape (M, R); not finite where there is no response.
         """
@@ -279,8 +277,8 @@ class RecordStart:
 
 
 def held_transform(
-    samples: Complexes, s: Complexes, period: float, hold: str, first: float
-) -> Complexes:
+    samples: Complex, s: Complex, period: float, hold: str, first: float
+) -> Complex:
     """Transform of the held signal of a transform Σ x_k e^(−skT): steps, or straight
     lines.
     """
@@ -304,14 +302,14 @@ class Blocks:
     width: int
 
     @cached_property
-    def measured(self) -> Reals:
+    def measured(self) -> Real:
         """Sums of the blocks, scaled so that white noise keeps its variance."""
         output, width = self.data.output, self.width
         sums = output[: output.size // width * width].reshape(-1, width).sum(axis=1)
         return np.asarray(sums / math.sqrt(width))
 
     @cached_property
-    def constant(self) -> Reals:
+    def constant(self) -> Real:
         """The effect of an offset of one on `measured`, shape (R,)."""
         return np.full(self.measured.size, math.sqrt(self.width))
 
@@ -326,7 +324,7 @@ class Blocks:
         return self
 
     @cached_property
-    def _lines(self) -> tuple[Complexes, Complexes, int]:
+    def _lines(self) -> tuple[Complex, Complex, int]:
         """Points s, the transform of the held input there, referred to the middle of
         the first block, and the size of the inverse transform.
         """
@@ -355,7 +353,7 @@ class Blocks:
         """The middle of the first block, in samples, to which its mean belongs."""
         return self.data.earlier.size + 0.5 * (self.width - 1)
 
-    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
         where there is no response.
         """

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._display import Overview, Row, Table, displayed, number, quantity
 from fraclink._files import Saved, document
@@ -19,11 +18,10 @@ from fraclink._identify.expression import parse_expression
 from fraclink._identify.problem import Interval
 from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction
+from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
 __all__ = ["StructureFit"]
-
-Reals = NDArray[np.float64]
 
 
 @displayed
@@ -111,9 +109,9 @@ class StructureFit(Saved):
     fitted: int
     nmse: float
     heldout_nmse: float | None
-    place: Reals
-    measured: Reals
-    predicted: Reals
+    place: Real
+    measured: Real
+    predicted: Real
     converged: bool
     evaluations: int
     findings: tuple[Finding, ...] = ()

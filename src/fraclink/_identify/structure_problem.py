@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._identify.expression import Expression
 from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.structure_data import Samples
+from fracsys.checks import Real
 
 __all__ = [
     "COEFFICIENT_LIMITS",
@@ -22,7 +22,6 @@ __all__ = [
     "StructureProblem",
 ]
 
-Reals = NDArray[np.float64]
 Limits = tuple[float, float]
 Values = Mapping[str, float]
 
@@ -132,7 +131,7 @@ class StructureProblem(Problem):
             values[name] = np.array([[self.value(name, place)]])
         return values
 
-    def places_of(self, values: Mapping[str, Any]) -> Reals:
+    def places_of(self, values: Mapping[str, Any]) -> Real:
         """Places (M, p) of parameters (M,)."""
         count = np.size(values[self.names[0]])
         rows = [self.coordinate(name, values[name]) for name in self.moving]
@@ -142,7 +141,7 @@ class StructureProblem(Problem):
             places[:, k] = row
         return places
 
-    def values(self, places: Reals) -> dict[str, Any]:
+    def values(self, places: Real) -> dict[str, Any]:
         """Parameters (M, 1) at places (M, p); a projected gain is 1."""
         signs = dict(zip(self.signed, places.T[len(self.moving) :], strict=True))
         values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
@@ -155,19 +154,19 @@ class StructureProblem(Problem):
     # --- as of `Problem`
 
     @cached_property
-    def low(self) -> Reals:
+    def low(self) -> Real:
         """See `Problem`."""
         rows = [self.box_of(name)[0] for name in self.moving]
         return np.array([*rows, *(-1.0 for _ in self.signed)])
 
     @cached_property
-    def high(self) -> Reals:
+    def high(self) -> Real:
         """See `Problem`."""
         rows = [self.box_of(name)[1] for name in self.moving]
         return np.array([*rows, *(1.0 for _ in self.signed)])
 
     @cached_property
-    def reach(self) -> Reals:
+    def reach(self) -> Real:
         """See `Problem`."""
         return np.array(
             [1.0 if self.is_logarithmic(n) else math.inf for n in self.moving]
@@ -191,16 +190,16 @@ class StructureProblem(Problem):
         """
         return 1e-3 / self.samples
 
-    def costs(self, places: Reals) -> Reals:
+    def costs(self, places: Real) -> Real:
         """See `Problem`."""
         return self.fitted(places).cost
 
-    def fitted(self, places: Reals) -> Quadratic:
+    def fitted(self, places: Real) -> Quadratic:
         """Costs, gains and offsets at places, without slopes."""
         columns = self.data.response(self.structure, self.values(places))[:, None]
         return self._projected(columns)[0]
 
-    def quadratic(self, places: Reals) -> Quadratic:
+    def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`."""
         columns = self._columns(places)
         quadratic, residual = self._projected(columns)
@@ -209,7 +208,7 @@ class StructureProblem(Problem):
         slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
         return replace(quadratic, slope=quadratic.gain[:, None] * np.nan_to_num(slope))
 
-    def linearised(self, place: Reals) -> tuple[Reals, Reals]:
+    def linearised(self, place: Real) -> tuple[Real, Real]:
         """∂(measured)/∂(coordinates, then the offset if free), shape (q, R), and the
         residual (R,), with the gain as a coordinate.
         """
@@ -219,7 +218,7 @@ class StructureProblem(Problem):
             rows = np.concatenate([rows, self.data.constant[None, :]])
         return rows, self._projected(columns)[1][0]
 
-    def _columns(self, places: Reals) -> Reals:
+    def _columns(self, places: Real) -> Real:
         """Responses and their slopes along the coordinates, shape (M, 1 + p, R)."""
         values, tangent = self.values(places), self.data.tangent
         here = base = self.data.response(self.structure, values)
@@ -241,7 +240,7 @@ class StructureProblem(Problem):
         columns[:, 1 : 1 + len(slopes)] = np.nan_to_num(slopes).transpose(1, 0, 2)
         return columns
 
-    def _step(self, name: str, value: Reals) -> Reals:
+    def _step(self, name: str, value: Real) -> Real:
         """Step of a difference.
 
         A held input jumps at a sample: the response is smooth up to a delay that ends
@@ -254,8 +253,8 @@ class StructureProblem(Problem):
         return np.full_like(value, size * STEP)
 
     def _differences(
-        self, values: Mapping[str, Any], steps: Sequence[Reals], here: Reals
-    ) -> Reals:
+        self, values: Mapping[str, Any], steps: Sequence[Real], here: Real
+    ) -> Real:
         """One-sided differences of responses (M, R), shape (p, M, R)."""
         count = len(here)
         rows = {
@@ -269,7 +268,7 @@ class StructureProblem(Problem):
             change = there.reshape(len(steps), count, -1) - here
             return np.asarray(change / np.array(steps))
 
-    def _projected(self, columns: Reals) -> tuple[Quadratic, Reals]:
+    def _projected(self, columns: Real) -> tuple[Quadratic, Real]:
         """The quadratic model of columns (M, 1 + p, R), and the residuals (M, R)."""
         measured, constant = self.data.measured, self.data.constant
         shape = (len(columns), 1, measured.size)

@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._identify.problem import Descent, descend, descend_within_samples
 from fraclink._identify.structure_data import Lines, RecordStart
@@ -24,7 +23,6 @@ from fraclink.errors import NotConvergedError
 
 __all__ = ["Place", "best_places", "place_of"]
 
-Reals = NDArray[np.float64]
 
 _DESCENTS = 16
 _FIRST_STEPS = 10  # enough to tell a promising descent from a lost one

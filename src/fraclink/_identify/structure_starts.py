@@ -13,22 +13,20 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._identify.structure_data import Spectrum
 from fraclink._identify.structure_problem import STEP, StructureProblem
+from fracsys.checks import Complex, Real
 
 __all__ = ["drawn_starts"]
 
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _DRAWS = 180
 _USUAL_ORDERS = (0.1, 2.5)  # range of the draws: a descent covers the rest by itself
 _ROUNDS = 5  # iterations of Sanathanan and Koerner
 
 
-def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Reals]:
+def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Real]:
     """Starting values of all free parameters, shape (M,) each.
 
     Coefficients by least squares are close if there is little noise; random ones are
@@ -60,8 +58,8 @@ def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Rea
 
 
 def _drawn(
-    problem: StructureProblem, spectrum: Spectrum, name: str, uniform: Reals
-) -> Reals:
+    problem: StructureProblem, spectrum: Spectrum, name: str, uniform: Real
+) -> Real:
     low, high = problem.limits[name]
     role = problem.structure.roles[name]
     if role == "order":
@@ -91,9 +89,9 @@ def _drawn(
 def _least_squares_coefficients(
     problem: StructureProblem,
     spectrum: Spectrum,
-    draws: Mapping[str, Reals],
+    draws: Mapping[str, Real],
     names: tuple[str, ...],
-) -> dict[str, Reals]:
+) -> dict[str, Real]:
     """Coefficients of every draw by iterated least squares of N U = D Y, shape (M,)
     each.
 
@@ -129,13 +127,13 @@ def _equation(
     spectrum: Spectrum,
     values: Mapping[str, Any],
     names: tuple[str, ...],
-) -> tuple[list[Complexes], Complexes]:
+) -> tuple[list[Complex], Complex]:
     """N U − D Y and its slopes along coefficients, and D, shape (M, K) each."""
     top, bottom = problem.structure.quotient
     count = max(np.shape(value)[0] for value in values.values())
     shape = (count, spectrum.points.size)
 
-    def parts(here: Mapping[str, Any]) -> tuple[Complexes, Complexes]:
+    def parts(here: Mapping[str, Any]) -> tuple[Complex, Complex]:
         n, d = (part.response(here, spectrum.points) for part in (top, bottom))
         return n * spectrum.input - d * spectrum.output, d
 
@@ -148,7 +146,7 @@ def _equation(
     return columns, divisor
 
 
-def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
+def _real_solutions(matrix: Complex, right: Complex) -> Real:
     """Real solutions (M, n) of M complex systems, matrix (M, n, K), right (M, K);
     columns are scaled.
     """
@@ -168,7 +166,7 @@ def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
     return np.asarray(np.linalg.solve(r, across[:, :, None])[:, :, 0] / size)
 
 
-def _halton(count: int, size: int) -> Reals:
+def _halton(count: int, size: int) -> Real:
     """Points spread evenly over the unit cube, the same in every run, shape (count,
     size).
     """

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
@@ -27,11 +26,10 @@ from fraclink._identify.structure_problem import (
 )
 from fraclink._identify.structure_search import Place, best_places, place_of
 from fraclink.errors import FieldError, LogError
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, Real, checked
 
 __all__ = ["Weighting", "identify_structure"]
 
-Reals = NDArray[np.float64]
 Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
 Values = Mapping[str, float]
 Bounds = Mapping[str, tuple[float, float]]
@@ -387,7 +385,7 @@ def _heldout(
     whole: RecordStart | Lines,
     best: Place,
     count: int,
-    predicted: Reals,
+    predicted: Real,
 ) -> float | None:
     """Error over the data not used for the parameters."""
     if isinstance(whole, RecordStart):

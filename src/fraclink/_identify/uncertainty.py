@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, lstsq
 from scipy.special import stdtrit
 
@@ -27,9 +26,7 @@ from fraclink._identify.residual import (
     noise_behind,
 )
 from fraclink._identify.search import Search, Solution
-from fraclink._identify.shape import Vector
-
-Matrix = NDArray[np.float64]
+from fracsys.checks import Real
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +41,8 @@ class Covariance:
     """
 
     names: tuple[str, ...]
-    white: Matrix
-    wide: Matrix
+    white: Real
+    wide: Real
     lag: int
     effective: float
     singular: bool
@@ -54,8 +51,8 @@ class Covariance:
     def of(
         cls,
         names: tuple[str, ...],
-        regressors: Matrix,
-        residual: Vector,
+        regressors: Real,
+        residual: Real,
         cost: float,
         *,
         coloured: bool,
@@ -85,7 +82,7 @@ class Covariance:
             effective = noise.observed / variance if variance > 0 else effective
         return cls(names, white, wide, lag, effective, singular)
 
-    def of_functions(self, names: tuple[str, ...], gradients: Matrix) -> Covariance:
+    def of_functions(self, names: tuple[str, ...], gradients: Real) -> Covariance:
         """Covariance of functions of the parameters with `gradients` (q, p)."""
         white, wide = (gradients @ x @ gradients.T for x in (self.white, self.wide))
         return replace(self, names=names, white=white, wide=wide)
@@ -134,7 +131,7 @@ def link_covariance(
     return joint.of_functions(names, gradients), joint.errors.get("1", math.nan)
 
 
-def _sandwich(inverse: Matrix, noise: Noise, products: Matrix) -> Matrix:
+def _sandwich(inverse: Real, noise: Noise, products: Real) -> Real:
     """Covariance under a coloured residual, at least as wide as the `products` of
     regressors and residual say.
 
@@ -150,7 +147,7 @@ def _sandwich(inverse: Matrix, noise: Noise, products: Matrix) -> Matrix:
     return np.asarray(inverse @ own @ inverse * np.outer(wider, wider))
 
 
-def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
+def _diagonal(inverse: Real, meat: Real) -> Real:
     # Where parameters compensate each other the terms cancel: a remainder below their
     # rounding may be negative, and depends on the machine.
     terms = np.diag(np.abs(inverse) @ np.abs(meat) @ np.abs(inverse))
@@ -265,8 +262,8 @@ def _log(value: float) -> float:
 
 
 def _innovations(
-    search: Search, solution: Solution, coefficients: Vector
-) -> tuple[Matrix, Vector]:
+    search: Search, solution: Solution, coefficients: Real
+) -> tuple[Real, Real]:
     """Regressors and residual after the whitening filter, with one Gauss–Newton step."""
     regressors, residual = LinkProblem.of(search, solution, inside=True).linearised()
     # scipy.signal has such a filter, but its import takes as long as the fit.

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
@@ -23,11 +22,11 @@ from fraclink._identify.shape import moving_angle
 from fraclink._identify.welch import mean_power, segments
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of, worst_first
+from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 
 __all__ = ["LogValidation", "Validation", "Value", "validate"]
 
-Floats = NDArray[np.float64]
 # Fraction of the largest power of the prediction: the leakage of the Hann window is
 # smaller, and a frequency with less motion says nothing about the link.
 _LEAST_POWER = 1e-4
@@ -74,12 +73,12 @@ class LogValidation:
     """
 
     log: Experiment
-    predicted: Floats
+    predicted: Real
     nmse: float
     bias: float
-    frequencies: Floats
-    ratio: NDArray[np.complex128]
-    share: Floats
+    frequencies: Real
+    ratio: Complex
+    share: Real
     fit: Fit
 
     @property

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._identify.fit import Fit
+from fracsys.checks import Complex, Real
 
 __all__ = ["WelchResponse", "mean_power", "segments", "welch_response"]
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # The average over this many lengths of half-overlapping segments has a standard error
 # of a quarter: enough to see at which frequencies a model is wrong, and a coherence of
