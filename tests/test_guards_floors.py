@@ -198,7 +198,7 @@ CEILINGS = {
     "_simulate": 1247,
     "lab": 1904,
     "logs": 676,
-    "studio": 1205,
+    "studio": 1201,
     "trials": 1474,
     "view": 1676,
 }

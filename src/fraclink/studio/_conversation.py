@@ -14,7 +14,7 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from fraclink.errors import FieldError, FraclinkError
+from fraclink.errors import FieldError, FraclinkError, required
 from fraclink.studio._logs import LOG_VERBS
 from fraclink.studio._messages import Message, Reply, checked_request, parsed, refusal
 from fraclink.studio._outputs import OUTPUT_VERBS
@@ -79,15 +79,12 @@ def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _subject(session: Session) -> Subject:
-    if session.subject is None:
-        raise FieldError(
-            "model",
-            None,
-            "missing",
-            allowed="a link model",
-            remedy="identify a log first (step 3)",
-        )
-    return session.subject
+    return required(
+        "model",
+        session.subject,
+        allowed="a link model",
+        remedy="identify a log first (step 3)",
+    )
 
 
 _VERBS: dict[str, Verb] = {

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
 from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
-from fraclink._display import number, source_name
+from fraclink._display import number
 from fraclink._files import sha256_of
 from fraclink._identify import Fit
 from fraclink._identify.error_map import error_map
@@ -29,7 +30,7 @@ from fraclink._reading.reading import (
     inspect_log,
     read_log,
 )
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import FieldError, LogError, required
 from fraclink.logs import match
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session, bare
@@ -182,13 +183,15 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
             allowed=f"at most {_TEXTS} texts",
             remedy="state a column as motor_angle=theta [deg]",
         )
-    if session.source is None or session.study.rig is None:
-        raise FieldError(
-            "log", None, "missing", allowed="a log", remedy="choose one in step 1"
-        )
+    source = required(
+        "log", session.source, allowed="a log", remedy="choose one in step 1"
+    )
+    rig = required(
+        "rig", session.study.rig, allowed="a rig", remedy="choose one in step 1"
+    )
     columns = None
     if texts:
-        guessed = match(session.source, column=texts)
+        guessed = match(source, column=texts)
         columns = guessed.columns
         if columns is None:
             # The rest, such as a unit, is not guessed: a wrong guess would give a wrong
@@ -201,12 +204,9 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
                 allowed="an answer to each question",
                 remedy="drag the channel to its place",
             )
-    rig = session.study.rig
     keep = _stretch(given.get("keep"))
     # Without statements those of the rig file apply, as on the command line.
-    log = read_log(
-        session.source, columns=columns or rig.log, payload=payload, keep=keep
-    )
+    log = read_log(source, columns=columns or rig.log, payload=payload, keep=keep)
     session.columns = () if columns is None else _statements(columns)
     session.payload, session.stretch, session.heldout = payload, keep, None
     session.whole = log
@@ -215,9 +215,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         try:
             # resample: outside the stretch the clock may be uneven, which does not
             # matter for a picture.
-            session.whole = read_log(
-                session.source, columns=columns or rig.log, resample=True
-            )
+            session.whole = read_log(source, columns=columns or rig.log, resample=True)
         except LogError:
             session.whole = None
     session.become(examined(rig, log))
@@ -269,7 +267,8 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
     # The findings of the log and of its diagnosis overlap: each is shown once.
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
     whole = session.whole or log
-    said = f"{source_name(log.source)}: {log.output.size} samples, one every {number(1e3 * log.period)} ms."
+    name, period = Path(log.source).name or "unnamed log", number(1e3 * log.period)
+    said = f"{name}: {log.output.size} samples, one every {period} ms."
     head = {
         "experiment": {"said": said, "findings": findings, "duration": whole.duration,
                        "kind": log.output_kind, "payload": log.payload,

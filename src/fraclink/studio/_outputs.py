@@ -16,7 +16,7 @@ from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
 from fraclink._files import output_path
 from fraclink._law import Law
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
 from fraclink.view._arm_page import write_arm_page
@@ -139,14 +139,12 @@ def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
     """Pack the written files into one archive in the draft folder, for download by the
     page.
     """
-    if not session.written:
-        raise FieldError(
-            "files",
-            None,
-            "missing",
-            allowed="exported files",
-            remedy="export something first",
-        )
+    required(
+        "files",
+        session.written or None,
+        allowed="exported files",
+        remedy="export something first",
+    )
     place = session.draft / "studio.zip"
     # In the draft folder: an archive among the results would be packed into the next
     # one.

@@ -19,7 +19,7 @@ from fraclink._design import Design
 from fraclink._display import Table, marked, state_of
 from fraclink._files import kind_of, sha256_of
 from fraclink._law import Law
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, required
 from fraclink.findings import Finding, errors_of
 from fraclink.studio._copied import copies
 from fraclink.studio._history import History
@@ -134,15 +134,9 @@ class Session:
 
     def shippable(self) -> tuple[Design, Law]:
         """The study's design and law; FieldError without them."""
-        design, law = self.study.design, self.study.law
-        if design is None or law is None:
-            raise FieldError(
-                "design",
-                None,
-                "missing",
-                allowed="a study with a design",
-                remedy="make one in step 4",
-            )
+        allowed, remedy = "a study with a design", "make one in step 4"
+        design = required("design", self.study.design, allowed=allowed, remedy=remedy)
+        law = required("law", self.study.law, allowed=allowed, remedy=remedy)
         return design, law
 
     def renew(self) -> None:

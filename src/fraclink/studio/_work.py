@@ -20,7 +20,7 @@ import numpy as np
 from fraclink._design import Design
 from fraclink._law import Law
 from fraclink._law.requirement import margins_of
-from fraclink.errors import FieldError, FraclinkError
+from fraclink.errors import FieldError, FraclinkError, required
 from fraclink.studio._logs import fit_answer
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
@@ -69,10 +69,12 @@ class Job:
         the study.
         """
         part, options = JOBS[self.verb]
-        if getattr(self.study, part) is None:
-            raise FieldError(
-                part, None, "missing", allowed="a study with it", remedy=_NEEDS[part]
-            )
+        required(
+            part,
+            getattr(self.study, part),
+            allowed="a study with it",
+            remedy=_NEEDS[part],
+        )
         values = {
             name: _checked(name, bounds, self.given.get(name, usual))
             for name, bounds, usual in options
