@@ -220,19 +220,16 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
     }
     # A common scale, since otherwise a poor model would look as good as the others. To
     # keep the others visible, residuals above four times the best are ignored for the
-    # scale; they exceed the panel and are labelled with their size.
+    # scale; they exceed the panel and are labelled with their size. A label has to fit
+    # the width of a telephone.
     common = 1.1 * max(
         size for size in sizes.values() if size <= _LARGE * min(sizes.values())
     )
     panels = []
     for name, fit in fits.items():
-        beyond = (
-            f"; exceeds the panel, up to {sizes[name]:.2g}"
-            if sizes[name] > common
-            else ""
-        )
+        beyond = f", up to {sizes[name]:.2g}" if sizes[name] > common else ""
         remark = " (used)" if name == chosen and len(fits) > 1 else ""
-        label = f"{name}{remark}: measured − model {_SHORT[some.output_kind]}{beyond}"
+        label = f"{name}{remark}: residual {_SHORT[some.output_kind]}{beyond}"
         marks = _rest(
             time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0
         )
@@ -338,7 +335,7 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
             scale=Scale.around(at, turn),
         ),
         Panel(
-            "coherence: share of the output that follows the motor [%]",
+            "coherence [%]",
             [Curve(w, 100 * coherence, 1)],
             60.0,
             halves,

@@ -108,6 +108,7 @@ export const app = {
     if (app.study.of !== undefined && app.study.of !== answer.of) app.outdated(true);
     Object.assign(app.study, answer);
     say('study', answer.title);
+    $('study').title = answer.title; // a narrow window cuts it off
     app.line();
     for (const step of STEPS) {
       const [sign, mark] = answer.marks[step], item = $(`go-${step}`);

@@ -60,7 +60,7 @@ function say() {
     text += ' The law has no guard against a gauge wired backwards: it keeps running. The wiring test before the first move finds this.';
   }
   const rests = placed && !Number.isNaN(o.settles);
-  if (rests && state.noise) {
+  if (rests && o.worst <= 1 && state.noise) {
     const last = Array.from(voltage.slice(Math.round(0.9 * N), N)), mean = last.reduce((a, v) => a + v, 0) / last.length;
     text += ` At rest the gauge's noise moves the motor's voltage by ${fixed(Math.hypot(...last.map((v) => v - mean)) / Math.sqrt(last.length), 2)} V rms.`;
   }
