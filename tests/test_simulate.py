@@ -62,8 +62,11 @@ def _tip_transfer(model: LinkModel) -> object:
         LinkModel(1.56, 11.0),
         LinkModel(1.56, 11.0, damping=0.5),
         LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6),
+        LinkModel(1.56, 11.0, damping=16.5),
+        LinkModel(1.56, 11.0, damping=33.0),
+        LinkModel(1.56, 11.0, damping=40.0, damping_order=0.8),
     ],
-    ids=lambda m: m.structure,
+    ids=lambda m: f"{m.structure}, μ = {m.damping:g}",
 )
 def test_the_tip_follows_an_independent_solution_behind_m_of_s(
     model: LinkModel,

@@ -135,7 +135,8 @@ class ArmSet:
     @property
     def vibration(self) -> float:
         """Longest vibration period of the model [s], that with the heaviest payload."""
-        return 2.0 * math.pi / abs(self.model.at_payload(self.payloads[-1]).pole.imag)
+        pole = self.model.at_payload(self.payloads[-1]).pole
+        return 2.0 * math.pi / max(pole.imag, -pole.real)
 
     def run(
         self,

@@ -10,7 +10,11 @@ In the link's own time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ)
 
 ``S = 1 − 2 Re p^λ/(λ p^λ + α M p^α) e^(x p) + (1/π) ∫ Im G(e^(v + iπ)) e^(−x e^v) dv``,
 
-so one grid in v = ln(r/Ω) serves every payload (homothety of Lemma 1), and only
+and the trapezoidal rule errs by the residues of the integrand's own poles, which are
+those of G on both sides of the cut: each is a further exponential, whose weight passes
+from one to zero as the pole crosses the cut. Damping of any size is one sum.
+
+One grid in v = ln(r/Ω) serves every payload (homothety of Lemma 1), and only
 exponentials remain to be computed.
 """
 
@@ -41,10 +45,9 @@ LONGEST = 2.0
 # for a move; for a campaign, whose metrics are accurate to 1e-4, three digits below
 # that.
 ALONE, MANY = 21.0, 15.0
-# arg p of a link whose vibration has ζ = cos(π/4) = 0.71: beyond it nothing vibrates,
-# and the pole of the next sheet, which no exponential represents, approaches the
-# integrand.
-APERIODIC = 0.75 * np.pi
+# Relative distance of M from 2, below which the poles p of a link with α = λ/2 are one in
+# double precision: there the roots are known to 1e-13, and their residues to 1e-7.
+DOUBLE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -137,35 +140,32 @@ def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
     return np.stack([step * (row / rows[0]) for row in rows], axis=-2)
 
 
-def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Complex:
-    """Return ln of each link's vibration pole over Ω = ω₀^(2/λ), shape (R,): its
-    imaginary part is arg p.
+def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
+    """Return ln of each link's vibration pole over Ω = ω₀^(2/λ), and of the pole that
+    meets it where the vibration ends, shape (2, R); imaginary parts are arguments.
 
-    Newton's method on w ↦ e^(λw) + M e^(αw) + 1, with continuation in M from 0 to its
-    value.
+    Both are roots of w ↦ e^(λw) + M e^(αw) + 1, the second one beyond the cut arg = π
+    until the link is overdamped. Newton's method follows them from M = 0.
     """
-    alpha = model.damping_order
-    ratio = damping * stiff ** ((alpha - order) / order)
-    log_pole = 1j * np.pi / order
+    log_poles = 1j * np.pi * np.array([[1.0], [3.0]]) / order
     if not np.any(ratio):
-        return np.asarray(log_pole)
-    for share in np.linspace(0.1, 1.0, 10):
-        for _ in range(6):
-            moving = np.exp(order * log_pole)
-            friction = share * ratio * np.exp(alpha * log_pole)
-            log_pole = log_pole - (moving + friction + 1.0) / (
+        return np.asarray(log_poles)
+    # The poles meet at an M of argument π(1 − 2α/λ) and size above one: they are
+    # followed past it on the other side, and from there to the real M.
+    side = np.where(2.0 * alpha >= order, 1j, -1j) * np.minimum(ratio, 1.0)
+    steps = math.ceil(6.0 * math.log1p(float(ratio.max())))
+    growing = [(k / steps, 1.0) for k in range(1, steps + 1)]
+    # Where the poles nearly meet, each iteration halves the error only.
+    turning = [(1.0, turn) for turn in (0.8, 0.6, 0.4, 0.2, 0.0, 0.0, 0.0)]
+    for share, turn in growing + turning:
+        size = np.expm1(share * np.log1p(ratio)) * np.exp(turn * side)
+        for _ in range(5):
+            moving = np.exp(order * log_poles)
+            friction = size * np.exp(alpha * log_poles)
+            log_poles = log_poles - (moving + friction + 1.0) / (
                 order * moving + alpha * friction
             )
-    # This includes NaN: a link far beyond the limit has no pole to follow.
-    if not np.all(log_pole.imag < APERIODIC):
-        raise FieldError(
-            "damping",
-            float(damping[np.argmax(log_pole.imag)]),
-            "too large: the link does not vibrate",
-            allowed="a damping ratio below 0.7 of every link",
-            remedy="state less damping or a stiffer link",
-        )
-    return np.asarray(log_pole)
+    return np.asarray(log_poles)
 
 
 def batch_links(
@@ -201,7 +201,7 @@ def batch_links(
     Raises
     ------
     FieldError
-        a link too fast for the period, or one so damped that it does not vibrate.
+        a link too fast for the period.
 
     >>> import numpy as np
     >>> model, two = LinkModel(1.56, 11.1, damping=0.4), np.ones(2)
@@ -209,29 +209,36 @@ def batch_links(
     >>> links.weight.shape[:2], links.pair_weight.shape
     ((2, 6), (2, 6, 1))
     """
-    speed = stiff ** (1.0 / order)
-    log_pole = link_poles(model, stiff, order, damping)
+    speed, alpha = stiff ** (1.0 / order), model.damping_order
+    ratio = damping * speed ** (alpha - order)
+    ratio = np.where(np.abs(ratio - 2.0) < DOUBLE, 2.0 + DOUBLE, ratio)
+    log_poles = _log_poles(order, alpha, ratio)
+    fastest = float(np.max(speed * np.exp(log_poles.real)))
     reach = speed * period
     # An arm that cannot be simulated is an error of the draw, and reported as such;
     # leaving it out would falsify the campaign's share of failures.
-    if float(reach.max()) >= LONGEST:
+    if fastest * period >= LONGEST:
         raise FieldError(
             "period",
             period,
             "too long for this link",
-            allowed=f"< {LONGEST / float(speed.max()):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
+            allowed=f"< {LONGEST / fastest:.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
             remedy="simulate at a shorter period, or a heavier payload",
         )
-    # One grid for all: the smallest exponent needs the widest one at both ends. Integer
-    # exponents have no branch cut.
-    alpha, damped = model.damping_order, bool(np.any(damping))
+    # One grid for all: the smallest exponent needs the widest one at both ends.
+    damped = bool(np.any(damping))
     slowest = min(float(order.min()), alpha) if damped else float(order.min())
-    # Without damping the poles of the next sheet lie π(3/λ − 1) from the integrand;
-    # with damping and λ near 2, as far as p. The error of the trapezoidal rule is
-    # e^(−2π distance/step).
-    distance = np.pi - float(log_pole.imag.max()) if damped else 0.5 * np.pi
-    width = 2.0 * np.pi * min(distance, 0.5 * np.pi) / digits
-    whole = bool(np.all(order == 2.0)) and (not damped or alpha == 1.0)
+    # The integrand decays within π/2 of the cut, and its poles there are part of the sum;
+    # the error of the trapezoidal rule is e^(−2π distance/step).
+    width = np.pi**2 / digits
+    # Integer exponents have no branch cut, and poles on it only where overdamped.
+    whole = (
+        bool(np.all(order == 2.0))
+        and (not damped or alpha == 1.0)
+        and float(log_poles[0].imag.max()) < np.pi - DOUBLE
+    )
+    log_poles = log_poles[: 1 if whole or not damped else 2]
+    inside = log_poles.imag < 1.5 * np.pi
     grid: Real = np.zeros(0)
     if not whole:
         # The density falls like e^(−λ|v|). Very slow modes hardly move within the span;
@@ -242,44 +249,35 @@ def batch_links(
         ends = -min(digits / slowest, still), min(digits / slowest, over)
         first, last = (math.floor(end / width) for end in ends)
         grid = np.asarray(width * (np.arange(first, last + 2) + 0.5), dtype=np.float64)
-    ratio = damping * speed ** (alpha - order)
     restoring = 1.0 + ratio[:, None] * np.exp(alpha * (grid + 1j * np.pi))
-    moving = np.exp(order[:, None] * (grid + 1j * np.pi))
-    density = (restoring / (moving + restoring)).imag / np.pi
-    # Weight of e^(−r t) in S; over one period the response of a mode to a step is
-    # −gain·(1 − e^(−rT)) of it.
-    real = width * density
+    density = (
+        restoring / (np.exp(order[:, None] * (grid + 1j * np.pi)) + restoring)
+    ).imag / np.pi
     log_decay = -reach[:, None] * np.exp(grid)
-    pole = reach * np.exp(log_pole)
-    swing: Complex = np.exp(order * log_pole)
-    residue = swing / (order * swing + alpha * ratio * np.exp(alpha * log_pole))
-    pair = np.asarray(-2.0 * residue, dtype=np.complex128)
+    pole = np.where(inside, reach * np.exp(log_poles), 0.0).T
+    swing: Complex = np.exp(order * log_poles)
+    residue = swing / (order * swing + alpha * ratio * np.exp(alpha * log_poles))
+    pair = np.where(inside, -2.0 * residue, 0.0)
     if not whole:
-        pair = pair * _correction(log_pole, float(grid[0]), width)
-    weight = _answers(real * np.expm1(log_decay), log_decay)
-    swing_step = pair * np.expm1(pole)
-    pair_weight = _answers(swing_step[:, None], pole[:, None])
+        # What the trapezoidal rule has of a pole's exponential, which depends on the
+        # pole's distance from the grid and its side of the cut, is no part of the pair.
+        turns = (float(grid[0]) - log_poles + 1j * np.pi) / width
+        pair = pair * (1.0 / (1.0 - np.exp(2j * np.pi * turns)))
+    # The weight of e^(−r t) in S is `width` times the density; over one period the mode
+    # answers a step by −(1 − e^(−rT)) of it.
+    weight = _answers(width * density * np.expm1(log_decay), log_decay)
+    pair_weight = _answers(pair.T * np.expm1(pole), pole)
     at_end = _powers_at_end(stiff, order, damping, alpha, period)
     first = at_end - weight.sum(axis=2) - pair_weight.sum(axis=2).real
-    second = second_mode_weights(model.second_mode, period)
     return LinkWeights(
         decay=np.exp(log_decay),
         weight=np.ascontiguousarray(weight),
-        pair=np.exp(pole[:, None]),
+        pair=np.exp(pole),
         pair_weight=np.ascontiguousarray(pair_weight),
         first=np.ascontiguousarray(first),
-        second=np.repeat(second, len(stiff), axis=0),
-    )
-
-
-def _correction(log_pole: Complex, start: float, width: float) -> Complex:
-    """The part of a pole's residue that the trapezoidal rule does not include.
-
-    The density has simple poles at v = ln p − iπ and its conjugate, whose exponential
-    is the link's own pair.
-    """
-    return np.asarray(
-        1.0 / (1.0 - np.exp(2j * np.pi * (start - log_pole + 1j * np.pi) / width))
+        second=np.repeat(
+            second_mode_weights(model.second_mode, period), len(stiff), axis=0
+        ),
     )
 
 

@@ -367,7 +367,8 @@ def model_run(
         payload=math.nan if link.payload is None else link.payload,
         period=law.period,
         ended=ended,
-        vibration_period=2 * math.pi / abs(link.pole.imag),
+        # A link that decays faster than it turns has its decay for a period.
+        vibration_period=2 * math.pi / max(link.pole.imag, -link.pole.real),
         about=about,
         findings=findings,
         extras=extras,
