@@ -28,7 +28,9 @@ from fracsys.errors import (
     NotConvergedError,
     SizeError,
     UnstableError,
-    required,
+)
+from fracsys.errors import (
+    required as required,
 )
 
 __all__ = [
@@ -43,7 +45,6 @@ __all__ = [
     "NotConvergedError",
     "SizeError",
     "UnstableError",
-    "required",
 ]
 
 # A single base for both packages: it catches everything that either raises on purpose.
