@@ -587,3 +587,26 @@ def test_an_arm_that_loses_samples_is_measured_on_its_own_time(tmp_path: Path) -
             move.promised_settling, rel=0.1, abs=0.05
         )
     assert tuned.passed, tuned
+
+
+@pytest.mark.slow
+def test_the_link_is_found_below_a_second_mode_with_more_energy() -> None:
+    heavy = replace(RIG, link=replace(RIG.link, mass=0.064))
+    beam = fl.extend.Beam.from_rig(heavy, payload=0.026)
+    first, second = beam.modes(2).frequencies.tolist()
+    twin = fl.Twin.from_rig(
+        heavy,
+        payload=0.026,
+        damping=fl.extend.KelvinVoigt(2 * 0.0014 / first, 2 * 0.0016 / second),
+        gauge_delay=0.008,
+    )
+    *_, link = staged(SimulatedArm(replace(twin, voltage_delay=2), PERIOD, seed=20))
+    model = link.fit.model
+    assert link.fit.passed
+    assert abs(model.pole) == pytest.approx(first, rel=0.01)
+    assert model.second_mode is not None
+    assert model.second_mode.frequency == pytest.approx(second, rel=0.01)
+    assert 0.0005 <= model.second_mode.damping_ratio < 0.004
+    # the phase of an error of 0.018 in λ, which suffices
+    phase = 0.018 * math.pi / 2
+    assert model.gauge_delay == pytest.approx(0.008, abs=phase / first)

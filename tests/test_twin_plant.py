@@ -123,6 +123,25 @@ def test_energy_rate_is_never_positive(link_mass, payload, order, seed):
     assert 2 * x @ energy @ change <= 1e-9 * size
 
 
+@pytest.mark.parametrize("higher", [2e-5, 2e-3])
+def test_modes_beyond_the_first_may_have_their_own_damping(higher):
+    """ζ = ηω/2 of the second mode, and the first one as before; the hub is too heavy to
+    move.
+    """
+
+    def vibrations(damping):
+        plant = assemble(ROD, damping, hub_inertia=1e9)
+        poles = np.linalg.eigvals(plant.dynamics)
+        return sorted(poles[poles.imag > 1.0], key=abs)
+
+    own = vibrations(PowerLaw(1.95, higher=higher))
+    material = vibrations(PowerLaw(1.95))
+    assert own[0] == pytest.approx(material[0], rel=1e-6)
+    size = abs(own[1])
+    assert -own[1].real / size == pytest.approx(0.5 * higher * size, rel=1e-6)
+    assert size == pytest.approx(abs(material[1]), rel=0.05)
+
+
 @pytest.mark.slow
 def test_steps_compose():
     """Four steps of 1 ms equal one of 4 ms for a held input: the steps are exact, with

@@ -35,11 +35,11 @@ def guarded(
     return Guard(partial(open_line, connection, period, clock=clock), limits)
 
 
-def staged() -> Stages:
-    """Wiring, motor and link of the paper's arm, half a second of computation; the arm
-    and its guard are released.
+def staged(made: fl.lab.SimulatedArm | None = None) -> Stages:
+    """Wiring, motor and link of the paper's arm or of another one, half a second of
+    computation; the arm and its guard are released.
     """
-    made = arm(seed=1)
+    made = made or arm(seed=1)
     guard = guarded(made.callback)
     wiring = check_wiring(guard, RIG)
     guard.learn(wiring.gain, wiring.delay)

@@ -253,7 +253,7 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
     share = float(_driven(signals)[0])
     if share > _AT_LIMIT:
         what = (
-            f"it is at its limit in {100 * share:.2g} % of the periods after the move"
+            f"it is at its limit in {100 * share:.0f} % of the periods after the move"
         )
         return MoveVerdict(False, f"the voltage does not come to rest: {what}")
     lasting = (
