@@ -57,24 +57,6 @@ static double servo_voltage(const motor_state *m, const loop_rig *rig, double re
     return (p * p * (reference - m->angle) + (rig->decay - 2.0 * p) * m->speed) / rig->gain;
 }
 
-/* Motor under a held voltage with Coulomb friction as a proximal step: the friction force of a substep is the one
- * that shortens the speed by at most its impulse and never turns it around, which includes stiction. */
-static void follow_voltage(motor_state *m, const loop_rig *rig, const loop_weights *w, double held)
-{
-    const double impulse = rig->friction * w->first;
-    for (int i = 0; i < rig->substeps; i++) {
-        const double free = w->keep * m->speed + w->first * held;
-        const double left = fabs(free) - impulse;
-        const double speed = copysign(left > 0.0 ? left : 0.0, free);
-        const double force = held + (speed - free) / w->first;
-        if (i == 0)
-            m->early = force - rig->decay * m->speed;
-        m->angle += w->first * m->speed + w->second * force;
-        m->speed = speed;
-        m->late = force - rig->decay * speed;
-    }
-}
-
 /* Real modes in lanes of SUM_LANES: each lane adds up its own modes, and the lanes are added in one order, so that the
  * sum has the same bits whatever the width of the machine's vectors (a reduction clause would follow that width). */
 #define SUM_LANES 8
@@ -244,7 +226,8 @@ typedef struct {
     double impulse[LOOP_LANES];
 } motor_lanes;
 
-/* follow_voltage of several arms at once. */
+/* Motors under held voltages, with Coulomb friction as a proximal step: the friction force of a substep is the one that
+ * shortens the speed by at most its impulse and never turns it around, which includes stiction. */
 FRACLINK_CLONES
 static void follow_voltages(motor_lanes *restrict m, int substeps)
 {
@@ -271,17 +254,13 @@ static motor_state motor_of(const motor_lanes *m, int l)
     return one;
 }
 
-/* Motors that are no lanes of one vector: behind the ideal motor loop, or where a machine has none. */
+/* The motor behind the ideal motor loop. */
 static void follow_alone(const loop_arm *arm, motor_lanes *m, int l, double applied, int64_t k)
 {
     const loop_rig *const rig = &arm->rig;
     motor_state one = motor_of(m, l);
-    if (rig->sampled) {
-        follow_voltage(&one, rig, &rig->weights, rig->gain * applied);
-    } else {
-        arm->trace.voltage[k] = servo_voltage(&one, rig, applied);
-        follow_reference(&one, rig, &rig->weights, applied);
-    }
+    arm->trace.voltage[k] = servo_voltage(&one, rig, applied);
+    follow_reference(&one, rig, &rig->weights, applied);
     m->angle[l] = one.angle;
     m->speed[l] = one.speed;
     m->early[l] = one.early;
@@ -359,7 +338,7 @@ int loop_run(const loop_arm *arms, int count, const law_port *law, const void *p
 {
     arm_state states[LOOP_LANES];
     motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
-    const int in_lanes = LOOP_LANES > 1 && arms[0].rig.sampled;
+    const int sampled = arms[0].rig.sampled;
     for (int l = 0; l < count; l++) {
         if (out_of_bounds(&arms[l].link, &arms[l].rig))
             return 1;
@@ -374,10 +353,10 @@ int loop_run(const loop_arm *arms, int count, const law_port *law, const void *p
             s->pending[k % slots] = decide(arm, law, params, s, motor.angle[l], k);
             const double applied = s->pending[(k + 1) % slots]; /* written `delay` periods ago */
             motor.held[l] = arm->rig.gain * applied;
-            if (!in_lanes)
+            if (!sampled)
                 follow_alone(arm, &motor, l, applied, k);
         }
-        if (in_lanes)
+        if (sampled)
             follow_voltages(&motor, arms[0].rig.substeps);
         for (int l = 0; l < count; l++) {
             const motor_state from = motor_of(&before, l);
