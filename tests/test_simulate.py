@@ -440,7 +440,7 @@ def test_the_printed_controller_fails_within_four_seconds() -> None:
     )
 
 
-@pytest.mark.parametrize("delay", [0.004, 0.057, 0.0013, 0.0578])
+@pytest.mark.parametrize("delay", [0.004, 0.057, 0.0013, 0.006, 0.0578])
 def test_the_gauge_shows_the_torque_of_its_delay(delay: float) -> None:
     slow = fl.smooth_step(0.5, 1.0)
     run = simulate(
