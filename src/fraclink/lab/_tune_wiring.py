@@ -58,16 +58,14 @@ COUNT = _MOST / _LARGER / _COUNTS  # [rad]: the coarsest encoder with that many 
 # Standard errors required of a sign: a wrong sign closes a loop that runs away; the
 # probability of chance is one in two million.
 _SURE = 5.0
-# multiple of the smoothed noise of the gauge that counts as a response
-_DEVIATIONS = 8.0
 # share of a motion that follows the doublets: about half for an angle, a tenth for a
 # torque
 _KEPT = 0.3
 # share of the link's residual: with correct wires the residual of the exchanged fit is
 # larger
 _REVERSED = 0.6
-# Standard errors of the torque's gain that a fit over all frequencies does not reach
-# with noise.
+# Standard deviations that noise does not reach, be it the largest of many samples or
+# the best gain of a fit over all frequencies.
 _CLEAR = 8.0
 # Six of each sign: drift or drag to one side cancels.
 _DOUBLETS = 12
@@ -150,7 +148,7 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
             for x in (still.angle, still.torque)
         )
         angle = float(np.ptp(_smoothed(still.angle)))
-        if angle <= _STILL + _DEVIATIONS * shake / math.sqrt(_SMOOTH):
+        if angle <= _STILL + _CLEAR * shake / math.sqrt(_SMOOTH):
             break
     else:
         raise WiringFault(
@@ -164,8 +162,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     guard.allow(shake)
     # The response must exceed the noise after smoothing over five samples.
     answers = (
-        max(_ANSWER, _DEVIATIONS * shake / math.sqrt(_SMOOTH)),
-        max(_FELT, _DEVIATIONS * noise / math.sqrt(_SMOOTH)),
+        max(_ANSWER, _CLEAR * shake / math.sqrt(_SMOOTH)),
+        max(_FELT, _CLEAR * noise / math.sqrt(_SMOOTH)),
     )
     pulse = _grown(guard, answers)
     while True:
