@@ -77,8 +77,6 @@ _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoo
 # one has hardly any tip motion; without a visible second mode it is at most as heavy as
 # its payload.
 _LIGHTEST, _HEAVIEST, _UNSEEN = 1e-3, 10.0, 1.0
-# [rad]: a smaller step is the resolution of the encoder, a larger one a motion
-_COUNTED = 2e-2
 
 
 @dataclass(frozen=True)
@@ -128,12 +126,9 @@ def measured_rig(
     mass = _shown_mass(model, payload)
     if not mass and stated is not None:
         mass = stated.link.mass
-    # The smallest step in a record, if it is small enough to be the encoder's
-    # resolution.
+    # The smallest step in a record in which the motor moved by several of them.
     counts = (
-        round(math.tau / wiring.encoder_step)
-        if 0 < wiring.encoder_step < _COUNTED
-        else None
+        round(math.tau / wiring.encoder_step) if wiring.encoder_step > 0.0 else None
     )
     rig = Rig(
         name=name,
