@@ -129,7 +129,7 @@ def estimated(
     """
     span = (payloads[0], payloads[-1])
     there, back = (
-        fl.shape(design, size, payloads=span, told=True).reference
+        fl.shape(design, size, payloads=span, told="estimated").reference
         for size in (1.0, -1.0)
     )
     # the second begins 3 s after the first

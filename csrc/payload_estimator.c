@@ -24,6 +24,7 @@
 #define PAYLOAD_TWICE 2U /* consecutive samples: a single one may be a sensor fault */
 #define PAYLOAD_FADES 10U /* such samples that fade the evidence; with more, a wrong offset could never be learnt */
 #define PAYLOAD_DEVIATION ((law_real)1) /* largest relative standard deviation that is reported */
+#define PAYLOAD_AMPLIFIED ((law_real)4) /* larger than the power gain of every filter A/C, which is below 2 */
 #define PAYLOAD_ROUNDS ((law_real)1.01F) /* margin for rounding */
 #define PAYLOAD_NONE ((law_real)1e30F)  /* larger than any cost */
 
@@ -90,6 +91,17 @@ static void know_nothing(payload_state *s)
     s->best_drift = zero;
     s->best_told = zero;
     s->best_error = zero;
+    for (i = 0U; i < 2U; i++) {
+        s->left[i] = zero;
+        s->gain[i] = zero;
+    }
+    s->before_left = zero;
+    s->before_gain = zero;
+    for (i = 0U; i < 3U; i++) {
+        s->carried[i] = zero;
+    }
+    s->spread = zero;
+    s->white = zero;
     s->least = zero;
     s->deviation = PAYLOAD_DEVIATION;
     s->estimate = zero;
@@ -156,9 +168,14 @@ static void sample(payload_state *s, const payload_params *p)
 }
 
 /* Store the cost of model `i` if it is the smallest so far, or one of the two after the smallest. */
-static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift, law_real told, law_real error)
+static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift, law_real told, law_real error, law_real left,
+                    law_real gain)
 {
     if (cost < s->cost[2]) {
+        s->left[0] = s->before_left;
+        s->left[1] = left; /* until the next model */
+        s->gain[0] = s->before_gain;
+        s->gain[1] = gain;
         s->cost[0] = s->before[1];
         s->cost[1] = s->before[0];
         s->cost[2] = cost;
@@ -173,6 +190,12 @@ static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift,
     } else {
         /* one of the others */
     }
+    if ((i - s->best) == 1U) {
+        s->left[1] = left;
+        s->gain[1] = gain;
+    }
+    s->before_left = left;
+    s->before_gain = gain;
     s->before[1] = s->before[0];
     s->before[0] = cost;
 }
@@ -218,7 +241,7 @@ static uint32_t look(payload_state *s, const payload_params *p, uint32_t i, law_
     const law_real size = (told * told) + (swing * swing);
     const law_real excess = error - (p->contact * size);
     s->least = (excess < s->least) ? excess : s->least;
-    compare(s, i, cost, y, told, error - (p->surprise * size));
+    compare(s, i, cost, y, told, error - (p->surprise * size), left, x);
     /* no product of two signals exceeds the bound given by their squares */
     return ((((m->ee <= p->sum_limit) && (m->vv <= p->sum_limit)) && ((m->ev * m->ev) <= (PAYLOAD_ROUNDS * (m->ee * m->vv)))) &&
             ((cost >= -p->variance) && (cost <= p->sum_limit)))
@@ -266,10 +289,35 @@ static void judge(payload_state *s, const payload_params *p)
     s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
 }
 
+/* The noise in the estimate, which is a sum of `slope` e over the samples, slope the change of the remaining error from
+ * model to model: the noise of consecutive errors e is correlated by the filter of the model. Returns the variance of
+ * that sum relative to one of independent errors, with the gauge's gain as one more of them. */
+static law_real spread(payload_state *s, const payload_params *p)
+{
+    const payload_model *const c = &p->model[s->best];
+    const law_real slope = (law_real)0.5F * (s->left[1] - s->left[0]);
+    const law_real gain = (law_real)0.5F * (s->gain[1] - s->gain[0]);
+    const law_real first = s->keep * s->carried[0];
+    s->spread = ((s->keep * s->keep) * s->spread) + (slope * (((law_real)2 * first) + (slope * c->power)));
+    s->white = (s->keep * s->white) + (slope * slope);
+    s->carried[0] = ((s->keep * s->carried[1]) - (c->c1 * first)) + (slope * c->echo0);
+    s->carried[1] = ((s->keep * s->carried[2]) - (c->c2 * first)) + (slope * c->echo1);
+    s->carried[2] = (slope * c->echo2) - (c->c3 * first);
+    if (!((s->spread >= (law_real)0) && (s->spread <= (PAYLOAD_AMPLIFIED * s->white)))) { /* damaged memory */
+        s->carried[0] = (law_real)0;
+        s->carried[1] = (law_real)0;
+        s->carried[2] = (law_real)0;
+        s->spread = (law_real)0;
+        s->white = (law_real)0;
+    }
+    return (s->spread + (p->gain_weight * (gain * gain))) / s->white;
+}
+
 /* The estimate: the minimum of the curve through the costs of the best model and the two on either side of it. */
 static void conclude(payload_state *s, const payload_params *p)
 {
     const uint32_t i = s->best;
+    const law_real share = spread(s, p);
     law_real deviation = s->deviation;
     s->drift = s->best_drift;
     judge(s, p);
@@ -300,8 +348,9 @@ static void conclude(payload_state *s, const payload_params *p)
         const law_real curve = (law_real)0.5F * ((p->model[i + 1U].mass - here) - (here - p->model[i - 1U].mass));
         const law_real mass = here + (at * (rise + (at * curve)));
         const law_real slope = (rise + (((law_real)2 * at) * curve)) / mass;
-        const law_real least = (cost[2] + (at * (first + (at * (second + (at * (third + (at * fourth)))))))) / s->samples;
-        const law_real noise = p->spread * ((least > p->variance) ? least : p->variance);
+        const law_real least = (cost[2] + (at * (first + (at * (second + (at * (third + (at * fourth)))))))) / (s->samples * p->model[i].power);
+        /* that of the gauge and that of the errors seen, which are few, weigh alike */
+        const law_real noise = share * ((law_real)0.5F * (least + p->variance));
         const law_real variance = ((((law_real)2 * noise) / bend) * (slope * slope)) + p->doubt;
         if (((sound(at, (law_real)1) != 0U) && (bend > (law_real)0)) && (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION))) {
             deviation = ((deviation > (law_real)0) && (deviation <= PAYLOAD_DEVIATION)) ? deviation : PAYLOAD_DEVIATION;

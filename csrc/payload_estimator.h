@@ -18,7 +18,7 @@
 
 #include "law.h"
 
-#define PAYLOAD_VERSION 1U
+#define PAYLOAD_VERSION 2U
 #define PAYLOAD_MODELS 14U /* payloads of the bank */
 
 /* Flags of one period. */
@@ -43,6 +43,10 @@ typedef struct {
     law_real c2;
     law_real c3;
     law_real rest; /* share of a constant torque that remains in the error */
+    law_real power; /* of white noise of variance 1: variance of the error, and its covariances with the filter's next state */
+    law_real echo0;
+    law_real echo1;
+    law_real echo2;
     law_real mass; /* payload plus the link's equivalent mass at the tip [kg] */
 } payload_model;
 
@@ -67,7 +71,6 @@ typedef struct {
     law_real surprise;     /* square of the relative torque error that a right model may have */
     law_real contact;      /* the same for a torque that no payload explains */
     law_real link;         /* equivalent mass of the link at its tip [kg] */
-    law_real spread;       /* variance of consecutive errors of a model relative to that of independent ones */
     law_real doubt;        /* relative variance of the mass that no evidence reduces */
     law_real narrow;       /* largest relative standard deviation at which the law gets the estimate */
     law_real width;        /* half width of the interval in standard deviations */
@@ -118,6 +121,13 @@ typedef struct {
     law_real best_drift; /* for the best model: offset, predicted torque, and error relative to that of a right model */
     law_real best_told;
     law_real best_error;
+    law_real left[2];    /* remaining errors of the models on either side of the best one, and their gains of the gauge */
+    law_real gain[2];
+    law_real before_left; /* the same of the previous model */
+    law_real before_gain;
+    law_real carried[3]; /* noise in the estimate: covariance with the filter, variance, and that of white errors */
+    law_real spread;
+    law_real white;
     law_real least;     /* smallest excess of the error over the limit for a contact [(N m)^2] */
     law_real deviation; /* relative standard deviation of the mass */
     law_real estimate;

@@ -96,18 +96,20 @@ def by_numpy(
     change = np.diff(np.concatenate([[angle[0]], theta]))
     y0 = gamma - gamma[0]
     rows, masses = [], np.array([row[-1] for row in made.models])
-    for a1, a2, a3, b0, b1, b2, c1, c2, c3, rest, _ in made.models:
+    pulse = np.eye(1, changed.size)[0]
+    for a1, a2, a3, b0, b1, b2, c1, c2, c3, rest, *_ in made.models:
         below = [1.0, c1, c2, c3]
         v = lfilter([b0, b1, b2], below, change)
-        rows.append((lfilter([1.0, a1, a2, a3], below, y0) - v, v, rest))
+        noise = lfilter([1.0, a1, a2, a3], below, pulse)
+        rows.append((lfilter([1.0, a1, a2, a3], below, y0) - v, v, rest, noise))
     out = []
     for k in range(changed.size):
         keeps = np.where(
             changed[:k], 0.5, value["keep"]
         )  # from each sample to the next
         weight = np.sqrt(np.append(np.cumprod(keeps[::-1])[::-1], 1.0))
-        costs = []
-        for e, v, rest in rows:
+        costs, remaining = [], []
+        for e, v, rest, _ in rows:
             prior = [
                 np.sqrt(value["gain_weight"]),
                 np.sqrt(value["variance"] / value["offset_variance"]),
@@ -121,7 +123,8 @@ def by_numpy(
             )
             wanted = np.concatenate([e[: k + 1] * weight, [0.0, 0.0]])
             x = np.linalg.lstsq(basis, wanted, rcond=None)[0]
-            costs.append(float(np.sum((wanted - basis @ x) ** 2)))
+            remaining.append(wanted - basis @ x)
+            costs.append(float(np.sum(remaining[-1] ** 2)))
         i = int(np.argmin(costs))
         if not 0 < i < MODELS - 1:
             out.append((np.nan, np.nan))
@@ -137,9 +140,19 @@ def by_numpy(
             [-1.0, 0.0, 1.0], masses[i - 1 : i + 2], 2
         ).convert()
         mass, slope = mass_at(at), mass_at.deriv()(at)
-        noise = value["spread"] * max(value["variance"], curve(at) / np.sum(weight**2))
+        # The estimate is shifted by Σ slope·e over Σ slope², of which the noise of each
+        # sample and the gauge's gain, a further observation, have parts of their own.
+        response = rows[i][3]
+        noise = 0.5 * (
+            value["variance"] + curve(at) / np.sum(weight**2) / np.sum(response**2)
+        )
+        along = 0.5 * (remaining[i + 1] - remaining[i - 1])
+        parts = np.correlate(weight * along[:-2], response[: k + 1], "full")[k:]
+        share = (parts @ parts + along[-2] ** 2) / (along[:-2] @ along[:-2])
         bend = curve.deriv(2)(at)
-        deviation = np.sqrt(2 * noise / bend * (slope / mass) ** 2 + value["doubt"])
+        deviation = np.sqrt(
+            2 * share * noise / bend * (slope / mass) ** 2 + value["doubt"]
+        )
         out.append((mass - value["link"], value["width"] * deviation * mass))
     return np.array(out)
 
@@ -180,10 +193,12 @@ def test_the_c_is_the_least_squares_that_it_says() -> None:
         for k in late
     ]
     assert np.count_nonzero(settled) > 20
-    np.testing.assert_allclose(half[settled], wanted[rows, 1][settled], rtol=0.02)
+    # The C takes the slopes of each sample with the gain and offset of its own time, the
+    # reference with the last ones.
+    np.testing.assert_allclose(half[settled], wanted[rows, 1][settled], rtol=0.03)
     # The root is approached from above; the curvature below it is that of Newton's last
     # step.
-    assert np.all(half >= wanted[rows, 1] * (1 - 1e-3))
+    assert np.all(half >= wanted[rows, 1] * (1 - 0.01))
 
 
 def test_both_precisions_agree() -> None:
@@ -212,6 +227,19 @@ def test_the_first_move_finds_the_payload(payload: float) -> None:
     others = [moved(payload, told=told).metrics.settling_time for told in (False, True)]
     assert run.metrics.settling_time <= max(others) + 1e-9
     assert run.about["payload_given"] == "estimated"
+
+
+def test_without_noise_the_models_err_by_less_than_the_interval_allows() -> None:
+    """Tables and interpolation: 0.3 % of the mass in the root mean square."""
+    gauge = replace(GEARED.gauge, noise=0.0, quantum=0.0)
+    arm = Twin.from_rig(replace(GEARED, gauge=gauge))
+    errors = []
+    for payload in np.geomspace(0.008, 0.08, 8):
+        run = fl.simulate(
+            designed(), MOVE, arm=arm, payload=payload, told=bank(), duration=1.0
+        )
+        errors.append(run.extras["payload_estimate"][-1] / payload - 1.0)
+    assert np.sqrt(np.mean(np.square(errors))) <= 0.003
 
 
 @pytest.mark.slow
@@ -363,7 +391,7 @@ def test_no_sample_harms(precision: str) -> None:
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_any_memory_is_healed(precision: str) -> None:
     """Bits of the memory are flipped, or all of it is random: every output stays within
-    its limits, and a few moves later the estimate is as usual. (A sum that is too large
+    its limits, and sixteen moves later the estimate is as usual. (A sum that is too large
     because of a flipped exponent takes longest to decay.)
     """
     made = bank(precision)
@@ -371,7 +399,7 @@ def test_any_memory_is_healed(precision: str) -> None:
     there = np.array([angle[:400], torque[:400]])
     # the same move in the opposite direction, with the offset of 0.05
     back = np.array([[1.0], [0.1]]) - there
-    later = np.hstack([back, there] * 3)
+    later = np.hstack([back, there] * 8)
     before, _ = made.run(made.initial_state(), angle[:100], torque[:100])
     rng = np.random.default_rng(3)
     ticks = np.arange(101, 752)

@@ -27,7 +27,7 @@ FollowedPath = MovePath | SampledReference
 app = group()
 
 
-REQUEST = Keywords(shape_move, "payloads", "told", "voltage", "settle", "on", "over")
+REQUEST = Keywords(shape_move, "payloads", "voltage", "settle", "on", "over")
 
 
 @command(app)
@@ -37,6 +37,7 @@ def shape(
     payload: Annotated[
         ranges.Payload | None, "Payload, where it is known; instead of --payloads"
     ] = None,
+    told: Annotated[bool, "The law is given the payload"] = False,
     follow: Annotated[
         Path | None,
         "Table of times and angles that the tip shall follow, instead of --amplitude",
@@ -66,7 +67,7 @@ def shape(
             # A file contains one of these two: other references have no points to
             # follow.
             goal = cast(FollowedPath, read_reference(follow))
-        move = shape_move(subject, goal, **request)
+        move = shape_move(subject, goal, told=told, **request)
     move.save(out)
     files: tuple[Path, ...] = (out,)
     if table is not None:
@@ -74,7 +75,7 @@ def shape(
             export_reference(move.reference, table, period=move.period, force=True),
         )
     # A move shaped for a known payload must be simulated with it.
-    option = " --told" if request["told"] else ""
+    option = " --told" if told else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{option} --out moves"
     doubts = doubts_of_move(subject, *move.worst_case.payloads)
     return Answer(move, move.passed, doubts=doubts, written=files, following=following)

@@ -7,8 +7,9 @@ fractional Γ/θm over the frequencies that a move excites; its error is filtere
 A_k/C_k, whose C_k forgets within half a vibration. For a gauge of gain 1 + x and offset
 y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least
 squares over x and y, with the rig's uncertainty of the gain, gives the cost of the
-model. The curve through the costs of five neighbouring models gives the payload and its
-variance; a parabola through three errs by 3 % halfway between two models.
+model. The curve through the costs of five neighbouring models gives the payload; a parabola
+through three errs by 3 % halfway between two models. Its variance is that of the same
+sum of errors for the gauge's noise, which A_k/C_k correlates, and for its gain.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink import _kernels
+from fraclink._arm.beam import Beam, modal_shares
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._law.block import Precision, real_type
 from fraclink._law.law import REASONS, Law
-from fraclink._law.tracking import masses_of
+from fraclink._law.tracking import at_mass, masses_of
 from fraclink.errors import FieldError
 
 __all__ = [
@@ -45,7 +47,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-VERSION, MODELS = 1, 14
+VERSION, MODELS = 2, 14
 # Names in the order of payload_estimator.h; a test compares them with that file.
 HEADER = ("version", "size", "precision", "crc")
 COUNTS = ("together", "chunk", "quiet_limit", "gap_limit")
@@ -61,7 +63,6 @@ REALS = (
     "surprise",
     "contact",
     "link",
-    "spread",
     "doubt",
     "narrow",
     "width",
@@ -69,7 +70,10 @@ REALS = (
     "certified_low",
     "certified_high",
 )
-MODEL = ("a1", "a2", "a3", "b0", "b1", "b2", "c1", "c2", "c3", "rest", "mass")
+MODEL = (
+    *("a1", "a2", "a3", "b0", "b1", "b2", "c1", "c2", "c3"),
+    *("rest", "power", "echo0", "echo1", "echo2", "mass"),
+)
 
 # The following values were determined on the twin of the geared rig, 8 to 80 g
 # (benchmarks/bench_estimator.py).
@@ -81,17 +85,16 @@ TURN = 0.5
 # Damping ratio of C; 0.25 is hardly more accurate and takes longer to forget a start in
 # motion.
 FORGETTING = 0.35
-# The real pole of C relative to the frequency of the vibration: at 0.3 two estimates in
-# a hundred were 20 % off.
-SLOW = 1.0
 # Upper end of the fit relative to each model's own frequency: above it a move excites
 # the second mode.
 HIGHEST = 3.0
-NOISE_GAIN = 0.003  # weight of the encoder's quantisation in the fit of the models
-MEMORY = 0.5  # [s] of motion used by the estimate
-# standard deviation of the gauge's gain if no identified interval states it
-GAIN_DOUBT = 0.05
-LEAST_GAIN_DOUBT = 0.03
+# [s] of motion used by the estimate: a few moves. An arm damped by another law than the
+# model's shifts the estimate during a move, and less the more moves it rests on; a
+# change that no surprise shows fades after two.
+MEMORY = 1.5
+# Least standard deviation of the gauge's gain: strain gauges and their bridges are not
+# known better over months, whatever the interval of one fit.
+GAIN_DOUBT = 0.03
 # noise of a gauge if the rig states none, relative to the largest credible torque
 NOT_STATED = 0.01
 # offset before the arm has stood still, relative to the largest credible torque
@@ -102,13 +105,13 @@ MOVED = 4.0  # standard deviations of a sample: a larger torque counts as motion
 SURPRISE = 0.05
 # square of a tenth: the best of all models has a smaller error, whatever the payload
 CONTACT = 0.01
-# The errors of a right model are smaller than the noise of the gauge, because the
-# filter removes a part of its band.
-SPREAD = 0.4
-DOUBT = 0.005  # relative error of a mass caused by the models themselves
+# Relative error of a mass, root mean square, caused by the models of three poles and the
+# curve through their costs.
+DOUBT = 0.003
 # Largest relative standard deviation at which an estimate is better for the law than
 # none.
 NARROW = 0.09
+CIRCLE = 1024  # samples after which a filter C has forgotten everything
 QUIET = 0.12  # [s] without motion before the estimate is frozen
 
 
@@ -240,15 +243,11 @@ class PayloadEstimator:
         )
         numbers = np.arange(1, angle.size + 1) if ticks is None else np.asarray(ticks)
         if angle.ndim != 1 or not angle.shape == twist.shape == numbers.shape:
-            shapes, allowed = (
-                (angle.shape, twist.shape, numbers.shape),
-                "one value a period",
-            )
             raise FieldError(
                 "torque",
-                shapes,
+                (angle.shape, twist.shape, numbers.shape),
                 "of another length",
-                allowed=allowed,
+                allowed="one value a period",
                 remedy="cut or extend",
             )
         numbers = np.ascontiguousarray(
@@ -292,7 +291,7 @@ def payload_estimator(
         first to the law's largest payload.
     gain_doubt
         standard deviation of the gauge's gain over its identified value, > 0; what its
-        identified interval says where it is left out, 0.05 without one.
+        identified interval says where it is left out, at least 0.03.
 
     Raises
     ------
@@ -318,32 +317,43 @@ def payload_estimator(
             allowed="> 0 kg",
             remedy="fit or design with the payload at which the link's frequency was found",
         )
-    doubt = _gain_doubt(link) if gain_doubt is None else gain_doubt
-    if not doubt > 0.0:
+    if gain_doubt is None:
+        # A 95 % interval is 3.92 standard deviations wide.
+        low, high = link.interval("gauge_gain") or (0.0, 0.0)
+        gain_doubt = max(GAIN_DOUBT, (high - low) / 3.92 / abs(link.gauge_gain))
+    if not gain_doubt > 0.0:
         raise FieldError(
-            "gain_doubt", doubt, "not above 0", allowed="> 0", remedy="0.05 is usual"
+            "gain_doubt",
+            gain_doubt,
+            "not above 0",
+            allowed="> 0",
+            remedy="0.03 is usual",
         )
     nominal, own = masses_of(link, rig)
-    largest = law.limits.payload_limit
     # Evenly spaced in ln m, since the frequency varies with m^(−1/2): the ratio between
     # neighbours is constant, and so is the relative error of the interpolation.
     masses = np.geomspace(
-        LIGHTEST * payloads[0] + own, HEAVIEST * largest + own, MODELS
+        LIGHTEST * payloads[0] + own, HEAVIEST * law.limits.payload_limit + own, MODELS
     )
-    # The material damps: D(s) = 1 + (μ/ω₀²) s^α is the same for every payload.
+    # Shares of the first mode in the torque at the root. An identified gain of the gauge
+    # includes that of its own payload; a computed link has no mass.
+    *shares, usual = (
+        modal_shares(Beam.from_rig(rig, payload=payload))[1][0]
+        for payload in (*(masses - own).tolist(), link.payload)
+    )
+    usual = rig.link.stiffness if nominal == link.payload else usual
     links = [
         replace(
-            link,
-            natural_frequency=link.natural_frequency * math.sqrt(nominal / m),
-            damping=link.damping * nominal / m,
+            at_mass(link, m / nominal),
+            gauge_gain=float(link.gauge_gain * share / usual),
         )
-        for m in masses
+        for m, share in zip(masses, shares, strict=True)
     ]
     # The lightest payload vibrates fastest; its vibration limits how many periods may
     # be combined into one sample.
     together = max(1, int(TURN / (abs(links[0].pole) * law.period)))
     sample = together * law.period
-    values = _values(rig, law, together, doubt, own, payloads)
+    values = _values(rig, law, together, gain_doubt, own, payloads)
     return PayloadEstimator(
         period=law.period,
         precision=law.precision,
@@ -358,16 +368,6 @@ def payload_estimator(
             (*_model(one, sample), float(m))
             for one, m in zip(links, masses, strict=True)
         ),
-    )
-
-
-def _gain_doubt(link: LinkModel) -> float:
-    interval = link.interval("gauge_gain")
-    if interval is None:
-        return GAIN_DOUBT
-    # A 95 % interval is 3.92 standard deviations wide.
-    return max(
-        LEAST_GAIN_DOUBT, (interval[1] - interval[0]) / 3.92 / abs(link.gauge_gain)
     )
 
 
@@ -405,7 +405,6 @@ def _values(
         "surprise": SURPRISE,
         "contact": CONTACT,
         "link": own,
-        "spread": SPREAD,
         "doubt": DOUBT**2,
         "narrow": NARROW,
         # two-sided 95 % of a normal distribution
@@ -427,11 +426,12 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     fast = np.exp(
         abs(pole) * complex(-FORGETTING, math.sqrt(1 - FORGETTING**2)) * sample
     )
-    slow = math.exp(-SLOW * abs(pole) * sample)
     # C filters both sides: the rest of the start, and of an earlier payload, decays
     # with its poles. Without it the equation would be fitted to noise that A
     # differentiates.
-    below = np.convolve([1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -slow])
+    below = np.convolve(
+        [1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -math.exp(-abs(pole) * sample)]
+    )
     w = np.linspace(0.05, HIGHEST, 120) * abs(pole)
     # Beyond the Nyquist frequency of the samples the table would be fitted to an alias.
     w = w[w < 0.9 * math.pi / sample]
@@ -439,30 +439,24 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     if link.second_mode is not None:
         torque = torque + link.stiffness * link.second_mode.response(1j * w)
     torque = torque * link.gauge_gain * np.exp(-1j * w * max(link.gauge_delay, 0.0))
-    back, high = (
-        np.exp(-1j * w * sample),
-        np.exp(-1j * np.linspace(0, math.pi, 100)[1:]),
-    )
+    back = np.exp(-1j * w * sample)
     weight = (
         abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
     )
-    noise = NOISE_GAIN * (1 - high) / np.polyval(below[::-1], high)
     # B has a zero at z = 1: a motor at rest causes no torque, whatever its angle.
-    columns = [
-        np.concatenate([(1 - back) * back**i * weight, noise * high**i])
-        for i in range(3)
-    ]
-    columns += [
-        np.concatenate([-torque * back**i * weight, 0 * high]) for i in (1, 2, 3)
-    ]
-    both, target = (
-        np.stack(columns, axis=1),
-        np.concatenate([torque * weight, 0 * high]),
-    )
+    columns = [(1 - back) * back**i * weight for i in range(3)]
+    columns += [-torque * back**i * weight for i in (1, 2, 3)]
+    both, target = np.stack(columns, axis=1), torque * weight
     b0, b1, b2, *above = np.linalg.lstsq(
         np.vstack([both.real, both.imag]),
         np.concatenate([target.real, target.imag]),
         rcond=None,
     )[0]
     rest = (1 + sum(above)) / below.sum()
-    return tuple(float(x) for x in (*above, b0, b1, b2, *below[1:], rest))
+    # The autocovariance of white noise behind A/C; that with the filter's state follows
+    # by its recursion.
+    power, *later = np.fft.irfft(
+        abs(np.fft.rfft([1.0, *above], CIRCLE) / np.fft.rfft(below, CIRCLE)) ** 2
+    )[:4]
+    echo = np.convolve(later, below[:3])[:3]
+    return tuple(float(x) for x in (*above, b0, b1, b2, *below[1:], rest, power, *echo))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,6 +27,8 @@ from fracsys.checks import Complex, Real
 
 __all__ = [
     "Following",
+    "at_mass",
+    "equivalent_payload",
     "following",
     "forward_fit",
     "held_reference",
@@ -157,6 +159,28 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
         link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED
     )
     return (link.payload if computed else link.payload + own), own
+
+
+def at_mass(link: LinkModel, ratio: float) -> LinkModel:
+    """Return the link with `ratio` times its mass. The material damps: D(s) = 1 +
+    (μ/ω₀²) s^α is the same for every mass.
+    """
+    return replace(
+        link,
+        natural_frequency=link.natural_frequency / math.sqrt(ratio),
+        damping=link.damping / ratio,
+    )
+
+
+def equivalent_payload(
+    model: LinkModel, arm: LinkModel, rig: Rig, payload: float
+) -> float:
+    """Return the payload [kg] with which the model vibrates at the frequency that `arm`
+    has with `payload`: what an estimator finds by the model on that arm.
+    """
+    nominal, own = masses_of(model, rig)
+    pole = at_mass(arm, (payload + own) / nominal).pole
+    return float(nominal * abs(model.pole / pole) ** model.order - own)
 
 
 def _share(link: LinkModel, feedforward: Modes, period: float) -> float:

@@ -62,17 +62,21 @@ def damping_of(model: LinkModel) -> Damping:
     """Return the material whose massless link is the given lumped model.
 
     UD-FOM is a power law, D-IOM viscous with η = μ/ω₀², D-FOM fractional with η =
-    μ/ω₀², UD-IOM undamped.
+    μ/ω₀², UD-IOM undamped. Where both λ < 2 and μ damp, a dashpot beside the power law
+    has the loss of μ s^α at the pole.
 
     >>> from fraclink._arm.link import LinkModel
     >>> damping_of(LinkModel(stiffness=1.56, natural_frequency=10.0, order=1.92))
-    PowerLaw(order=1.92, higher=None)
+    PowerLaw(order=1.92, higher=None, dashpot=0.0)
     """
-    if model.order < 2.0:
-        return PowerLaw(model.order)
     # (15) and (16) have μ s^α next to ω₀²; divided by ω₀² it is D − 1 for every
     # payload.
     factor = model.damping / model.natural_frequency**2
+    if model.order < 2.0:
+        # Newton's s² in place of s^λ multiplies μ s^α by s^(2−λ).
+        power = model.damping_order + 2.0 - model.order
+        loss = math.sin(0.5 * math.pi * power) * abs(model.pole) ** (power - 1.0)
+        return PowerLaw(model.order, dashpot=factor * loss)
     if model.damping == 0.0 or model.damping_order == 1.0:
         return KelvinVoigt(factor)
     return FractionalKelvinVoigt(factor, model.damping_order)

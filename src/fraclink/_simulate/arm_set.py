@@ -24,16 +24,27 @@ from fraclink._display import Overview, Row, Table, displayed, quantity, span
 from fraclink._files import document
 from fraclink._law import Law
 from fraclink._law.design import Design
+from fraclink._law.tracking import equivalent_payload
 from fraclink._simulate.arm import Twin
+from fraclink._simulate.estimates import ESTIMATED
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError
 from fracsys.checks import Between, ascending, checked
 
-__all__ = ["ArmFigures", "ArmSet", "Over", "WorstCase", "links_over", "worst_case"]
+__all__ = [
+    "ArmFigures",
+    "ArmSet",
+    "Over",
+    "Told",
+    "WorstCase",
+    "links_over",
+    "worst_case",
+]
 
 Over = Literal["model", "box"]
 On = Literal["twin", "model"]
+Told = bool | Literal["estimated"]
 Payloads = Annotated[tuple[float, float], ascending()]
 
 # step in ln m between two payloads: the frequency of the link changes by a tenth
@@ -93,7 +104,8 @@ def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, Link
 class ArmSet:
     """A law and the arms that it moves: each of `links` with each of `payloads` [kg].
 
-    told: whether the law gets the payload. on: whether the arms are twins of the rig,
+    told: whether the law gets the payload, "estimated" the one that its estimator finds on
+    the arm. on: whether the arms are twins of the rig,
     or massless links as identified.
     """
 
@@ -102,7 +114,7 @@ class ArmSet:
     model: LinkModel
     links: dict[str, LinkModel]
     payloads: tuple[float, ...]
-    told: bool
+    told: Told
     on: On
 
     @staticmethod
@@ -110,7 +122,7 @@ class ArmSet:
         design: Design,
         payloads: tuple[float, float] | None,
         *,
-        told: bool,
+        told: Told,
         over: Over,
         on: On,
     ) -> ArmSet:
@@ -129,8 +141,15 @@ class ArmSet:
         # payload.
         masses = np.geomspace(low, high, steps + 1).tolist() if steps else [low]
         model = with_payload(design.model, design.rig)
-        links = links_over(model, design.rig, over)
-        return ArmSet(design.rig, design.law(), model, links, tuple(masses), told, on)
+        return ArmSet(
+            design.rig,
+            design.law(),
+            model,
+            links_over(model, design.rig, over),
+            tuple(masses),
+            told,
+            on,
+        )
 
     @property
     def vibration(self) -> float:
@@ -149,8 +168,13 @@ class ArmSet:
     ) -> Run:
         """Run a reference on one arm of the set until the arm has come to rest."""
         length = reference.duration + REST * self.vibration
+        known = (
+            equivalent_payload(self.model, link, self.rig, payload)
+            if self.told == ESTIMATED
+            else payload
+        )
         options: dict[str, Any] = {
-            "told": payload if self.told else 0.0,
+            "told": known if self.told else 0.0,
             "duration": length if duration is None else duration,
             "seed": seed,
         }
@@ -274,7 +298,7 @@ class WorstCase:
     payloads
         lightest and heaviest [kg].
     told
-        whether the law was given the payload.
+        whether the law was given the payload, or "estimated".
     on
         "twin" or "model".
     law_sha256
@@ -283,7 +307,7 @@ class WorstCase:
 
     arms: tuple[ArmFigures, ...]
     payloads: tuple[float, float]
-    told: bool
+    told: Told
     on: str
     law_sha256: str
 
@@ -300,7 +324,7 @@ class WorstCase:
     @property
     def carried(self) -> str:
         """The payloads, and whether they were given to the law."""
-        state = "given" if self.told else "not given"
+        state = "given" if self.told is True else self.told or "not given"
         return f"{span(*self.payloads, 'g')}, payload {state}"
 
     def overview(self) -> Overview:
@@ -336,7 +360,7 @@ def worst_case(
     reference: Reference,
     *,
     payloads: Payloads | None = None,
-    told: bool = False,
+    told: Told = False,
     over: Over = "box",
     on: On = "twin",
     seeds: Annotated[int, Between(1, 1000)] = 1,
@@ -353,7 +377,8 @@ def worst_case(
     payloads
         lightest and heaviest payload [kg]; the design's where it is left out.
     told
-        whether the law is given the payload.
+        whether the law is given the payload; "estimated": the payload that its estimator
+        has found on the arm, with which the model vibrates as the arm does.
     over
         "box": the fit's box, at least as wide as the rig's tolerances, and the other
         damping law with the same damping ratio; "model": the model alone.

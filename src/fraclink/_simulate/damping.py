@@ -6,7 +6,7 @@ qi = −Γi θ̈m:
 
     viscous (Kelvin–Voigt)       D = 1 + η s            massless limit: D-IOM, equation (15), μ = η ω₀²
     fractional (Kelvin–Voigt)    D = 1 + η s^α          massless limit: D-FOM, equation (16), μ = η ω₀²
-    power law (springpot)        D = s^(2−λ)            massless limit: UD-FOM, equation (10)
+    power law (springpot)        D = s^(2−λ) + η s      massless limit: UD-FOM, equation (10)
 
 s^a with 0 < a < 1 is the exact superposition of Maxwell elements s/(s + r),
 
@@ -21,7 +21,7 @@ quadrature.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -195,6 +195,7 @@ class PowerLaw:
 
     order: λ, 1 < λ < 2; λ = 2 is `KelvinVoigt(0)`. λ > 2 makes energy and is refused.
     higher: as in `KelvinVoigt`.
+    dashpot: η of a dashpot beside the springpot, D = s^(2−λ) + η s, >= 0.
 
     >>> round(abs(PowerLaw(1.92).chain(1e-7)(12.0j)) / 12.0**0.08, 6)
     1.0
@@ -212,12 +213,16 @@ class PowerLaw:
         ),
     ]
     higher: _Time | None = None
+    dashpot: _Time = 0.0
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
         # A springpot has no parallel spring: at rest its slowest element bears the
         # load, and creeps.
-        return _chain(0.0, 1.0, 2.0 - self.order, tolerance, highest)
+        return replace(
+            _chain(0.0, 1.0, 2.0 - self.order, tolerance, highest),
+            dashpot=self.dashpot,
+        )
 
     @property
     def label(self) -> str:

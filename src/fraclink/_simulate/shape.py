@@ -14,10 +14,9 @@ from fraclink._arm.reference import Path, SampledReference
 from fraclink._display import Overview, Row, displayed, number, quantity, state_of
 from fraclink._files import Saved, document
 from fraclink._law.design import Design
-from fraclink._simulate.arm_set import ArmSet, On, Over, Payloads, WorstCase
+from fraclink._simulate.arm_set import ArmSet, On, Over, Payloads, Told, WorstCase
 from fraclink._simulate.metrics import BAND
 from fraclink._simulate.programme import Programme
-from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import Between, Duration, Real, checked
@@ -166,7 +165,7 @@ def shape(
     move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path | SampledReference,
     *,
     payloads: Payloads | None = None,
-    told: bool = False,
+    told: Told = False,
     over: Over = "box",
     settle: Duration | None = None,
     voltage: Annotated[float, Between(0.0, 1e6, "V", low_open=True)] | None = None,
@@ -199,7 +198,8 @@ def shape(
         lightest and heaviest payload [kg], one reference for all; the design's where it
         is left out. Twice the same where it is known.
     told
-        whether the law is given the payload (`simulate`).
+        whether the law is given the payload (`simulate`); "estimated": for the moves
+        after the first of a law with its estimator (`worst_case`).
     over
         the arms that it is made for: "box", the fit's box and both damping laws, or
         "model", the model alone (`worst_case`).
@@ -260,6 +260,7 @@ def shape(
     reference = programme.path(coefficients)
     figures = arms.figures(reference, seeds)
     runs = [arms.run(arms.links[each.arm], each.payload, reference) for each in figures]
+    tips = np.stack([run.tip_angle for run in runs])
     target = move if isinstance(move, Path) else None
     shaped = ShapedMove(
         reference=reference,
@@ -271,16 +272,13 @@ def shape(
         worst_case=WorstCase(
             figures, (arms.payloads[0], arms.payloads[-1]), told, on, arms.law.digest
         ),
-        farthest=math.nan if target is None else _distance(runs, target),
-        tip_angle=np.stack([run.tip_angle for run in runs]),
+        farthest=math.nan
+        if target is None
+        else _farthest(tips, target, arms.law.period),
+        tip_angle=tips,
         motor_voltage=np.stack([run.voltage for run in runs]),
     )
     return replace(shaped, findings=_findings(shaped))
-
-
-def _distance(runs: list[Run], path: Path) -> float:
-    tips = np.stack([run.tip_angle for run in runs])
-    return _farthest(tips, path, runs[0].period)
 
 
 def _farthest(tips: Real, path: Path, period: float) -> float:
