@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 import zipfile
 from functools import cache
@@ -90,6 +91,13 @@ def test_every_variable_is_described_as_the_standard_wants(
         [] if of_arm else [1, 3, 11]
     )
     assert listed[7]["description"] == "0 idle, 1 run, 2 degraded, 3 hold, 4 off"
+
+
+def test_angles_are_shown_in_degrees(tmp_path: Path) -> None:
+    root, _ = _written(law(), tmp_path)
+    shown = root.findall("UnitDefinitions/Unit[@name='rad']/DisplayUnit")
+    assert [unit.get("name") for unit in shown] == ["deg"]
+    assert float(shown[0].get("factor", "")) == pytest.approx(180.0 / math.pi)
 
 
 @pytest.mark.parametrize("of_arm", [True, False])
