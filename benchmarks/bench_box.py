@@ -379,7 +379,7 @@ def named_boxes(count: int) -> None:
         "gain_crossover": 12.0,
         "phase_margin": fl.deg(58),
     }
-    design = fl.design(RIG.model, RIG, **wanted, filter_time=0.0)
+    design = fl.design(RIG.model, RIG, **wanted)
     law = design.law()
     boxes = {"moderate": (ParameterBox.of(design.model, RIG), 5_000, 3.0)}
     boxes["large"] = (box_around(design, 1.0), 15_000, 10.0)
