@@ -1,4 +1,4 @@
-"""Whether the tests notice: random mutants of fraclink's Python, each run against the
+"""Whether the tests notice: random mutants of the Python sources, each run against the
 tests that touch it.
 
     python tools/mutants.py record [TEST ...]   # the blocks each test runs, and its time
@@ -6,11 +6,11 @@ tests that touch it.
     python tools/mutants.py report --seed 1
     python tools/mutants.py run --seed 1 --count 40 --only _logs   # of one room
 
-Without arguments: all three. A mutant is drawn by room (the packages of src/fraclink,
-the modules beside them, and prove), at least `FEWEST` from each and the rest by the
-number of places; then by operator, each as likely; then by place. It is killed when a
-test fails that passes alone without it, or when the tests need far more than their
-time. A change inside a function replaces the function's code in a process that has
+Without arguments: all three. A mutant is drawn by room (fracsys, the packages of
+src/fraclink, the modules beside them, and prove), at least `FEWEST` from each and the
+rest by the number of places; then by operator, each as likely; then by place. It is
+killed when a test fails that passes alone without it, or when the tests need far more
+than their time. A change inside a function replaces the function's code in a process that has
 collected all the tests; a change of what runs at import is made in a process that has
 not imported fraclink. The sources on the disk are never touched, and child processes of
 a test run the mutant too. Left out: csrc (tests/law_mutants.py mutates law.c), tests
@@ -52,7 +52,7 @@ from mutation import HITS, Site, instrumented, mutated, sites
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "results" / "mutants"
-TREES = (ROOT / "src" / "fraclink", ROOT / "prove" / "src")
+TREES = (ROOT / "src" / "fracsys", ROOT / "src" / "fraclink", ROOT / "prove" / "src")
 SEED, COUNT, FEWEST = 1, 300, 8  # FEWEST of a package, and fewer for a small count
 LONGEST = 20.0  # [s] processor time that a test may take to be included
 SLOW_CASES = 2  # cases of a slow test with many parameters
@@ -92,14 +92,12 @@ def files() -> list[Path]:
 
 
 def room(path: Path) -> str:
-    inside = (
-        path.relative_to(ROOT / "src" / "fraclink")
-        if path.is_relative_to(ROOT / "src")
-        else None
-    )
-    if inside is None:
+    if not path.is_relative_to(ROOT / "src"):
         return "prove"
-    return inside.parts[0] if len(inside.parts) > 1 else "(top)"
+    package, *inside = path.relative_to(ROOT / "src").parts
+    if package == "fracsys":
+        return package
+    return inside[0] if len(inside) > 1 else "(top)"
 
 
 def digest() -> str:
