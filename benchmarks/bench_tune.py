@@ -481,7 +481,8 @@ def main() -> None:
     )
     if given.arms:  # a tuning takes most of a minute, and the tests also tune
         arms(given.first, given.arms)
-    wiring(given.wirings)
+    if given.wirings:
+        wiring(given.wirings)
     if given.records:  # a separate tuning: 15 s
         watching(given.records, given.windows)
 
