@@ -146,9 +146,25 @@ def test_fractional_damping_is_never_worse_than_its_special_cases() -> None:
         assert mse["D-FOM"] <= min(mse["UD-FOM"], mse["D-IOM"]) * (1 + 1e-7)
 
 
-def test_aic_counts_the_parameters_of_a_structure() -> None:
-    fit = identify(made_log(noise=NOISE), "UD-FOM", heldout=0)
-    assert fit.aic == pytest.approx(2 * 2 + 5001 * math.log(fit.mse), rel=1e-14)
+@pytest.mark.parametrize(
+    ("name", "mse", "published"),
+    [
+        ("UD-IOM", 0.05845, -14199),
+        ("D-IOM", 0.00531, -26192),
+        ("UD-FOM", 0.00524, -26258),
+        ("D-FOM", 0.00524, -26256),
+    ],
+)
+def test_aic_of_table_2(name: str, mse: float, published: int) -> None:
+    """A log of 5001 samples in the unit in which the structure leaves the paper's error
+    has the paper's AIC.
+    """
+    log = made_log(noise=NOISE)
+    size = math.sqrt(mse / identify(log, name, heldout=0, details=False).mse)
+    scaled = replace(log, output=size * log.output)
+    fit = identify(scaled, name, heldout=0, details=False)
+    assert fit.mse == pytest.approx(mse, rel=1e-9)
+    assert round(fit.aic) == published
 
 
 def test_heldout_samples_are_not_seen() -> None:
