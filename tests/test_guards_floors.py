@@ -192,7 +192,7 @@ CEILINGS = {
     "_design": 1582,
     "_export": 543,
     "_files": 581,
-    "_identify": 3049,
+    "_identify": 3048,
     "_law": 965,
     "_reading": 1053,
     "_simulate": 1247,

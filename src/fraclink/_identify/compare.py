@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 
 from fraclink._arm.experiment import Experiment
@@ -17,7 +18,6 @@ from fraclink._files import document
 from fraclink._identify.fit import Fit, coincidence
 from fraclink._identify.fitting import (
     HeldOut,
-    Known,
     Stiffness,
     fit_from,
     make_search,
@@ -210,14 +210,7 @@ def identify(
         ]
         return min(fits, key=lambda fit: fit.aic)
     choice = Choice.of(search, log)
-    best = fit_from(
-        search,
-        choice.preferred,
-        log,
-        stiffness=stiffness,
-        details=details,
-        known=choice.known[choice.preferred],
-    )
+    best = fit_from(search, choice.preferred, log, stiffness=stiffness, details=details)
     return replace(best, findings=(*best.findings, *_of_the_choice(choice, best)))
 
 
@@ -287,22 +280,12 @@ def compare_structures(
     )
     choice = Choice.of(search, log)
 
-    def fitted(name: str, like: Fit | None) -> Fit:
-        return fit_from(
-            search,
-            name,
-            log,
-            stiffness=stiffness,
-            details=details,
-            known=choice.known[name],
-            like=like,
-        )
-
     # The second mode belongs to the log and not to the structure: it is searched for
     # once.
-    best = fitted(choice.preferred, None)
+    fit = partial(fit_from, search, log=log, stiffness=stiffness, details=details)
+    best = fit(choice.preferred)
     fits = {
-        name: best if name == choice.preferred else fitted(name, best)
+        name: best if name == choice.preferred else fit(name, like=best)
         for name in STRUCTURES
     }
     still = {}
@@ -335,7 +318,6 @@ class Choice:
     """The structure supported by a log, with the evidence."""
 
     criteria: Criteria
-    known: Mapping[str, Known]
     preferred: str
     undecided: tuple[str, ...]
     vetoed: tuple[str, ...]
@@ -343,11 +325,11 @@ class Choice:
     @classmethod
     def of(cls, search: Search, log: Experiment) -> Choice:
         """The choice for the log of a search."""
-        criteria, covariances = criteria_of(search)
+        criteria = criteria_of(search)
         vetoed = vetoed_structures(search, criteria, log)
         preferred = preferred_structure(criteria, vetoed)
         undecided = _undecided(search, criteria, preferred, vetoed)
-        return cls(criteria, covariances, preferred, undecided, vetoed)
+        return cls(criteria, preferred, undecided, vetoed)
 
     def gap(self, name: str) -> float:
         """The amount by which both criteria of a structure lie above those of the one
@@ -360,15 +342,14 @@ class Choice:
         return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
 
-def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Known]]:
-    """Both criteria of every structure, and the uncertainty of each fit."""
+def criteria_of(search: Search) -> Criteria:
+    """Both criteria of every structure."""
     search.reconcile()
-    covariances = {
-        name: link_covariance(search, search.solve(name), coloured=True)
+    effective = {
+        name: link_covariance(search, search.solve(name), coloured=True)[0].effective
         for name in STRUCTURES
     }
-    effective = {name: own.effective for name, (own, _) in covariances.items()}
-    return structure_criteria(search, effective), covariances
+    return structure_criteria(search, effective)
 
 
 def _near(criteria: Criteria) -> list[str]:

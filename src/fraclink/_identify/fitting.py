@@ -58,8 +58,6 @@ Stiffness = Annotated[
 ]
 Motion = Annotated[Real, Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
-# Uncertainty of a fit: the covariance, and the resonance's relative standard error.
-Known = tuple[Covariance, float]
 SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 
 _LEAST_SAMPLES = 50
@@ -257,22 +255,18 @@ def fit_from(
     *,
     stiffness: float | None,
     details: bool,
-    known: Known | None = None,
     like: Fit | None = None,
 ) -> Fit:
-    """The fit of one structure from a search, judged on the whole log; `known` is its
-    uncertainty, if already computed. With a fit `like` of the same log, the second mode
-    is taken from it.
+    """The fit of one structure from a search, judged on the whole log. With a fit
+    `like` of the same log, the second mode is taken from it.
     """
     solution = search.solve(name)
     window = search.window
     predicted = predicted_output(search, solution, log)
     residual = log.output - predicted
-    if known is None or not details:
-        # Without details only the white covariance: the coloured one takes as long as
-        # the fit.
-        known = link_covariance(search, solution, coloured=details)
-    covariance, resonance = known
+    # Without details only the white covariance: the coloured one takes as long as the
+    # fit.
+    covariance, resonance = link_covariance(search, solution, coloured=details)
     tests, intervals = None, {}
     if details:
         # On the fitted part: the held-out part is for judging the prediction, not the

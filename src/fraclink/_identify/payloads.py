@@ -246,7 +246,7 @@ def _supported(searches: Sequence[Search]) -> str:
     """The structure supported by all logs together: their log-likelihoods, and thus the
     criteria, are added.
     """
-    criteria = [criteria_of(search)[0] for search in searches]
+    criteria = [criteria_of(search) for search in searches]
     total = {
         name: tuple(sum(log[name][i] for log in criteria) for i in (0, 1))
         for name in STRUCTURES

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from fraclink._identify.shape import (
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
+
+if TYPE_CHECKING:
+    from fraclink._identify.uncertainty import Covariance
 
 # The scan uses ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
 # the grid overlap.
@@ -112,6 +116,10 @@ class Search:
     fixed: Mapping[str, float]
     start: Real | None = None
     solutions: dict[str, Solution] = field(default_factory=dict)
+    # of solutions, with and without the residual's colour: see `link_covariance`
+    covariances: dict[tuple[Solution, bool], tuple[Covariance, float]] = field(
+        default_factory=dict
+    )
     _evaluations: int = 0
 
     @property

@@ -111,10 +111,13 @@ def link_covariance(
     search: Search, solution: Solution, *, coloured: bool
 ) -> tuple[Covariance, float]:
     """Covariance of a link's parameters, gain and offset at a solution, and the relative
-    standard error of the resonance Ω.
+    standard error of the resonance Ω; cached in the search.
 
     That is NaN if Ω ended at a limit; unlike ω₀ it is not correlated with α and λ.
     """
+    key = (solution, coloured)
+    if key in search.covariances:
+        return search.covariances[key]
     problem = LinkProblem.of(search, solution, inside=True)
     free = tuple(map(str, problem.free))
     regressors, residual = problem.linearised()
@@ -127,8 +130,11 @@ def link_covariance(
     )
     own = problem.parameters(problem.place[None, :], problem.names)[1][0]
     gradients = block_diag(own, np.eye(len(problem.linear)))
-    names = (*problem.names, *problem.linear)
-    return joint.of_functions(names, gradients), joint.errors.get("1", math.nan)
+    search.covariances[key] = (
+        joint.of_functions((*problem.names, *problem.linear), gradients),
+        joint.errors.get("1", math.nan),
+    )
+    return search.covariances[key]
 
 
 def _sandwich(inverse: Real, noise: Noise, products: Real) -> Real:
