@@ -189,7 +189,7 @@ CEILINGS = {
     "_arm": 1675,
     "_certify": 862,
     "_cli": 1007,
-    "_design": 1582,
+    "_design": 1581,
     "_export": 543,
     "_files": 581,
     "_identify": 3048,

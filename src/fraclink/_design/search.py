@@ -23,7 +23,6 @@ from fracsys.checks import Real
 __all__ = ["Search", "Solution", "solved"]
 
 
-_ROUNDS = 8  # rounds in which links are added that turn out to be worse
 # δ times the crossover at the first start: a long filter with a steep Ĉ makes a quiet
 # loop
 _LAG = 1.2
@@ -223,7 +222,7 @@ class Search:
         taken in as they turn up.
         """
         search = self
-        for _ in range(_ROUNDS):
+        while True:
             idle = _FAR if self.request.aim is None else _AIMING
             x, rows = eased(search.rows, starts, *search.bounds, idle=idle)
             if rows.slack <= KEPT:
@@ -231,9 +230,8 @@ class Search:
             solution = Solution(search, x)
             wider = solution.wider()
             if wider is None:
-                break
+                return solution
             search, starts = wider, x[:, None]
-        return solution
 
     def quieter(self, x: Real) -> Real:
         """Return parameters with less noise that keep every row.
@@ -289,8 +287,8 @@ class Solution:
 
     @property
     def noise_gain(self) -> float:
-        """The noise gain at the worst link of the search."""
-        return math.exp(self.search.noise(self.x))
+        """The noise gain at the worst link."""
+        return math.exp(float(np.max(self._trial.noise.value)))
 
     @cached_property
     def controller(self) -> Controller:
@@ -315,20 +313,30 @@ class Solution:
         return replace(self.search, links=every).trial(self.x[:, None])
 
     @cached_property
-    def worst(self) -> dict[str, tuple[float, int]]:
-        """(by how much it is kept, the link) where each row is kept least; the damping
-        at the links that are worst in another row, and at those of the search.
+    def _worst(self) -> dict[str, tuple[float, int]]:
+        """(by how much it is kept, the link) where each row but the damping is kept
+        least.
         """
         margins = replace(self.search, ringing=False).kept(self._trial)
-        worst = {key: one.least for key, one in margins.items() if one.value.size}
-        links = {*self.search.links, *(link for _, link in worst.values())}
-        ringing = replace(self.search, links=tuple(sorted(links)), ringing=True)
-        trial = ringing.trial(self.x[:, None])
-        figure = ringing.kept(trial, only="damping")["damping"]
-        if figure.value.size:
-            value, link = figure.least
-            worst["damping"] = value, ringing.links[link]
-        return worst
+        return {key: one.least for key, one in margins.items() if one.value.size}
+
+    @cached_property
+    def _ringing(self) -> Search:
+        """The search at the links whose damping is looked at: those that are worst in
+        another row, and its own.
+        """
+        links = {*self.search.links, *(link for _, link in self._worst.values())}
+        return replace(self.search, links=tuple(sorted(links)), ringing=True)
+
+    @cached_property
+    def _damping(self) -> dict[str, tuple[float, int]]:
+        """The same of the damping; empty where no vibration is left."""
+        ringing = self._ringing
+        figure = ringing.kept(ringing.trial(self.x[:, None]), only="damping")["damping"]
+        if not figure.value.size:
+            return {}
+        value, link = figure.least
+        return {"damping": (value, ringing.links[link])}
 
     def wider(self) -> Search | None:
         """Return the search with the links that are worse than its own; None where there
@@ -338,7 +346,7 @@ class Solution:
         soft = search.request.soft
         misses = {
             key: link
-            for key, (value, link) in self.worst.items()
+            for key, (value, link) in (self._worst | self._damping).items()
             if value + (easing if key in soft else 0.0) < -2.0 * KEPT
         }
         links = set(misses.values()) - set(search.links)
@@ -354,9 +362,8 @@ class Solution:
         for row, goal in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
             if row.key == "damping":
-                _, link = self.worst.get("damping", (0.0, 0))
-                alone = replace(self.search, links=(link,))
-                trial, payloads = alone.trial(self.x[:, None]), payloads[[link]]
+                trial = self._ringing.trial(self.x[:, None])
+                payloads = payloads[list(self._ringing.links)]
             items = row.measured(trial, request, goal, payloads)
             pairs += [(row, item) for item in items]
         return tuple(pairs)
