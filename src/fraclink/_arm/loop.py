@@ -265,7 +265,7 @@ class Loop(GaugedLink):
         )
 
     def _grid(self, w0: Real) -> Real:
-        """One row of frequencies per ω₀: eight decades around the mode, and the mode
+        """One row of frequencies per ω₀: all at which |L| may be one, and the mode
         itself from both sides.
 
         A sharp peak of |L| lies within one per cent of the mode of G, so the points
@@ -275,10 +275,12 @@ class Loop(GaugedLink):
         near = 1.0 + np.geomspace(1e-6, 0.2, 16)
         low, high = 1e-4, 1e4
         if self.order > 0.0:
-            # Far below the mode |L| = k ω^β, far above it at most k ω₀² ω^(β-λ): all
-            # crossings of |L| = 1 lie between those of these two.
-            first = math.exp(min(max(-math.log(self.gain) / self.order, -300.0), 300.0))
-            low = min(low, float(np.min(0.5 * first / mode)))
+            # Up to a quarter of the mode |L| < 2 k ω^β, far above it at most k ω₀²
+            # ω^(β-λ): all crossings of |L| = 1 lie between those of these two.
+            first = -math.log(2.0 * self.gain) / self.order
+            low = min(
+                0.25, math.exp(min(max(first, -300.0), 300.0)) / float(mode.max())
+            )
         if self.order < self.link_order and not self.damping:
             reach = (math.log(self.gain) + 2.0 * np.log(w0)) / (
                 self.link_order - self.order
