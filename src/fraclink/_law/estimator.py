@@ -88,6 +88,9 @@ FORGETTING = 0.35
 # Upper end of the fit relative to each model's own frequency: above it a move excites
 # the second mode.
 HIGHEST = 3.0
+# Weight of the encoder's quantisation in the fit of the models. Without it the third
+# pole of a viscous link, which two describe exactly, could lie anywhere.
+NOISE_GAIN = 0.003
 # [s] of motion used by the estimate: a few moves. An arm damped by another law than the
 # model's shifts the estimate during a move, and less the more moves it rests on; a
 # change that no surprise shows fades after two.
@@ -432,31 +435,46 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     below = np.convolve(
         [1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -math.exp(-abs(pole) * sample)]
     )
-    w = np.linspace(0.05, HIGHEST, 120) * abs(pole)
     # Beyond the Nyquist frequency of the samples the table would be fitted to an alias.
-    w = w[w < 0.9 * math.pi / sample]
+    w = np.linspace(
+        0.05 * abs(pole), min(HIGHEST * abs(pole), 0.9 * math.pi / sample), 120
+    )
     torque = link.torque()(1j * w)
     if link.second_mode is not None:
         torque = torque + link.stiffness * link.second_mode.response(1j * w)
     torque = torque * link.gauge_gain * np.exp(-1j * w * max(link.gauge_delay, 0.0))
-    back = np.exp(-1j * w * sample)
+    back, high = (
+        np.exp(-1j * w * sample),
+        np.exp(-1j * np.linspace(0, math.pi, 100)[1:]),
+    )
     weight = (
         abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
     )
     # B has a zero at z = 1: a motor at rest causes no torque, whatever its angle.
-    columns = [(1 - back) * back**i * weight for i in range(3)]
-    columns += [-torque * back**i * weight for i in (1, 2, 3)]
-    both, target = np.stack(columns, axis=1), torque * weight
+    noise = NOISE_GAIN * (1 - high) / np.polyval(below[::-1], high)
+    columns = [
+        np.concatenate([(1 - back) * back**i * weight, noise * high**i])
+        for i in range(3)
+    ]
+    columns += [
+        np.concatenate([-torque * back**i * weight, 0 * high]) for i in (1, 2, 3)
+    ]
+    both, target = (
+        np.stack(columns, axis=1),
+        np.concatenate([torque * weight, 0 * high]),
+    )
     b0, b1, b2, *above = np.linalg.lstsq(
         np.vstack([both.real, both.imag]),
         np.concatenate([target.real, target.imag]),
         rcond=None,
     )[0]
-    rest = (1 + sum(above)) / below.sum()
     # The autocovariance of white noise behind A/C; that with the filter's state follows
     # by its recursion.
     power, *later = np.fft.irfft(
         abs(np.fft.rfft([1.0, *above], CIRCLE) / np.fft.rfft(below, CIRCLE)) ** 2
     )[:4]
-    echo = np.convolve(later, below[:3])[:3]
-    return tuple(float(x) for x in (*above, b0, b1, b2, *below[1:], rest, power, *echo))
+    rest = (1 + sum(above)) / below.sum()
+    return (
+        *map(float, (*above, b0, b1, b2, *below[1:], rest, power)),
+        *np.convolve(later, below[:3])[:3].tolist(),
+    )
