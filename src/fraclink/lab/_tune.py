@@ -24,12 +24,13 @@ from fraclink.lab._run import LOST_SHARE
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Guard, LimitReached
-from fraclink.lab._tune_link import LinkResult, tune_link
+from fraclink.lab._tune_link import LinkResult, experiment_of, tune_link
 from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_moves import first_moves
 from fraclink.lab._tune_wiring import Wiring, check_wiring
 from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan
+from fraclink.lab._watch import changed_link
 from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
@@ -289,11 +290,15 @@ class _Session:
             # Also delete the files, because `run-realtime` would take the design.json
             # as it is.
             (self.out / name).unlink(missing_ok=True)
+        assert self.state.link is not None  # it has a law  # noqa: S101
+        moves = experiment_of(guard.record(guard.starts[-1]), self.plan.payload)
+        # An arm that has changed fails for that reason, whatever else is visible.
+        reasons = changed_link(moves, self.state.link.fit) or self._causes(guard)
         self.state = replace(
             self.state,
             certified="",
             design_passed=False,
-            reasons=(f"the arm's own moves fail: {why}", *self._causes(guard)),
+            reasons=(f"the arm's own moves fail: {why}", *reasons),
         )
         save(self.state, self.out / FILES[0], force=True)
 

@@ -17,7 +17,7 @@ from fraclink.errors import FieldError, LogError
 from fraclink.lab._tuning import Tuning
 from fracsys.checks import checked
 
-__all__ = ["Change", "Watch", "watch"]
+__all__ = ["Change", "Watch", "changed_link", "watch"]
 
 # Smallest changes that are reported: half of what justifies a new tuning, and more than
 # the drift covered by the box of the design. Relative, except for delay [s] and order.
@@ -250,6 +250,27 @@ def _fitted(log: Experiment, known: Fit) -> Fit:
         ),
         key=lambda fit: fit.mse,
     )
+
+
+def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
+    """Sentences on a link that moves otherwise in the second half of a record than when
+    it was fitted, with the cause and its remedy.
+    """
+    later = _part(log, log.split(0.5)[1])
+    frequency, _, delay, _ = _link_changes(known, _fitted(later, known))
+    if frequency.changed:
+        share = 100.0 * (frequency.was / frequency.now) ** 2
+        return (
+            f"the link swings as with {share:.0f} % of the mass that it was measured with: the payload "
+            "slipped or was changed, or a part is loose; fix it, and tune again",
+        )
+    if delay.changed and delay.now > delay.was:
+        late = 1e3 * (delay.now - delay.was)
+        return (
+            f"the link follows the motor {late:.2g} ms later than it was measured: play in the gear or in a "
+            "coupling, which the motor crosses first; less play helps",
+        )
+    return ()
 
 
 def _link_changes(was: Fit, now: Fit) -> tuple[Change, ...]:
