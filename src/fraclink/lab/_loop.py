@@ -38,8 +38,7 @@ from fracsys.checks import Between, Real, checked
 
 __all__ = ["run_realtime"]
 
-# [s] after the reference has come to rest, as on the twin, so that a run and its
-# simulation cover the same time
+# [s] that a run goes on after its reference has come to rest
 SETTLE = 3.0
 
 

@@ -53,7 +53,8 @@ _KINDS = {
     ".svg": "image/svg+xml",
 }
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
-UPLOAD_LIMIT = 200_000_000  # bytes; the limit of the log readers
+# bytes: at six characters each, as many numbers as the log readers take
+UPLOAD_LIMIT = 200_000_000
 # A plain file name with an ending: no folder, no leading dot, and nothing with a
 # special meaning for a file system or a shell.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
