@@ -222,7 +222,7 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
 
 
 @pytest.mark.slow
-def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
+def test_a_request_that_no_law_follows_ends_the_run_with_its_fit(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def none(*given: object, **options: object) -> None:
@@ -254,14 +254,13 @@ def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
         == 1
     )
     told = capsys.readouterr().out
-    assert "no law follows this controller: it takes 3 pairs" in told
+    # The law that ships is a part of what is designed.
+    assert "✗ failed: phase margin, shipped law" in told
     assert "export c" not in told
     study = load_study(place)
-    assert (
-        study.fit is not None and study.design is not None and not study.design.has_law
-    )
+    assert study.fit is not None and study.design is None
     assert study.law is None and not study.runs and study.arms is None
-    assert "no law follows" in (place / "report.html").read_text("utf-8")
+    assert "shipped law" in (place / "report.html").read_text("utf-8")
 
 
 @pytest.mark.slow
@@ -482,31 +481,25 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
 def test_real_logs_run_end_to_end(
     tmp_path: Path, rig: str, log: tuple[str, str], limit: float, doubt: str | None
 ) -> None:
-    path = shared_data(*log)
-    code = main(
-        [
-            "run",
-            "--rig",
-            str(RIGS / rig),
-            "--log",
-            str(path),
-            "--arms",
-            "0",
-            "--out",
-            str(tmp_path / "out"),
-        ]
-    )
-    study = load_study(tmp_path / "out")
-    assert code == 1  # at best: no varied arm was run
+    path, out = shared_data(*log), tmp_path / "out"
+    command = ["run", "--rig", str(RIGS / rig), "--log", str(path), "--arms", "0"]
+    assert main([*command, "--out", str(out)]) == 1
+    study = load_study(out)
     assert study.fit is not None
     assert study.fit.heldout_nmse is not None
     assert study.fit.heldout_nmse <= limit
     if doubt is not None:
         assert any(doubt in reason for reason in study.verdict.reasons)
-    # A second mode of a link of 40 to 65 g with hardly any damping does not limit any
-    # law.
-    assert study.design is not None
-    assert all(item.passed for item in study.design.requirements)
+    # Over all that fit and rig leave open no law passes; what is named instead leads
+    # on: the nearest request, or the model alone.
+    assert study.design is None and study.missing["design"]
+    nearest = study.refused.nearest if study.refused is not None else {}
+    asked = [f"--{name.replace('_', '-')}={x!r}" for name, x in nearest.items()]
+    again = [*command, *(asked or ["--no-box"]), "--out", str(tmp_path / "again")]
+    assert main(again) == 1  # at best: no varied arm was run
+    design = load_study(tmp_path / "again").design
+    assert design is not None
+    assert all(item.passed for item in design.requirements)
 
 
 @pytest.mark.slow

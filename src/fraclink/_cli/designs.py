@@ -77,6 +77,20 @@ Open = Annotated[bool, "Open the page in a browser when it is written"]
 ARMS = Keywords(run_study, "arms")
 
 
+BOUNDS = Keywords(
+    Specification,
+    *("filter_time", "filter_order"),
+    *(
+        row.key
+        for row in ROWS
+        if row.key in Specification.__annotations__
+        and row.key not in ("gain_crossover", "phase_margin")
+    ),
+)
+
+
+# Every requirement that a user may state; the crossover is in `REQUEST`, and the phase
+# margin is stated in degrees.
 @command(app)
 def run(
     rig: RigName,
@@ -87,7 +101,7 @@ def run(
     column: Columns = None,
     phase_margin_deg: PhaseMarginDeg = None,
     box: BoxFlag = None,
-    **options: Annotated[Any, LOG, REQUEST, ARMS],
+    **options: Annotated[Any, LOG, REQUEST, BOUNDS, ARMS],
 ) -> Answer:
     """Take a log to a model, a controller, simulated moves and a report; the exit code
     is the verdict.
@@ -107,6 +121,7 @@ def run(
             phase_margin=in_radians(phase_margin_deg),
             box=box,
             **REQUEST.of(options),
+            **BOUNDS.of(options),
             **ARMS.of(options),
         )
         begin("writing the report")
@@ -125,20 +140,6 @@ def run(
         following=following,
         opened=place if open else None,
     )
-
-
-# Every requirement that a user may state; the crossover is in `REQUEST`, and the phase
-# margin is stated in degrees.
-BOUNDS = Keywords(
-    Specification,
-    *("filter_time", "filter_order"),
-    *(
-        row.key
-        for row in ROWS
-        if row.key in Specification.__annotations__
-        and row.key not in ("gain_crossover", "phase_margin")
-    ),
-)
 
 
 @command(app)

@@ -310,7 +310,7 @@ def payload_estimator(
     ...                    phase_margin=fl.deg(45))
     >>> bank = payload_estimator(rig.model, rig, design.law(), design.payloads)
     >>> len(bank.models), bank.together, bank.in_precision("single").state_size
-    (14, 4, 768)
+    (14, 4, 812)
     """
     if link.payload is None or law.limits.payload_limit <= 0.0:
         raise FieldError(
