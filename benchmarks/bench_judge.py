@@ -411,14 +411,10 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
         outcomes[study.verdict.state] += 1
         failed: list[str] = []
         if study.verdict.state == "passed" and study.law is not None:
-            # The last fifth begins a vibration after the settling time that the study
-            # names: a swing that just leaves 2 % moves that time by half a vibration.
-            settled = max(run.metrics.settling_time for run in study.runs)
-            length = max(4.0, (settled + 2.0 * math.pi / frequency) / 0.8)
             for load in (rig.payloads.low, rig.payloads.nominal, rig.payloads.high):
                 loaded = with_payload(arm, load / rig.payloads.nominal)
                 for told in (0.0, load):
-                    moved = harness.move(study.law, loaded, duration=length, told=told)
+                    moved = harness.move(study.law, loaded, told=told)
                     if not moved.settled:
                         told_or_not = "told" if told else "untold"
                         failed.append(

@@ -648,3 +648,30 @@ def test_moves_of_an_arm_that_has_changed_name_the_change(
     )
     assert not tuned.has_law
     assert cause in tuned.reasons[1]
+
+
+@pytest.mark.parametrize("samples", [1, 40])
+def test_first_moves_that_reach_a_limit_at_once_withhold_the_law(
+    samples: int, tmp_path: Path
+) -> None:
+    own, left = arm(seed=1), [-1]
+
+    def begin(sentence: str) -> None:
+        if sentence.startswith("first moves"):
+            left[0] = samples
+
+    def read() -> tuple[float, float] | None:
+        angle, torque = own.callback.read() or (0.0, 0.0)
+        left[0] -= left[0] > 0
+        return angle, torque + (10.0 * LIMITS.torque if left[0] == 0 else 0.0)
+
+    tuned = fl.tune(
+        Callback(read, own.callback.write),
+        fl.TuningPlan(LIMITS, payload=0.030, period=PERIOD),
+        out=tmp_path / "tuned",
+        begin=begin,
+        clock="none",
+    )
+    assert "torque" in tuned.stopped
+    assert not tuned.has_law and not (tmp_path / "tuned" / "design.json").exists()
+    assert "the arm's own moves fail" in tuned.reasons[0]

@@ -77,6 +77,8 @@ Open = Annotated[bool, "Open the page in a browser when it is written"]
 ARMS = Keywords(run_study, "arms")
 
 
+# Every requirement that a user may state; the crossover is in `REQUEST`, and the phase
+# margin is stated in degrees.
 BOUNDS = Keywords(
     Specification,
     *("filter_time", "filter_order"),
@@ -89,8 +91,6 @@ BOUNDS = Keywords(
 )
 
 
-# Every requirement that a user may state; the crossover is in `REQUEST`, and the phase
-# margin is stated in degrees.
 @command(app)
 def run(
     rig: RigName,

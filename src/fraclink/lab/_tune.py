@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -291,9 +292,15 @@ class _Session:
             # as it is.
             (self.out / name).unlink(missing_ok=True)
         assert self.state.link is not None  # it has a law  # noqa: S101
-        moves = experiment_of(guard.record(guard.starts[-1]), self.plan.payload)
-        # An arm that has changed fails for that reason, whatever else is visible.
-        reasons = changed_link(moves, self.state.link.fit) or self._causes(guard)
+        fit, payload = self.state.link.fit, self.plan.payload
+        reasons = self._causes(guard)
+        # With the payload that it was measured with, an arm that has changed fails for
+        # that reason, whatever else is visible; a move that was stopped at once shows too
+        # little to tell.
+        if fit.model.payload == payload:
+            with suppress(FraclinkError):
+                moves = experiment_of(guard.record(guard.starts[-1]), payload)
+                reasons = changed_link(moves, fit) or reasons
         self.state = replace(
             self.state,
             certified="",

@@ -267,8 +267,8 @@ def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
     if delay.changed and delay.now > delay.was:
         late = 1e3 * (delay.now - delay.was)
         return (
-            f"the link follows the motor {late:.2g} ms later than it was measured: play in the gear or in a "
-            "coupling, which the motor crosses first; less play helps",
+            f"the link follows the motor {late:.2g} ms later than it was measured, as with play in the gear or in "
+            "a coupling, which the motor crosses first; less play helps",
         )
     return ()
 
