@@ -21,9 +21,6 @@ DerivativeOrder = Annotated[float, Between(0.0, 2.0, low_open=True)]
 IntegralOrder = Annotated[float, Between(0.0, 20.0, low_open=True)]
 Definition = Literal["caputo", "riemann-liouville"]
 
-# Largest deviation from even sampling, as a fraction of the period: times are printed
-# with nine digits or more.
-_UNIFORM = 1e-6
 # On every interval but the last, the singularity of the kernel is at least one period
 # away. Each Gauss-Legendre node then gains a factor of 5.8²; sixteen nodes reach 1e-24.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -138,7 +135,7 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
         )
     period = float(times[-1] - times[0]) / (times.size - 1)
     gaps = np.diff(times)
-    if not period > 0.0 or np.abs(gaps - period).max() > _UNIFORM * period:
+    if not period > 0.0 or not np.allclose(gaps, period, atol=0.0):
         raise FieldError(
             "t",
             [float(gaps.min()), float(gaps.max())],

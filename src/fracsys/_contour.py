@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracsys._fractional import FractionalTransferFunction
+from fracsys._precision import COINCIDENT, FOLDS
 from fracsys._quotient import Cluster, Quotient, singular_order
+from fracsys._terms import TOGETHER
 from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
 
 _BESIDE_ZERO = 0.02  # |p| t
 _AROUND = np.array([[0.3], [1.0], [3.0]])  # |s| t
-_CHUNK = 1024  # times evaluated together, about 20 nodes each
 # a node at u = 0, or one on either side of it
 _GRIDS = np.array([0.0, 0.5])[:, None, None]
 _MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared with
@@ -44,7 +45,7 @@ def step_values(quotient: Quotient, times: Real, *, more: int = 0) -> Real:
     """
     values = np.empty(len(times))
     counts = _needed(quotient, times) if len(times) else np.empty(0, np.intp)
-    size = _CHUNK if quotient.is_sparse else 1
+    size = TOGETHER if quotient.is_sparse else 1
     for nodes in sorted(set(counts.tolist())):
         place = np.flatnonzero(counts == nodes)
         for k in range(0, len(place), size):
@@ -97,8 +98,8 @@ def _on_parabola(quotient: Quotient, times: Real, nodes: int) -> Real:
     simple, clusters = quotient.grouped(
         lambda z: 0.3 * math.exp(-z.real) / float(times[0])
     )
-    simple = [z for z in simple if z.imag < math.pi - 1e-9]
-    clusters = [c for c in clusters if c.centre.imag < math.pi - 1e-9]
+    simple = [z for z in simple if z.imag < math.pi - COINCIDENT]
+    clusters = [c for c in clusters if c.centre.imag < math.pi - COINCIDENT]
     step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
     poles = np.array([*simple, *(c.centre for c in clusters)], np.complex128)
     offset = _offset(poles, scale, step)
@@ -217,8 +218,6 @@ def convolve(weights: Real, u: Real) -> Real:
 
 _WINDOW = 4
 _OVERSAMPLING = 8
-# σW: what wraps around is e^-32 = 1e-14 of the response; rounding is raised by e^(32/4)
-_DECAY = 32.0
 # tried in turn, in units of 1/span, for responses that grow
 _SHIFTS = (
     0.0,
@@ -271,7 +270,8 @@ def invert(
     """
     best, smallest = np.zeros(count), math.inf
     for shift in _SHIFTS:
-        sigma = _DECAY / (_WINDOW * count * period) + shift / (count * period)
+        # What wraps around is lost in rounding, which e^(σt) raises by e^(36/4).
+        sigma = FOLDS / (_WINDOW * count * period) + shift / (count * period)
         # The wrap-around error depends on σ, the truncation error on the highest
         # frequency. The second inversion changes both, so neither error can be the same
         # in it.

@@ -8,12 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fracsys._precision import ROUNDING
 from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import NotConvergedError
 
-# Relative to Σ|terms|: 40 units in the last place, for six terms of three roundings
-# each.
-ROUNDING = 1e-14
 # intervals of one walk; a path that needs more passes through a zero
 PIECE_LIMIT = 20_000
 

@@ -5,7 +5,6 @@ lag 2 on.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +13,7 @@ import numpy as np
 
 from fracsys._contour import convolve, step_error, step_values
 from fracsys._modes import TOLERANCE, DiscreteModes, Expansion, expand, split_delay
+from fracsys._precision import EPSILON, ROUNDING
 from fracsys._quotient import STRONG, Quotient, singular_order, without_integrator
 from fracsys._terms import TOGETHER, Term, collect, largest, same, snap
 from fracsys.checks import Real
@@ -30,9 +30,6 @@ _ENOUGH = 3e-11
 # Beyond this number of samples (about 2 s) the modes are used in any case; the error
 # estimate then shows what they lose.
 _MOST_WEIGHTS = 200_000
-_CORRECTIONS = 3  # corrections of the tolerance requested of an expansion
-_FINEST = 1e-14  # where rounding begins
-_ROUNDING = 4e-15  # fraction of the largest output
 
 
 @dataclass(frozen=True)
@@ -115,13 +112,12 @@ class HeldQuotient:
         a larger error than requested, the tolerance is reduced to half of the
         sufficient one.
         """
-        target = tolerance
-        for _ in range(_CORRECTIONS):
+        target, parts = tolerance, self.expansion(period, span, tolerance)
+        error, peak, _ = self.error(parts, period, span)
+        while error > tolerance * peak and target > ROUNDING:
+            target = max(0.5 * target * tolerance * peak / error, ROUNDING)
             parts = self.expansion(period, span, target)
             error, peak, _ = self.error(parts, period, span)
-            if error <= tolerance * peak or target <= _FINEST:
-                break
-            target = max(0.5 * target * tolerance * peak / error, _FINEST)
         return self._recursion(parts, period, hold, span, tolerance, delay)
 
     def _recursion(
@@ -202,7 +198,7 @@ class HeldQuotient:
                 changes = float(np.abs(np.diff(u, prepend=0.0)).sum())
                 # Each jump of the input contributes this error.
                 error *= min(changes, _ADDED * largest(u))
-                error += _ROUNDING * largest(output)
+                error += ROUNDING * largest(output)
                 return Part(output, error, modes.count, "modes")
         return self._by_weights(u, period, hold, delay)
 
@@ -230,7 +226,7 @@ class HeldQuotient:
         # changes, at four standard deviations.
         changes = float(np.linalg.norm(np.diff(forcing, prepend=0.0)))
         error *= 2.0 * largest(forcing) + 4.0 * changes
-        return Part(output, error + _ROUNDING * largest(output), 0, "contour")
+        return Part(output, error + ROUNDING * largest(output), 0, "contour")
 
     def at(self, times: Real) -> Part:
         """Step response at any times [s]; 0 before time 0."""
@@ -246,10 +242,10 @@ class HeldQuotient:
             if _will_do(error, peak, len(t)):
                 output[later] = self._by_modes(parts, t, first)
                 error = _SWING * error + self._unseen(parts, longest, 0)
-                error += _ROUNDING * largest(output)
+                error += ROUNDING * largest(output)
                 return Part(output, error, parts.count, "modes")
         output[later], error = _sampled(self.whole, t, self.direct)
-        return Part(output, error + _ROUNDING * largest(output), 0, "contour")
+        return Part(output, error + ROUNDING * largest(output), 0, "contour")
 
     def _by_modes(self, parts: Expansion, t: Real, first: float) -> Real:
         value = np.empty(len(t))
@@ -296,7 +292,7 @@ class HeldQuotient:
         # The errors of the modes are independent: three times the root of the sum of
         # their squares. `hypot`, because squares of growing modes beyond e^355
         # overflow.
-        return 3.0 * sys.float_info.epsilon * math.hypot(*size.tolist())
+        return 3.0 * EPSILON * math.hypot(*size.tolist())
 
     def error(
         self, parts: Expansion, shortest: float, longest: float

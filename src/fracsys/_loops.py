@@ -13,6 +13,7 @@ import numpy as np
 
 from fracsys._exponential import ExponentialSum
 from fracsys._fractional import FractionalTransferFunction
+from fracsys._precision import COINCIDENT, DIFFERENCE_STEP, LARGEST_LOG
 from fracsys._roots import log_zeros, newton_polygon, two_term_zeros
 from fracsys._terms import Term
 from fracsys.checks import Complex, Real
@@ -21,9 +22,6 @@ from fracsys.errors import FieldError
 # Twelve decades around 1 rad/s cover every mechanical and electrical loop that is
 # likely to be given as a function.
 _LOW, _HIGH = 1e-6, 1e6
-# Central differences of ln L over 2e-5 are exact to 1e-10; the brackets catch their
-# errors.
-_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,9 @@ class SampledLoop:
         """d ln L/dx by central differences, one-sided at the upper limit; NaN at a pole
         or zero on the axis.
         """
-        above, below = np.minimum(x + _STEP, self.high), x - _STEP
+        # Exact to 1e-10; the brackets catch the errors.
+        above = np.minimum(x + DIFFERENCE_STEP, self.high)
+        below = x - DIFFERENCE_STEP
         low, high = np.split(self(np.concatenate([below, above])), 2)
         return np.asarray(np.log(high / low) / (above - below))
 
@@ -135,13 +135,7 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
 # factor of 1.6 in modulus.
 _REACH = 0.15
 _NEAR = 0.3  # 20 points per decade resolve zeros farther from the axis than this
-# A zero or pole closer to the axis than this (in ln s) lies on it, between two
-# neighbours of the grid that are not parted any further.
-CLOSEST = 1e-9
 FAINT = 1e-3  # |L| of −60 dB, below which crossings do not matter
-# ln ω up to which a loop is evaluated. Corner frequencies of terms of neighbouring
-# orders may lie anywhere, even at 1e100 rad/s; e^650 is near the largest double.
-_FARTHEST, _LARGEST = 600.0, 650.0
 
 
 def _fractional_loop(
@@ -154,8 +148,9 @@ def _fractional_loop(
     steepest = max(
         abs(system.numerator[i].order - system.denominator[i].order) for i in (0, -1)
     )
-    # The steepest asymptote must not overflow at the farthest frequency either.
-    farthest = min(_FARTHEST, _LARGEST / max(1.0, steepest))
+    # Corner frequencies of terms of neighbouring orders may lie anywhere, even at 1e100
+    # rad/s; the steepest asymptote must not overflow at the farthest frequency.
+    farthest = 0.9 * LARGEST_LOG / max(1.0, steepest)
     within = span[0] >= -farthest and span[1] <= farthest
     span = (max(span[0], -farthest), min(span[1], farthest))
     low = max(span[0] - reach, -farthest - 1)
@@ -175,7 +170,7 @@ def _fractional_loop(
     bottom, certain = _near_axis(system.denominator)
     top, _ = _near_axis(system.numerator)
     # `bottom` holds the upper one of each pair; a real zero is its own conjugate.
-    right = [z for z in bottom if z.imag < 0.5 * math.pi - CLOSEST]
+    right = [z for z in bottom if z.imag < 0.5 * math.pi - COINCIDENT]
     end = _limit(system, 0) if limit is None else complex(math.nan)
     return SampledLoop(
         _values(system),
@@ -269,8 +264,8 @@ def around(zero: complex) -> Real:
     if distance > _NEAR:
         return np.empty(0)
     # on the axis itself: a gap that is not evaluated
-    if distance < CLOSEST:
-        steps = 0.45 * CLOSEST * 1.7 ** np.arange(37)
+    if distance < COINCIDENT:
+        steps = 0.45 * COINCIDENT * 1.7 ** np.arange(37)
     else:
         steps = distance * np.sinh(
             0.45 * np.arange(math.asinh(_REACH / distance) / 0.45)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import SampledLoop, as_loop
-from fracsys._nyquist import ON_AXIS, modulus_margin, unstable_closed_loop_poles
+from fracsys._nyquist import modulus_margin, unstable_closed_loop_poles
+from fracsys._precision import RESOLUTION
 from fracsys._stability import is_stable
 from fracsys._sweep import (
     Tendency,
@@ -208,7 +209,7 @@ def margins(
         gain, phase = crossings(sampled, x, values, quiet)
         modulus, at = modulus_margin(sampled, x, values)
         stable = None
-        if modulus < ON_AXIS:
+        if modulus < RESOLUTION:  # a closed-loop pole on the axis
             stable = False
         # The swept part of the curve cannot show an encirclement beyond the limit; the
         # verdict comes from the whole loop.
@@ -240,17 +241,14 @@ def _beyond_limit(system: FractionalTransferFunction) -> bool | None:
 
 Bracket = tuple[float, float]  # ln ω at both ends
 
-# [rad] A phase of −180° at every frequency (1/s²) has no crossing; this is its rounding
-# error.
-_FLAT = 1e-12
-
 
 def crossings(
     loop: SampledLoop, x: Real, values: Complex, quiet: float
 ) -> tuple[tuple[GainCrossing, ...], tuple[PhaseCrossing, ...]]:
     """Every gain crossing and every phase crossing where |L| > `quiet`, polished."""
     level, turn = np.log(np.abs(values)), np.angle(-values)
-    turn[np.abs(turn) < _FLAT] = 0.0
+    # A phase of −180° at every frequency (1/s²) has no crossing, only rounding.
+    turn[np.abs(turn) < RESOLUTION] = 0.0
     gain = []
     brackets = _brackets(loop, gain_level, x, level, np.isfinite(level))
     for root, value in zeros_of(loop, gain_level, brackets):

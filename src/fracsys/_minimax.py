@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from fracsys import _kernels
+from fracsys._precision import BLUR
 from fracsys.checks import Complex, Real
 
 # Going from 2 to 128 directly, three of six controllers need more poles, and the best
@@ -333,8 +334,6 @@ def _distinct(
 # Source: Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; weighted as
 # the target asks.
 
-_REAL = 1e-6  # a pair closer than this to the real axis (relative) is two real poles
-
 
 def relocate(
     start: PartialFractions, target: Target, rounds: int
@@ -391,8 +390,9 @@ def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
 
 def _from_poles(x: Complex, target: Target) -> PartialFractions:
     x = -np.abs(x.real) + 1j * x.imag
-    real = np.sort(-x.real[np.abs(x.imag) <= _REAL * np.abs(x)])
-    q = -x[x.imag < -_REAL * np.abs(x)]
+    # A pair that rounding alone parts from the real axis is two real poles.
+    real = np.sort(-x.real[np.abs(x.imag) <= BLUR * np.abs(x)])
+    q = -x[x.imag < -BLUR * np.abs(x)]
     # A pole three decades outside the band acts as a constant or an integrator there;
     # farther out the slope vanishes and Newton's method could not bring it back.
     low, high = target.omega[0] * 1e-3, target.omega[-1] * 1e3

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import rgamma
 
+from fracsys._precision import EPSILON, FOLDS
 from fracsys._terms import TOGETHER
 from fracsys.checks import Between, Complex, Real, checked
 from fracsys.errors import FieldError, value_text
@@ -21,11 +22,6 @@ from fracsys.errors import FieldError, value_text
 # smaller μ takes more nodes for the same truncation.
 _VERTEX = 2.0
 _OFFSETS = np.array([0.0, 0.25, 0.5, 0.75])
-# −ln of the truncation error beyond the last node, and of the discretisation error
-# between the nodes.
-_TAIL, _BETWEEN = 40.0, 39.0
-# Below this |z| the term z/Γ(α+β) is lost in rounding, while ln z is still finite.
-_TINY = 1e-290
 
 
 @checked
@@ -84,9 +80,10 @@ def mittag_leffler(
     """
     points = _numbers(z)
     flat = points.astype(np.complex128).ravel()
-    # E(0) = 1/Γ(β); 1/Γ is 0 at the poles of Γ, without a special case.
-    value = np.full(flat.shape, complex(rgamma(beta)))
-    far = np.flatnonzero(np.abs(flat) > _TINY)
+    # Where z² is lost in rounding, two terms of the series are exact; 1/Γ is 0 at the
+    # poles of Γ, without a special case.
+    value = rgamma(beta) + flat * rgamma(alpha + beta)
+    far = np.flatnonzero(np.abs(flat) > EPSILON)
     with np.errstate(all="ignore"):
         for start in range(0, len(far), TOGETHER):
             part = far[start : start + TOGETHER]
@@ -218,7 +215,7 @@ def _rule(beta: float) -> tuple[float, int, float]:
     power = max(2.0 * beta - 1.0, 0.0)
     between, decay = (
         max(60.0, 2.0 * power),
-        _BETWEEN - (beta - 1.0) * math.log(_VERTEX),
+        FOLDS - (beta - 1.0) * math.log(_VERTEX),
     )
     while power and between - power * (1.0 + math.log(between / power)) < decay:
         between += 4.0
@@ -226,7 +223,7 @@ def _rule(beta: float) -> tuple[float, int, float]:
     while (
         _VERTEX * (reach**2 - 1.0)
         - max(0.0, -beta) * math.log(_VERTEX * (1.0 + reach**2))
-        < _TAIL
+        < FOLDS
     ):
         reach += 0.1
     step = 2.0 * math.pi / between

@@ -7,12 +7,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1
 
 from fracsys import _kernels
+from fracsys._precision import FOLDS, LARGEST_LOG, RESOLUTION
 from fracsys._quotient import Cluster, Quotient
-from fracsys._roots import RESOLUTION
 from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError
@@ -146,11 +148,6 @@ _SEGMENT = 18  # nodes that represent a cluster of poles
 # Chebyshev nodes for all rates below 1/longest: there e^(-rt) equals a polynomial of
 # this degree to 5e-13.
 _FOLD = 10
-_FOLD_ANGLES = np.pi * (2 * np.arange(_FOLD) + 1) / (2 * _FOLD)
-# Chebyshev nodes as fractions of the largest rate folded, and their barycentric weights
-_FOLD_NODES = 0.5 * (1.0 + np.cos(_FOLD_ANGLES))
-_FOLD_SHARES = (-1.0) ** np.arange(_FOLD) * np.sin(_FOLD_ANGLES)
-_REACH = 42.0  # e^-42 is below the rounding of a double
 
 
 @dataclass(frozen=True)
@@ -327,9 +324,9 @@ def _add_cut(
     fold = -math.log(longest)
     slowest = min([fold, *quotient.zeros.real.tolist()])
     singular = max(0.0, quotient.bottom[-1].order - quotient.top[-1].order)
-    # Towards r = 0 the integrand falls like r^(1 − a): the 42 e-folds are those of the
+    # Towards r = 0 the integrand falls like r^(1 − a): the e-folds are those of the
     # integrand, not of r.
-    first = max(slowest - _REACH / (1.0 - singular), -600.0)
+    first = max(slowest - FOLDS / (1.0 - singular), -LARGEST_LOG)
     nodes = origin + step * np.arange(
         math.ceil((first - origin) / step), math.ceil((last - origin) / step)
     )
@@ -347,14 +344,9 @@ def _folded(rates: Real, weights: Real, limit: float) -> Real:
     Increments of e^(-rt) are r times a smooth function of r, so r·W is what is
     interpolated.
     """
-    gap = (rates / limit)[:, None] - _FOLD_NODES
-    # On a node itself the barycentric formula is 1/0; a tiny gap gives that node all of
-    # the weight.
-    gap[gap == 0.0] = 1e-300
-    basis = _FOLD_SHARES / gap
-    basis /= basis.sum(axis=1, keepdims=True)
-    moments = (weights * rates) @ basis
-    return np.array([_FOLD_NODES * limit, moments / (_FOLD_NODES * limit)])
+    nodes = 0.5 * limit * (1.0 + chebpts1(_FOLD))
+    moments = (weights * rates) @ _lagrange(2.0 * rates / limit - 1.0, _FOLD)
+    return np.array([nodes, moments / nodes])
 
 
 def _add_cluster(
@@ -378,11 +370,9 @@ def _add_cluster(
     points, weights = quotient.circle(
         cluster, 0.3 * half / abs(centre), clearance, kernel
     )
-    nodes = np.cos(np.pi * (np.arange(_SEGMENT) + 0.5) / _SEGMENT)
-    shares = weights @ _lagrange((np.exp(points) - centre) / half)
-    modes.add_poles(
-        cluster.centre, np.asarray(centre + half * nodes), np.asarray(shares)
-    )
+    shares = weights @ _lagrange((np.exp(points) - centre) / half, _SEGMENT)
+    nodes = np.asarray(centre + half * chebpts1(_SEGMENT))
+    modes.add_poles(cluster.centre, nodes, np.asarray(shares))
 
 
 def _half_length(damping: float, longest: float) -> float:
@@ -395,12 +385,14 @@ def _half_length(damping: float, longest: float) -> float:
     return max(0.3 * damping, 2.5 / longest)
 
 
-def _lagrange(x: Complex) -> Complex:
+def _lagrange(x: Complex | Real, count: int) -> Any:
     """Lagrange polynomials of the Chebyshev nodes in [-1, 1] at points x, one row for
     each point.
     """
-    index = np.arange(_SEGMENT)
-    angle = np.pi * (index + 0.5) / _SEGMENT
-    gap = x[:, None] - np.cos(angle)[None, :]
-    basis = (-1.0) ** index * np.sin(angle) / gap
-    return np.asarray(basis / basis.sum(axis=1, keepdims=True))
+    nodes = chebpts1(count)
+    gap = x[:, None] - nodes
+    # On a node itself the barycentric formula is 1/0; a tiny gap gives that node all of
+    # the weight.
+    gap[gap == 0.0] = np.finfo(float).tiny
+    basis = (-1.0) ** np.arange(count) * np.sqrt(1.0 - nodes**2) / gap
+    return basis / basis.sum(axis=1, keepdims=True)

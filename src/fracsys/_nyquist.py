@@ -7,11 +7,9 @@ import math
 
 import numpy as np
 
-from fracsys._loops import SampledLoop
-from fracsys._sweep import modulus_slope, valleys, zeros_of
+from fracsys._loops import FAINT, SampledLoop
+from fracsys._sweep import TURN, modulus_slope, valleys, zeros_of
 from fracsys.checks import Complex, Real
-
-ON_AXIS = 1e-12  # a modulus margin of zero means a closed-loop pole on the axis
 
 
 def modulus_margin(loop: SampledLoop, x: Real, values: Complex) -> tuple[float, float]:
@@ -41,10 +39,6 @@ def modulus_margin(loop: SampledLoop, x: Real, values: Complex) -> tuple[float, 
 
 # --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------
 
-# |L| on both sides of an interval in which the phase turned by more than half a radian:
-# a pole lies between them.
-_BESIDE_POLE = 1e3
-
 
 def unstable_closed_loop_poles(
     loop: SampledLoop, x: Real, values: Complex, *, open_loop: int, ends_real: bool
@@ -61,9 +55,10 @@ def unstable_closed_loop_poles(
     ahead = 1 + values
     steps = np.angle(ahead[1:] / ahead[:-1])
     modulus = np.abs(values)
-    jumps = (np.abs(steps) > 0.5) & (
-        np.minimum(modulus[1:], modulus[:-1]) > _BESIDE_POLE
-    )
+    # A pole lies in an interval in which the phase turns further than a sweep allows,
+    # between two values as far above 1 as faint ones are below.
+    jumps = np.abs(steps) > TURN
+    jumps &= np.minimum(modulus[1:], modulus[:-1]) > 1.0 / FAINT
     # Passing a simple pole on the axis on its right turns L by −π along an arc of
     # infinite radius.
     steps[jumps] -= np.where(steps[jumps] > 0, 2 * math.pi, 0.0)

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from fracsys._precision import BLUR, EPSILON
 from fracsys._roots import log_zeros, two_term_zeros
 from fracsys._terms import Term, collect, same
 from fracsys.checks import Complex, Real
@@ -23,12 +25,11 @@ from fracsys.errors import FieldError
 
 # poles up to a quarter turn beyond the cut bend the integrand on it
 SHEET = 1.5 * math.pi
-_RANGE = 300.0  # limit of |ln |s||: squares of poles and of spans stay within doubles
+# limit of |ln |s||: squares of poles and of spans stay within doubles
+_RANGE = math.log(math.sqrt(sys.float_info.max))
 # points on a circle of half the distance to the next obstacle: error 2^-96, at worst
 # 1.5^-96
 _CIRCLE = 96
-# rounding turns a double zero on the negative axis into a pair about it, 1e-8 apart
-_SYMMETRIC = 1e-7
 _VAGUE = 1e3  # units of rounding
 _NEAR = 0.02  # kept apart, zeros closer than this in ln s would lose two digits or more
 
@@ -104,7 +105,7 @@ class Quotient:
             _rise(self.bottom, self.zeros)
         )
         # A pole with a larger error has a close neighbour, and their errors cancel.
-        shift = np.finfo(float).eps * np.minimum(units, _VAGUE)
+        shift = EPSILON * np.minimum(units, _VAGUE)
         turns = (-1.0) ** np.arange(len(self.zeros))
         return Quotient(self.top, self.bottom, self.zeros + turns * shift)
 
@@ -161,7 +162,8 @@ class Quotient:
         clusters = []
         for group in (g for g in groups if len(g) > 1):
             centre = sum(group) / len(group)
-            if abs(centre.imag - math.pi) < _SYMMETRIC:
+            # Rounding turns a double zero on the negative axis into a pair about it.
+            if abs(centre.imag - math.pi) < BLUR:
                 centre = complex(centre.real, math.pi)  # so that its modes are real
             clusters.append(
                 Cluster(centre, len(group), max(abs(z - centre) for z in group))

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fracsys._exponential import (
-    ROUNDING,
     ExponentialSum,
     NearZeroError,
     count_box,
     count_strip,
 )
+from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING
 from fracsys.checks import Complex, Mask
 from fracsys.errors import NotConvergedError
 
@@ -35,10 +35,6 @@ from fracsys.errors import NotConvergedError
 # without a zero nearby is used. The large ones are for multiple zeros on the edge: at
 # smaller heights D is lost in rounding (0.13^12 of its terms).
 _MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093, 0.2419, 0.3704)
-# A zero computed this far above `angle`, or off an axis, lies on it [rad];
-RESOLUTION = 1e-12
-# and up to this far where rounding blurs it; a multiple zero has D' = 0
-_BLURRED = 1e-7
 
 
 def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Complex:
@@ -138,9 +134,9 @@ def _complete(roots: Complex, count: int) -> bool:
     if len(roots) != count:
         return False
     distance = np.abs(roots[:, None] - roots.conj()[None, :])
-    # Refined conjugates agree to about 1e-14; 1e-9 distinguishes a pair from two points
-    # that converged to the same zero.
-    return bool(np.all(distance.min(axis=1, initial=np.inf) < 1e-9))
+    # Refined conjugates agree to about 1e-14, unlike two points that converged to the
+    # same zero.
+    return bool(np.all(distance.min(axis=1, initial=np.inf) < COINCIDENT))
 
 
 def _by_bisection(terms: ExponentialSum, height: float, count: int) -> Complex:
@@ -167,7 +163,7 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
     # slightly beyond the edge would be lost.
     values, moduli = terms.derivatives(z, 2)
     uncertainty = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
-    reach = np.clip(uncertainty, RESOLUTION, _BLURRED)
+    reach = np.clip(uncertainty, RESOLUTION, BLUR)  # a multiple zero has D' = 0
     z.imag[np.abs(z.imag) < reach] = 0.0
     z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
     z = z[(z.imag >= 0) & (z.imag <= angle)]

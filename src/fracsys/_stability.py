@@ -10,16 +10,13 @@ import numpy as np
 
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
-from fracsys._nyquist import ON_AXIS, modulus_margin, unstable_closed_loop_poles
-from fracsys._roots import RESOLUTION, log_zeros
+from fracsys._nyquist import modulus_margin, unstable_closed_loop_poles
+from fracsys._precision import COINCIDENT, RESOLUTION
+from fracsys._roots import log_zeros
 from fracsys._sweep import sweep
 from fracsys._terms import Term
 from fracsys.checks import Complex, checked
 from fracsys.errors import FieldError
-
-# relative distance at which a zero cancels a pole: the resolution of twelve-digit
-# coefficients
-_SAME = 1e-10
 
 
 @dataclass(frozen=True)
@@ -177,7 +174,7 @@ def _delayed_zeros(terms: Sequence[Term]) -> int:
             count = unstable_closed_loop_poles(
                 loop, x, values, open_loop=loop.unstable_poles, ends_real=False
             )
-        if count is None or modulus_margin(loop, x, values)[0] < ON_AXIS:
+        if count is None or modulus_margin(loop, x, values)[0] < RESOLUTION:
             raise FieldError(
                 "denominator",
                 list(terms),
@@ -289,8 +286,9 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complex, Complex]:
     # which cancels a pole exactly.
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
         for zero in _logs(top).tolist():
-            # One at a time: a double pole with one zero on it leaves a simple pole.
-            near = [p for p in rest if abs(p - zero) < _SAME][:1]
+            # A zero cancels one of the poles that it coincides with: a double pole with
+            # one zero on it leaves a simple pole.
+            near = [p for p in rest if abs(p - zero) < COINCIDENT][:1]
             if near:
                 rest.remove(near[0])
                 cancelled += near

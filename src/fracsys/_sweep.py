@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._loops import CLOSEST, FAINT, SampledLoop, as_loop
+from fracsys._loops import FAINT, SampledLoop, as_loop
+from fracsys._precision import BLUR, COINCIDENT
 from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import FieldError
 
-# [rad] largest change of phase between neighbours, so that no crossing is missed
+# largest change of ln L between neighbours (radians, or nepers), so that no crossing is
+# missed
 TURN = 0.5
-RISE = 1.5  # largest change of ln |L| between neighbours: 13 dB
 POINT_LIMIT = 50_000
 # |L| below which the phase of a delay is not followed, and the largest number of points
 # for it; with more, the next pair applies. A loop that rolls off like ω^(−1/2) would
@@ -69,7 +70,7 @@ def _too_wide(
 ) -> NDArray[np.intp]:
     """Intervals to halve: ln L changes too much, or 1 + L by more than its modulus."""
     change = np.log(values[1:] / values[:-1])
-    fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)
+    fine = np.abs(change) <= TURN
     # A chord shorter than the distance of its ends from −1 cannot hide an encirclement
     # of −1.
     away = np.abs(1 + values)
@@ -82,7 +83,7 @@ def _too_wide(
         fine[:-1] &= width[:-1] < 2.1 * width[1:]
         loud = np.abs(values) > quiet
         fine |= ~(loud[1:] | loud[:-1] | (x[:-1] < loop.follow))
-    return np.flatnonzero(~fine & (width > CLOSEST))
+    return np.flatnonzero(~fine & (width > COINCIDENT))
 
 
 # --- Frequencies for plots and for python-control: even on a logarithmic scale, finer where L moves fast
@@ -122,7 +123,9 @@ def frequency_grid(
     # The even points cover the range where the phase turns slowly, the others that
     # where L changes fast.
     grid = np.union1d(even, x[np.isfinite(values)])
-    frequencies: Real = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
+    frequencies: Real = np.exp(
+        grid[np.concatenate([[True], np.diff(grid) > COINCIDENT])]
+    )
     return frequencies
 
 
@@ -191,10 +194,6 @@ def refined(
 
 # bisection alone needs 53; Newton's method 4 to 6, the secant method 6 to 10
 _ROUNDS = 100
-# A relative step this small leaves an error of nearly its square. If the rounding of
-# the function exceeds that of x, the sign is random there: without this bound Newton's
-# method wandered within the rounding for fifty rounds.
-_NEAR = 1e-8
 
 
 def bracketed_roots(
@@ -234,7 +233,9 @@ def bracketed_roots(
             stays = (at_x > 0.0) == (at_b > 0.0)  # b moves on, a stays
             a, at_a = np.where(stays, a, b), np.where(stays, 0.5 * at_a, at_b)
             step = np.abs(x - b)
-            settled |= (step <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
+            # Where the rounding of the function exceeds that of x, its sign is random,
+            # and the iteration would wander within it.
+            settled |= (step <= BLUR * size) & (np.abs(at_x) >= np.abs(at_b))
             b, at_b = x, at_x
             if np.all((step <= tolerance) | (at_x == 0.0) | settled):
                 break

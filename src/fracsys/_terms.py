@@ -10,13 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from fracsys._precision import ROUNDING
 from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError, SizeError
-
-# Orders that are sums of the same numbers in a different sequence differ by a few units
-# in the last place (0.1 + 0.2 and 0.3). No measured order is known to 1e-13, so closer
-# ones count as equal.
-_SAME = 64 * 2.220446049250313e-16
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +72,8 @@ def finite(name: str, value: object) -> float:
 
 
 def same(a: float, b: float) -> bool:
-    return abs(a - b) <= _SAME * max(1.0, abs(a), abs(b))
+    """Whether two orders or delays are equal but for rounding, as 0.1 + 0.2 and 0.3."""
+    return abs(a - b) <= ROUNDING * max(1.0, abs(a), abs(b))
 
 
 def collect(terms: Iterable[Term]) -> list[Term]:
@@ -145,7 +142,7 @@ def proportional(a: tuple[Term, ...], b: tuple[Term, ...]) -> bool:
         a[0].delay - b[0].delay,
     )
     return all(
-        abs(x.coefficient - ratio * y.coefficient) <= _SAME * abs(x.coefficient)
+        abs(x.coefficient - ratio * y.coefficient) <= ROUNDING * abs(x.coefficient)
         and same(x.order, y.order + order)
         and same(x.delay, y.delay + delay)
         for x, y in zip(a, b, strict=True)

@@ -76,15 +76,17 @@ NaturalFrequency = Annotated[float, Between(0.0, 1e6, "s^(-λ/2)", low_open=True
 Angle = Annotated[
     float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")
 ]
-_HALF_TURN = Between(
-    0.0,
-    math.pi,
-    "rad",
-    low_open=True,
-    high_open=True,
-    remedy="give radians; deg(50) converts degrees",
-)
-PhaseMargin = Annotated[float, _HALF_TURN]
+PhaseMargin = Annotated[
+    float,
+    Between(
+        0.0,
+        math.pi,
+        "rad",
+        low_open=True,
+        high_open=True,
+        remedy="give radians; deg(50) converts degrees",
+    ),
+]
 PhaseMarginDeg = Annotated[
     float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")
 ]
