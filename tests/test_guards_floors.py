@@ -196,7 +196,7 @@ CEILINGS = {
     "_law": 965,
     "_reading": 1053,
     "_simulate": 1247,
-    "lab": 1921,
+    "lab": 1951,
     "logs": 676,
     "studio": 1201,
     "trials": 1474,

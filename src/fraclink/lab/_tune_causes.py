@@ -10,12 +10,13 @@ import math
 import numpy as np
 
 from fraclink._arm.link import LinkModel
+from fraclink._identify import Fit
 from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_motor import MotorResult, unlimited_pole
 from fraclink.lab._tune_wiring import COUNT, Wiring
 from fracsys.checks import Real
 
-__all__ = ["causes", "domain"]
+__all__ = ["UNEXPLAINED", "causes", "domain"]
 
 
 # Phase that the delay of the gauge may cost at the vibration: half of a phase margin of
@@ -25,6 +26,9 @@ _LATE = math.radians(15.0)
 # and is held for one. These 1.5 periods cost the phase allowed for a gauge if a period
 # is 1/36 of the vibration period.
 _PERIODS = round(1.5 * 2.0 * math.pi / _LATE)
+# Multiple of the gauge's noise, or of what a tuning left, that a residual reaches only if
+# something is there that the model lacks.
+UNEXPLAINED = 4.0
 _CLIPPED = 5  # samples at the extreme; fewer are a peak
 
 
@@ -32,21 +36,25 @@ def causes(
     record: Record,
     wiring: Wiring,
     motor: MotorResult | None,
-    link: LinkModel | None,
+    link: Fit | None,
     voltage: float,
     hunts: bool = False,
 ) -> tuple[str, ...]:
     """Sentences, each with a visible cause and its remedy; `voltage` is the limit [V],
     and `hunts` whether a move did not come to rest.
     """
+    # The model of a fit that failed a gate is not reliable.
+    model = link.model if link is not None and link.passed else None
     return (
         *(_sticking(motor, record.period) if motor is not None and hunts else ()),
         *_clipping(record.torque, wiring.gauge_noise),
         *_long_period(
-            wiring.natural_frequency if link is None else abs(link.pole), record.period
+            wiring.natural_frequency if model is None else abs(model.pole),
+            record.period,
         ),
         *(() if motor is None else _slow_loop(motor, wiring, record.period, voltage)),
-        *(() if link is None else _late_gauge(link)),
+        *(() if model is None else _late_gauge(model)),
+        *(() if link is None else _not_linear(link, record.torque, wiring.gauge_noise)),
     )
 
 
@@ -141,4 +149,16 @@ def _late_gauge(link: LinkModel) -> tuple[str, ...]:
     return (
         f"the gauge is {1e3 * link.gauge_delay:.2g} ms late, which costs {math.degrees(phase):.0f}° of phase at "
         f"the vibration of {abs(link.pole):.3g} rad/s; a faster amplifier or filter of the gauge helps",
+    )
+
+
+def _not_linear(fit: Fit, torque: Real, noise: float) -> tuple[str, ...]:
+    # At rest, the reading of a coarse gauge does not change.
+    step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
+    left = math.sqrt(fit.mse) / math.hypot(noise, step / math.sqrt(12.0))
+    if left <= UNEXPLAINED:
+        return ()
+    return (
+        f"a linear link leaves {left:.0f} times the gauge's noise of what was recorded, as with play in the "
+        "gear, a loose clamp or a cable that pulls; less of it helps",
     )

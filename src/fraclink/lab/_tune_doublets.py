@@ -1,17 +1,19 @@
 """The motor from its response to doublets of voltage: the first guess of K/J, before
 any loop is closed.
 
-    θ'' = A (V(t − τ) − f sign θ') − B θ'
+    θ'' = A (V(t − τ) − f sign θ') − B θ' + Γ/J
 
-within each doublet, from rest. Coulomb friction f [V] acts against the motion and holds
-the motor where it has stopped. With a model in which it keeps its sign, A came out a
-third too small for small motions.
+within each doublet, from rest. The link's torque Γ is as measured: a link that still
+swings from the doublet before turns the motor as far as the voltage does. Coulomb
+friction f [V] acts against the motion and holds the motor where it has stopped. With a
+model in which it keeps its sign, A came out a third too small for small motions.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from fraclink.lab._tune_guard import Record
 from fracsys.checks import Real
@@ -32,12 +34,17 @@ _PARTS = 4
 _FRICTIONS = np.linspace(0.0, 0.95, 96)
 
 
-def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, float]:
+def motor_of_doublets(
+    record: Record, half: int, gauge_delay: float
+) -> tuple[float, float, float, float]:
     """(A [rad/(s²·V)], its standard error, friction [V], delay [s]); from doublets of
-    `half` periods in each direction.
+    `half` periods in each direction, with a torque that is `gauge_delay` [s] late.
     """
     period, most = record.period, float(np.max(np.abs(record.voltage)))
     shape, edges = _shape(half, period) * most, edges_of(record)
+    late = round(gauge_delay / period)
+    torque = np.append(record.torque[late:], np.full(late, record.torque[-1]))
+    torque = torque - np.mean(torque)
     best = (np.inf, 0.0, np.inf, 0.0, 0.0)
     # Half periods, since hold and amplifier do not add up to a whole number of periods.
     for halves in range(round(2 * _LATEST / period) + 1):
@@ -45,21 +52,27 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
         begins = edges[edges + length <= record.angle.size]
         if not begins.size:
             continue
+        window = begins[:, np.newaxis] + np.arange(length)
         signs = np.sign(record.voltage[begins])[:, np.newaxis]
-        angles = record.angle[begins[:, np.newaxis] + np.arange(length)]
-        motions = signs * (angles - record.angle[begins - 1, np.newaxis])
-        late = np.maximum(_PARTS * np.arange(length) - halves * _PARTS // 2, 0)
-        ways = shape[:, late]
-        size = np.einsum("ij,ij->i", ways, ways)
-        gains = ways @ np.sum(motions, axis=0) / (begins.size * size)
-        # Σ(motion − gain · way)² over all doublets, from sums of squares.
-        cost = float(np.sum(motions**2)) - begins.size * gains**2 * size
+        motions = record.angle[window] - record.angle[begins - 1, np.newaxis]
+        motions, swings = signs * motions, signs * _swing(torque[window], period)
+        steps = np.maximum(_PARTS * np.arange(length) - halves * _PARTS // 2, 0)
+        ways = shape[:, steps]
+        # Σ(motion − A · way − swing/J)² over all doublets, from sums of squares.
+        own = begins.size * np.einsum("ij,ij->i", ways, ways)
+        # Of a dead gauge there are none.
+        other = float(np.sum(swings**2)) or 1.0
+        both = ways @ np.sum(swings, axis=0)
+        seen, pulled = ways @ np.sum(motions, axis=0), float(np.sum(swings * motions))
+        apart = own * other - both**2
+        gains = (other * seen - both * pulled) / apart
+        masses = (own * pulled - both * seen) / apart
+        cost = float(np.sum(motions**2)) - gains * seen - masses * pulled
         k = int(np.argmin(cost))
         # Errors of neighbouring samples are correlated: a doublet counts as one
         # observation.
-        error = float(
-            np.sqrt(max(cost[k], 0.0) / begins.size / (begins.size * size[k]))
-        )
+        scatter = max(cost[k], 0.0) / begins.size
+        error = float(np.sqrt(scatter * other / apart[k]))
         # Per sample, since a longer delay leads to a longer window and would otherwise
         # always have a larger cost.
         each = float(cost[k]) / (begins.size * length)
@@ -72,6 +85,12 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
                 0.5 * halves * period,
             )
     return best[1], best[2], best[3], best[4]
+
+
+def _swing(torque: Real, period: float) -> Real:
+    """Angle, from rest, for J = 1 and one row of torques."""
+    speed = lfilter([period], [1.0, -np.exp(-_DECAY * period)], torque, axis=1)
+    return np.cumsum(speed, axis=1) * period
 
 
 def edges_of(record: Record) -> NDArray[np.intp]:

@@ -269,12 +269,14 @@ def _concluded(
             f"encoder dead: it stands still while the gauge answers the drive ({pulse:.3g} V) with "
             f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
         )
-    gain, error, friction, delay = motor_of_doublets(record, _half(record.period))
+    link = _link(record, earlier)
+    gain, error, friction, delay = motor_of_doublets(
+        record, _half(record.period), 0.0 if link is None else max(link[3], 0.0)
+    )
     # Checked before the gauge: with the counts of another encoder the torque would not
     # fit a link either, and would be blamed.
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
-    link = _link(record, earlier)
     shares = _kept(record, record.angle), _kept(record, record.torque)
     if shares[1] > max(_KEPT, 2.0 * shares[0]) or (
         shares[1] > max(_KEPT, shares[0]) and _swapped(record, earlier, link)

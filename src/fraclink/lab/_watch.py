@@ -14,6 +14,7 @@ from fraclink._display import Overview, Row, Table, displayed, number, state_of
 from fraclink._files import document
 from fraclink._identify import Fit, identify, identify_motor, simulated_torque
 from fraclink.errors import FieldError, LogError
+from fraclink.lab._tune_causes import UNEXPLAINED
 from fraclink.lab._tuning import Tuning
 from fracsys.checks import checked
 
@@ -35,8 +36,6 @@ _ABSOLUTE = ("gauge_delay", "order")
 _SURE = 4.0
 _LEAST_MOTION = 4.0  # [s] of motion; less shows nothing
 _MOVING = 0.02  # [rad/s]
-# multiple of the residual left by the tuning, if nothing else has changed
-_UNEXPLAINED = 4.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class Watch:
         names = tuple(change.name for change in self.changes if change.changed)
         return names or (
             ("unexplained motion",)
-            if self.residual > _UNEXPLAINED * self.expected
+            if self.residual > UNEXPLAINED * self.expected
             else ()
         )
 
@@ -260,9 +259,15 @@ def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
     frequency, _, delay, _ = _link_changes(known, _fitted(later, known))
     if frequency.changed:
         share = 100.0 * (frequency.was / frequency.now) ** 2
+        # A joint that gives makes a link softer, which looks like more mass.
+        loose = (
+            "a part is loose"
+            if share < 100.0
+            else "a joint gives, as with play in the gear"
+        )
         return (
             f"the link swings as with {share:.0f} % of the mass that it was measured with: the payload "
-            "slipped or was changed, or a part is loose; fix it, and tune again",
+            f"slipped or was changed, or {loose}; fix it, and tune again",
         )
     if delay.changed and delay.now > delay.was:
         late = 1e3 * (delay.now - delay.was)
