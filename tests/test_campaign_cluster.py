@@ -90,14 +90,17 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
+def test_a_scheduler_that_is_not_there_is_told(tmp_path):
     try:
+        import dask
         import distributed  # noqa: F401
     except ImportError:
         missing("distributed is not installed (extra cluster)")
-    module = sys.modules["fraclink.trials._run"]
-    monkeypatch.setattr(module, "CONNECT", 1)
-    with pytest.raises(FieldError, match="scheduler"):
+    timeout = {"distributed.comm.timeouts.connect": "1s"}
+    with (
+        dask.config.set(timeout),
+        pytest.raises(FieldError, match="scheduler"),
+    ):
         run_campaign(small(10), tmp_path, scheduler="tcp://127.0.0.1:9")
 
 

@@ -17,13 +17,6 @@ import typer
 
 from fraclink import Rig, __version__, main
 from fraclink._cli.app import application
-from fraclink._cli.console import guarded
-from fraclink.errors import (
-    FieldError,
-    InfeasibleError,
-    MissingExtraError,
-    NotCertifiedError,
-)
 
 
 class Answer(NamedTuple):
@@ -99,7 +92,7 @@ def test_the_first_page_is_one_screen_and_imports_no_command(fraclink: Command) 
     assert not loaded & {"scipy", "matplotlib", "jinja2", "fraclink._identify"}
 
 
-def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
+def every_command() -> Iterator[tuple[tuple[str, ...], Any]]:
     """Every command with the words that invoke it."""
     top: Any = typer.main.get_command(application())
     context = typer.Context(top)
@@ -116,7 +109,7 @@ def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
 @pytest.mark.slow
 def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> None:
     listed = fraclink("help", "all").out
-    for words, command in _commands():
+    for words, command in every_command():
         example = command.help.partition("\n\n$ ")[2]
         assert (
             example.startswith(" ".join(("fraclink", *words))) and "\n" not in example
@@ -135,7 +128,7 @@ def test_no_command_passes_without_having_done_what_it_was_asked(
     """With the lowest version of typer declared earlier, every command printed the
     version and exited with code 0.
     """
-    for words, _command in _commands():
+    for words, _command in every_command():
         answer = fraclink(*words, "--no-such-option")
         assert answer.code == 2, (words, answer.out)
         assert "--no-such-option" in answer.err, (words, answer.err)
@@ -288,57 +281,6 @@ def test_errors_are_json_too_where_json_was_asked_for(fraclink: Command) -> None
     assert told["error"]["field"] == "rig"
     assert told["error"]["value"] == "paper-2032"
     assert told["error"]["remedy"]
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "line"),
-    [
-        (
-            FieldError("m", -1, "negative", allowed="> 0 kg", remedy="say kg"),
-            2,
-            "error: m: negative (got -1)",
-        ),
-        (MissingExtraError("flint", "certify"), 2, "error: flint is not installed; "),
-        (
-            InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}),
-            1,
-            "✗ failed: (39): too slow; nearest",
-        ),
-        (NotCertifiedError("at 20 g"), 1, "✗ failed: at 20 g\n"),
-        (
-            OSError(28, "No space left on device", "out.json"),
-            2,
-            "error: out.json: No space left on device\n",
-        ),
-        (
-            PermissionError(13, "Permission denied", "/x/y"),
-            2,
-            "error: /x/y: Permission denied\n",
-        ),
-        (KeyboardInterrupt(), 130, "interrupted; "),
-        (
-            ZeroDivisionError("division by zero"),
-            70,
-            "error: fraclink failed inside (ZeroDivisionError: ",
-        ),
-    ],
-)
-def test_every_error_becomes_one_line(
-    capsys: pytest.CaptureFixture[str], error: BaseException, code: int, line: str
-) -> None:
-    def work() -> int:
-        raise error
-
-    assert guarded(work, as_json=False) == code
-    told = capsys.readouterr()
-    assert told.err.startswith(line)
-    assert (told.err.count("\n"), told.out) == (1, "")
-
-
-def test_a_defect_shows_where_it_is_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FRACLINK_TRACEBACK", "1")
-    with pytest.raises(ZeroDivisionError):
-        guarded(lambda: 1 // 0, as_json=False)
 
 
 @pytest.mark.parametrize(

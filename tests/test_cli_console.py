@@ -16,7 +16,13 @@ import pytest
 
 from fraclink import main
 from fraclink._cli.console import guarded
-from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+from fraclink.errors import (
+    FieldError,
+    FraclinkError,
+    InfeasibleError,
+    MissingExtraError,
+    NotCertifiedError,
+)
 
 
 class Terminal(io.StringIO):
@@ -54,6 +60,57 @@ def error(kind: str) -> BaseException:
         "loader": lambda: OSError("cannot open shared object"),
     }
     return made[kind]()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (
+            FieldError("m", -1, "negative", allowed="> 0 kg", remedy="say kg"),
+            2,
+            "error: m: negative (got -1)",
+        ),
+        (MissingExtraError("flint", "certify"), 2, "error: flint is not installed; "),
+        (
+            InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}),
+            1,
+            "✗ failed: (39): too slow; nearest",
+        ),
+        (NotCertifiedError("at 20 g"), 1, "✗ failed: at 20 g\n"),
+        (
+            OSError(28, "No space left on device", "out.json"),
+            2,
+            "error: out.json: No space left on device\n",
+        ),
+        (
+            PermissionError(13, "Permission denied", "/x/y"),
+            2,
+            "error: /x/y: Permission denied\n",
+        ),
+        (KeyboardInterrupt(), 130, "interrupted; "),
+        (
+            ZeroDivisionError("division by zero"),
+            70,
+            "error: fraclink failed inside (ZeroDivisionError: ",
+        ),
+    ],
+)
+def test_every_error_becomes_one_line(
+    capsys: pytest.CaptureFixture[str], error: BaseException, code: int, line: str
+) -> None:
+    def work() -> int:
+        raise error
+
+    assert guarded(work, as_json=False) == code
+    told = capsys.readouterr()
+    assert told.err.startswith(line)
+    assert (told.err.count("\n"), told.out) == (1, "")
+
+
+def test_a_defect_shows_where_it_is_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRACLINK_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        guarded(lambda: 1 // 0, as_json=False)
 
 
 @pytest.mark.parametrize(

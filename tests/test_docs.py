@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
 import fraclink
 import fracsys
 from fraclink import errors
-from fraclink._cli.app import application
 from guard_sources import ROOT
+from test_cli import every_command
 
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
@@ -122,13 +121,7 @@ def test_every_command_has_a_page_with_example_options_and_picture(
 ) -> None:
     pages = extension("command_pages", monkeypatch)
     found = pages.every_command()
-    group: Any = typer.main.get_command(application())
-    context = typer.Context(group)
-    commands = [
-        f"{name} {inner}".strip()
-        for name in group.list_commands(context)
-        for inner in getattr(group.get_command(context, name), "commands", {"": None})
-    ]
+    commands = [" ".join(words) for words, _ in every_command()]
     assert list(found) == commands and set(pages.SHOWN) == set(commands)
     for name, command in found.items():
         text = pages.page(name, command)

@@ -28,10 +28,10 @@ from fraclink.extend import (
     payload_estimator,
 )
 from fraclink.lab import run_realtime
-from fraclink.lab._machine import VirtualClock
 from fraclink.trials import Campaign, load_campaign, replay_run, simulate_part
 from needed_tools import tool
 from shared_data import shared_data
+from tuned_arms import own_clock
 
 ROOT = Path(__file__).resolve().parents[1]
 GEARED = fl.Rig.named("paper-2023-geared")
@@ -529,7 +529,7 @@ def test_the_loop_in_real_time_gives_the_estimate() -> None:
         estimator=bank("single"),  # it is converted to the precision of the law
         priority=0,
         lock_memory=False,
-        clock=VirtualClock(1),
+        clock=own_clock(1),
     )
     found = run.estimates
     assert found is not None and run.first_difference is None

@@ -14,15 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient
 
 import fraclink as fl
 from fraclink import main
 from fraclink.errors import FraclinkError, InfeasibleError
-from fraclink.studio._server import Studio, application
 from fraclink.studio._session import opened
 from fraclink.trials import load_study
-from test_studio import ADDRESS, talked
+from test_studio import connected, talked
 
 REQUESTS = 50
 # Every so many are kept and reported: a report draws eight figures, which takes a second.
@@ -101,12 +99,7 @@ def page(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Page]:
     session = opened(
         None, rig=drawn(request.node.callspec.params["seed"]).rig, out=folder
     )
-    studio = Studio(lambda: session, hosts=["127.0.0.1:8000"])
-    client = TestClient(application(studio), base_url=ADDRESS)
-    with client.websocket_connect(
-        "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
-    ) as talk:
-        talk.send_text(studio.token)
+    with connected(session) as talk:
         yield Page(talk, folder)
 
 

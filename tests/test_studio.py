@@ -6,9 +6,11 @@ import inspect
 import json
 import math
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
@@ -73,14 +75,21 @@ def talked(socket, **message) -> tuple[dict, dict]:
             return head, curves
 
 
-def answered(session: Session, verb: str, **given) -> tuple[dict, dict]:
-    """Return the answer to one request of a page that a session serves."""
+@contextmanager
+def connected(session: Session) -> Iterator[Any]:
+    """Provide the socket of a page that a session serves."""
     studio = Studio(lambda: session, hosts=["127.0.0.1:8000"])
     page = TestClient(application(studio), base_url=ADDRESS)
     with page.websocket_connect(
         "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
     ) as socket:
         socket.send_text(studio.token)
+        yield socket
+
+
+def answered(session: Session, verb: str, **given) -> tuple[dict, dict]:
+    """Return the answer to one request of a page that a session serves."""
+    with connected(session) as socket:
         return talked(socket, seq=1, verb=verb, **given)
 
 

@@ -24,12 +24,11 @@ from fraclink import Callback, main
 from fraclink._cli.tunings import _following
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.extend import simulated_torque
-from fraclink.lab._machine import VirtualClock
 from fraclink.lab._tune_build import _designs
 from fraclink.lab._tune_link import _fitted
 from fraclink.lab._tune_motion import random_steps
 from fraclink.lab._tune_wiring import check_wiring
-from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded
+from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded, own_clock
 
 if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -151,7 +150,7 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
         plug.bind(("127.0.0.1", 0))
         way = fl.lab.Udp("127.0.0.1", plug.getsockname()[1])
-    clock = VirtualClock(2)
+    clock = own_clock(2)
     served: list[fl.lab.ServedArm] = []
 
     def serve() -> None:

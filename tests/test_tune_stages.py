@@ -20,10 +20,7 @@ from fraclink import Callback, MotorLoop, identify_motor
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.extend import Motor, simulated_torque
 from fraclink.lab import SimulatedArm
-from fraclink.lab._tune_link import (
-    motor_again,
-    tune_link,
-)
+from fraclink.lab._tune_link import motor_again
 from fraclink.lab._tune_motion import (
     Follower,
     calm,
@@ -31,7 +28,6 @@ from fraclink.lab._tune_motion import (
     follow,
     motor_law,
 )
-from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_wiring import check_wiring
 from shared_data import shared_data
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
@@ -417,10 +413,7 @@ def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
     motors = []
     for delay in (0.0, 0.030):
         own = SimulatedArm(replace(twin, gauge_delay=delay), PERIOD, seed=3)
-        guard = guarded(own.callback)
-        wiring = check_wiring(guard, None)
-        first = tune_motor(guard, wiring)
-        link = tune_link(guard, wiring, first, 0.030)
+        _, _, _, first, link = staged(own)
         assert link.fit.passed
         assert link.fit.model.gauge_delay == pytest.approx(delay, abs=0.001)
         motors.append(link.motor)

@@ -21,6 +21,9 @@ RESOLUTION = 1e-12
 # that cancels it, a pole and the axis, two neighbours of a grid. Coefficients written
 # with ten digits place a zero as well as that.
 COINCIDENT = 1e-9
+# Rounds after which an iteration has gained every bit of a double twice over, one in a
+# round: bisection, and Newton's method at a multiple zero.
+ROUNDS = 2 * sys.float_info.mant_dig
 # e-folds after which an exponential is lost in rounding
 FOLDS = -math.log(EPSILON)
 # ln of the largest double

@@ -27,7 +27,7 @@ from fracsys._exponential import (
     count_box,
     count_strip,
 )
-from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING
+from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING, ROUNDS
 from fracsys.checks import Complex, Mask
 from fracsys.errors import NotConvergedError
 
@@ -173,7 +173,6 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
 # --- Where the zeros are: Aberth's iteration from the Newton polygon, and bisection where that is not
 # enough
 
-_ROUNDS = 120  # multiple zeros converge linearly, the distance halves in each round
 # Widest first: the twelve points that rounding leaves around a twelvefold zero fill a
 # disc of radius 0.1, and two of them alone would pass for a double zero.
 _CLUSTERS = (0.25, 0.06, 0.015, 3e-3)
@@ -233,7 +232,7 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     """
     z, fresh = _starts(sum_, height), 1
     (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         values, moduli = sum_.derivatives(z, 2)
         # At the level of rounding the quotient D/D' is noise and would throw points off
         # a multiple zero.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import FAINT, SampledLoop, as_loop
-from fracsys._precision import BLUR, COINCIDENT
+from fracsys._precision import BLUR, COINCIDENT, ROUNDS
 from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import FieldError
 
@@ -192,10 +192,6 @@ def refined(
 # --- Roots inside known brackets, many at once --------------------------------------------------------
 
 
-# bisection alone needs 53; Newton's method 4 to 6, the secant method 6 to 10
-_ROUNDS = 100
-
-
 def bracketed_roots(
     function: Callable[[Real], Real], low: ArrayLike, high: ArrayLike
 ) -> Real:
@@ -225,7 +221,7 @@ def bracketed_roots(
     size = np.abs(a) + np.abs(b)
     tolerance, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             x = b - at_b * (b - a) / (at_b - at_a)
             inside = (x >= np.minimum(a, b)) & (x <= np.maximum(a, b))
             x = np.where(inside, x, 0.5 * (a + b))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import tf2ss, zpk2sos
 
+from fracsys._precision import ROUNDS
 from fracsys._terms import Term
 from fracsys.checks import Complex, Real
 from fracsys.errors import NotConvergedError
@@ -67,7 +68,7 @@ def aberth(start: Complex, rate: Callable[[Complex], Complex]) -> Complex:
     # the starts breaks it.
     s = start * np.exp(1e-3j) + 0j
     step = np.zeros_like(s)
-    for _ in range(300):
+    for _ in range(ROUNDS):
         distance = s[:, None] - s[None, :]
         distance[distance == 0] = np.inf
         with np.errstate(all="ignore"):

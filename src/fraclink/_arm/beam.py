@@ -25,6 +25,7 @@ import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
+from fraclink._arm.rig_parts import at_least_zero, positive
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Complex, Real, checked
 
@@ -50,9 +51,6 @@ __all__ += [
 # fifth to 1e-5. Doubling the number gains nothing, since rounding limits the
 # eigenvalues to 1e-8.
 ELEMENTS = 48
-
-
-_LARGEST = 1e9
 
 # [kg] mass of the link where the rig states none: a carbon rod, 3 mm thick and 1 m long
 DEFAULT_MASS = 0.00735
@@ -93,39 +91,20 @@ class Beam:
     """
 
     length: Annotated[
-        float,
-        Between(
-            0.0,
-            _LARGEST,
-            "m",
-            low_open=True,
-            remedy="give the length of the link in metres",
-        ),
+        float, positive("m", remedy="give the length of the link in metres")
     ]
     flexural_rigidity: Annotated[
-        float,
-        Between(
-            0.0,
-            _LARGEST,
-            "N·m²",
-            low_open=True,
-            remedy="give EI, or c·L/3 from a measured stiffness",
-        ),
+        float, positive("N·m²", remedy="give EI, or c·L/3 from a measured stiffness")
     ]
     link_mass: Annotated[
-        float, Between(0.0, _LARGEST, "kg", remedy="give the mass of the link in kg")
+        float, at_least_zero("kg", remedy="give the mass of the link in kg")
     ]
     payload: Annotated[
-        float, Between(0.0, _LARGEST, "kg", remedy="give the mass at the tip in kg")
+        float, at_least_zero("kg", remedy="give the mass at the tip in kg")
     ]
     payload_inertia: Annotated[
         float,
-        Between(
-            0.0,
-            _LARGEST,
-            "kg·m²",
-            remedy="give 0 for a disk that turns freely on its pin",
-        ),
+        at_least_zero("kg·m²", remedy="give 0 for a disk that turns freely on its pin"),
     ] = 0.0
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.notch import Notch
 from fraclink._arm.reference import Path
+from fraclink._arm.rig_parts import positive
 from fraclink._files import document
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys._margins import Margins
@@ -19,8 +20,6 @@ from fracsys.checks import Between, Complex, Period, checked
 
 __all__ = ["Controller"]
 
-# larger gains and times are typing errors, and their squares must not overflow
-_LARGEST = 1e12
 
 # here and not next to the class: the classes of systems must not depend on the codec
 document("margins")(Margins)
@@ -69,7 +68,7 @@ class Controller:
     1.32488
     """
 
-    derivative_gain: Annotated[float, Between(0.0, _LARGEST, "s^β", low_open=True)]
+    derivative_gain: Annotated[float, positive("s^β")]
     derivative_order: Annotated[
         float,
         Between(

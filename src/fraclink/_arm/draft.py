@@ -37,9 +37,6 @@ _ASKED = {
     },
     "payloads": {"low": "lightest payload", "high": "heaviest payload"},
 }
-# ν shifts the poles of the closed motor loop by ν/J divided by their sum, 5 % for the
-# paper's motor: no need to ask for it.
-_NO_FRICTION = (0.0, "assumed; ν at the motor, where you know it")
 
 
 @checked
@@ -117,7 +114,10 @@ def draft_text(
     known
         numbers that are no blanks, such as "link.stiffness", with a comment on each.
     """
-    values = {"motor.viscous_friction": _NO_FRICTION} | dict(known or {})
+    # ν shifts the poles of the closed motor loop by ν/J divided by their sum, 5 % for
+    # the paper's motor: no need to ask for it.
+    friction = (0.0, "assumed; ν at the motor, where you know it")
+    values = {"motor.viscous_friction": friction, **(known or {})}
     lines = [
         "# Written by `fraclink start`. It is enough to read and fit logs; `design` needs the blanks, too.",
         f"name = {toml_value(name)}",
@@ -164,11 +164,9 @@ def _inline(channel: object) -> str:
 
 # The paper's stated and computed stiffness differ by 30 %, the calibration of a gauge
 # is off by some 20 %, and a beam rolled 15 % thicker has 1.5 times the stiffness: all
-# of these together stay below 2.
-_STIFFNESS_MOST = 2.0
-# A link mass missing from the rig lowers the frequency: by 1.55 for 60 g and a payload
-# of 10 g.
-_FREQUENCY_MOST = 1.8
+# of these together stay below a factor of 2. A link mass missing from the rig lowers
+# the frequency: by 1.55 for 60 g and a payload of 10 g.
+_MOST = 2.0
 _UNITS = {
     math.degrees(1.0): "as with an angle in degrees that is called radians",
     1000.0: "as with milli- or kilo- left out of a unit",
@@ -183,8 +181,8 @@ def doubts_of(
 
     A payload is in doubt a hundred times beyond the rig's range, a stiffness that
     differs from the rig's by more than a factor of 2, and a frequency that differs by
-    more than 1.8 from √(c/J) with the rig's own c, J = (m + 33/140 M) L², payload m and
-    link mass M.
+    as much from √(c/J) with the rig's own c, J = (m + 33/140 M) L², payload m and link
+    mass M.
 
     >>> rig = Rig.named("paper-2023")
     >>> [finding.code for finding in doubts_of(rig, LinkModel(0.0272, 10.0, order=1.92, payload=0.030))]
@@ -198,7 +196,7 @@ def doubts_of(
 def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     expected, stiffness = rig.link.stiffness, model.stiffness
     ratio = max(stiffness / expected, expected / stiffness)
-    if ratio <= _STIFFNESS_MOST:
+    if ratio <= _MOST:
         return
     # A wrong unit may add to an ordinary error: it is named within 60 % of its factor;
     # farther off it would be a guess.
@@ -210,7 +208,7 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
         "W106",
         "error",
         f"the model's stiffness is {stiffness:.4g} N·m/rad, the rig's {expected:.4g} N·m/rad{hint}",
-        {"model": stiffness, "rig": expected, "ratio": ratio, "most": _STIFFNESS_MOST},
+        {"model": stiffness, "rig": expected, "ratio": ratio, "most": _MOST},
         "check the units in [log] of the rig file, and that model and rig are of one arm",
     )
 
@@ -227,7 +225,7 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
         max(value / own, own / value) if value > 0 else math.inf
         for value in frequencies
     ]
-    if min(ratios) <= _FREQUENCY_MOST:
+    if min(ratios) <= _MOST:
         return
     yield Finding(
         "W106",
@@ -238,7 +236,7 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
             "model": frequencies[1],
             "rig": own,
             "ratio": min(ratios),
-            "most": _FREQUENCY_MOST,
+            "most": _MOST,
         },
         "check the payload of the log, the rig's length, and that model and rig are of one arm",
     )

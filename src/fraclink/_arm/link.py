@@ -64,9 +64,8 @@ STRUCTURES: dict[str, Structure] = {
         ),
     )
 }
-# The four structures of the paper, for the few places that need one of them; all other
-# code iterates over the table.
-UNDAMPED, VISCOUS, FRACTIONAL, FRACTIONAL_DAMPING, *_ = STRUCTURES
+# For the few places that need one of them; all other code iterates over the table.
+VISCOUS, FRACTIONAL = "D-IOM", "UD-FOM"
 
 
 def structure(name: str) -> Structure:

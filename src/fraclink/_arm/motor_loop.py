@@ -40,7 +40,6 @@ __all__ = [
 ]
 
 
-LONGEST_DELAY = 100  # samples; a motor loop with a longer delay is useless for an arm
 # A faster filter would ring at the Nyquist frequency for longer than the loop takes to
 # settle.
 _FASTEST_FILTER = 0.8
@@ -79,7 +78,8 @@ class MotorLoop:
     """
 
     pole: Frequency = 80.0
-    delay_samples: Annotated[int, Between(0, LONGEST_DELAY, "samples")] = 1
+    # A motor loop with a longer delay is useless for an arm.
+    delay_samples: Annotated[int, Between(0, 100, "samples")] = 1
     # Assumptions of a design, not properties of a rig.
     kind: Literal["ideal", "sampled"] = field(
         default="ideal", metadata={"stated": False}

@@ -42,7 +42,6 @@ _SHORTEST, _LARGEST = 1e-9, 1e9
 Angle = Annotated[float, Between(-_LARGEST, _LARGEST, "rad")]
 Length = Annotated[float, Between(_SHORTEST, _LARGEST, "s")]
 Start = Annotated[float, Between(0.0, _LARGEST, "s")]
-_SAME_ROW = 1e-6  # fraction of a period
 # quintic from rest to rest with continuous velocity and acceleration
 _QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 # A shift register with feedback from its last stage and from this one runs through all
@@ -252,7 +251,7 @@ class SampledReference(Reference):
         # k periods divided by the period is not always k; values on both sides of a
         # jump of the acceleration must not be mixed
         nearest = np.rint(place)
-        place = np.where(np.abs(place - nearest) < _SAME_ROW, nearest, place)
+        place = np.where(np.isclose(place, nearest, rtol=0.0), nearest, place)
         value = np.interp(place, np.arange(last + 1), self.values[order])
         return np.asarray(
             value if order == 0 else np.where((place < 0) | (place > last), 0.0, value)

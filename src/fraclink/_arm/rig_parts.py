@@ -9,6 +9,7 @@ from typing import Annotated
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import Between, Frequency, Where, checked, length
+from fracsys.checks.ranges import CHECK_UNIT
 
 __all__ = [
     "DesignDefaults",
@@ -29,14 +30,14 @@ _ANOTHER_UNIT = 100.0
 _SMALLEST, _LARGEST = 1e-15, 1e15
 
 
-def positive(unit: str = "") -> Between:
+def positive(unit: str = "", *, remedy: str = CHECK_UNIT) -> Between:
     """Return the range of a quantity that divides or is divided by others."""
-    return Between(_SMALLEST, _LARGEST, unit)
+    return Between(_SMALLEST, _LARGEST, unit, remedy=remedy)
 
 
-def at_least_zero(unit: str = "") -> Between:
+def at_least_zero(unit: str = "", *, remedy: str = CHECK_UNIT) -> Between:
     """Return the range of a quantity that may be absent."""
-    return Between(0.0, _LARGEST, unit)
+    return Between(0.0, _LARGEST, unit, remedy=remedy)
 
 
 def _limit(unit: str) -> Between:

@@ -21,7 +21,6 @@ from fracsys.checks import Real
 _SILENT = 0.01  # fraction of a period: stamps printed with few digits
 # fraction of a period: jitter that changes no parameter, see the figures above
 _TOLERATED = 0.25
-_GAP = 1.5  # periods between two stamps: a sample is missing
 # [s] no vibrating arm is sampled this slowly: milliseconds labelled as seconds
 _SLOWEST = 1.0
 
@@ -69,7 +68,7 @@ def time_base(
             remedy='state unit = "ms" for the time column',
         )
     # After the check of the unit, because gaps are counted in periods.
-    gaps = np.flatnonzero(steps > _GAP * typical)
+    gaps = np.flatnonzero(steps > _longest_step(typical))
     if gaps.size:
         finding = _gap(stamps, steps, gaps, typical, resample)
         return TimeBase(float(stamps[0]), _rounded(typical), (finding,))
@@ -143,6 +142,13 @@ def _check_order(stamps: Real, steps: Real, resample: bool) -> None:
         )
 
 
+def _longest_step(period: float) -> float:
+    """The step between two stamps beyond which a sample is missing: each of the two may
+    be off by the tolerance.
+    """
+    return (1.0 + 2.0 * _TOLERATED) * period
+
+
 def _gap(
     stamps: Real,
     steps: Real,
@@ -158,7 +164,7 @@ def _gap(
             "time",
             f"{worst * 1e3:.6g} ms between samples, first after {first:.6g} s",
             f"not uniform: {gaps.size} gaps, about {missing} samples lost at {typical * 1e3:.6g} ms",
-            allowed=f"gaps below {_GAP * typical * 1e3:.4g} ms",
+            allowed=f"gaps below {_longest_step(typical) * 1e3:.4g} ms",
             remedy="record again, read a stretch without gaps (--keep), or with resample=True (--resample)",
         )
     return Finding(
@@ -207,8 +213,7 @@ def uniform_before(stamps: Real, first: int, period: float) -> slice:
     gaps or repeated stamps.
     """
     steps = np.diff(stamps[: first + 1])
-    # Each of the two stamps may be off by the tolerance.
-    odd = np.flatnonzero(np.abs(steps - period) > 2 * _TOLERATED * period)
+    odd = np.flatnonzero(np.abs(steps - period) > _longest_step(period) - period)
     return slice(int(odd[-1]) + 1 if odd.size else 0, first)
 
 

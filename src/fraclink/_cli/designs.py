@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from fraclink._arm.reference import Length
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
 from fraclink._cli.campaigns import summary_answer
@@ -15,7 +16,6 @@ from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     LOG,
-    MOVE_TIME,
     REQUEST,
     Amplitude,
     BoxFlag,
@@ -186,7 +186,7 @@ def simulate(
     design_file: DesignFile,
     amplitude: Amplitude = None,
     move_time: Annotated[
-        float | None, MOVE_TIME, "Time of the move; default: 0.5, on the twin 1"
+        Length | None, "Time of the move; default: 0.5, on the twin 1"
     ] = None,
     reference: ReferenceFile = None,
     told: GivenPayload = 0.0,

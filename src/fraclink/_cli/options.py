@@ -15,7 +15,7 @@ from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import parse_columns
-from fraclink._arm.reference import Reference, smooth_step
+from fraclink._arm.reference import Length, Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._cli.command import Keywords
 from fraclink._design import Design
@@ -62,8 +62,7 @@ BoxFlag = Annotated[
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 # None if not given, so that it can be rejected together with an option that replaces it
 Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
-MOVE_TIME = ranges.Between(1e-9, 1e9, "s")
-MoveTime = Annotated[float | None, MOVE_TIME, "Time of the move; default: 1"]
+MoveTime = Annotated[Length | None, "Time of the move; default: 1"]
 ReferenceFile = Annotated[
     Path | None,
     "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time",

@@ -42,7 +42,6 @@ __all__ = [
 
 
 PARTS = "part-*.npz"
-CONNECT = 10  # [s] for connecting to a scheduler
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,7 @@ def cluster(scheduler: str) -> Iterator[Executor]:
     except ImportError as error:
         raise MissingExtraError("distributed", "cluster") from error
     try:
-        client = Client(scheduler, timeout=CONNECT)
+        client = Client(scheduler)
     except (OSError, ValueError) as error:
         raise FieldError(
             "scheduler",

@@ -43,7 +43,6 @@ WEAK = 0.15
 # The 99.9 % quantile of 1000 runs has no upper bound, which is reported as infinite: it
 # shows that more runs are needed.
 PROBABILITIES = (0.05, 0.5, 0.95, 0.99, 0.999)
-CONFIDENCE = 0.95
 WORST = 5
 
 
@@ -272,7 +271,7 @@ def _quantile(order: Real, probability: float) -> Quantile:
     # interpolated value would not be covered by order statistics.
     value = float(order[max(math.ceil(probability * len(order)), 1) - 1])
     test = stats.quantile_test(order, q=value, p=probability)
-    low, high = test.confidence_interval(CONFIDENCE)
+    low, high = test.confidence_interval()
     # NaN if the sample is too small for a bound
     return Quantile(
         probability,
@@ -284,7 +283,7 @@ def _quantile(order: Real, probability: float) -> Quantile:
 
 def _failure(count: int, runs: int) -> Failure:
     """The failure rate with the interval of Clopper and Pearson (1934)."""
-    interval = stats.binomtest(count, runs).proportion_ci(CONFIDENCE)
+    interval = stats.binomtest(count, runs).proportion_ci()
     return Failure(count, runs, count / runs, float(interval.low), float(interval.high))
 
 

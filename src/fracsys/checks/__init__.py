@@ -90,9 +90,6 @@ PhaseMargin = Annotated[
 PhaseMarginDeg = Annotated[
     float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")
 ]
-LinkOrder = Annotated[
-    float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")
-]
 # Larger than any count in a file that fits into memory, and exact as a double.
 Count = Annotated[int, Between(1, 10**9)]
 # the range of NumPy's generators
