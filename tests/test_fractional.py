@@ -255,6 +255,13 @@ def test_a_multiple_of_the_denominator_is_a_number_a_power_and_a_delay() -> None
     assert (s**1.3 + 2 * s**0.5 + 7) / D != 1
 
 
+def test_a_function_is_no_exponent() -> None:
+    with pytest.raises(TypeError, match="unsupported operand"):
+        s**s
+    with pytest.raises(TypeError, match="unsupported operand"):
+        2 ** (1 / (s + 1))  # type: ignore[operator]
+
+
 def test_the_sign_and_the_operand_of_feedback() -> None:
     G, H = 2 / (s + 1), 3 / (s + 4)
     assert G.feedback(H) == 2 * (s + 4) / ((s + 1) * (s + 4) + 6)

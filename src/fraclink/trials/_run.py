@@ -94,17 +94,18 @@ def run_campaign(
         died (finished parts are kept); the script has no such line.
     """
     place = checked_path("folder", folder)
-    _claim(campaign, place)
-    # Read in full and compared with its digests instead of only checked for existence:
-    # a file damaged by an interruption or an editor would otherwise be used.
-    missing = [
-        part
-        for part in range(campaign.parts)
-        if read_part(campaign, place, part) is None
-    ]
-    before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
-    progress = Progress(before, before, campaign.runs)
     try:
+        _claim(campaign, place)
+        # Read in full and compared with its digests instead of only checked for
+        # existence: a file damaged by an interruption or an editor would otherwise be
+        # used.
+        missing = [
+            part
+            for part in range(campaign.parts)
+            if read_part(campaign, place, part) is None
+        ]
+        before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
+        progress = Progress(before, before, campaign.runs)
         # Closed in any case: an exception in `watch` must not leave processes behind.
         with closing(_computed(place, missing, workers, scheduler)) as finished:
             for part, failures in finished:
@@ -120,8 +121,8 @@ def run_campaign(
             "out",
             str(place),
             f"not writable ({error.strerror or error})",
-            allowed="a folder with space left",
-            remedy="finished parts are kept: make room and give the same command again",
+            allowed="a folder that can be written, with space left",
+            remedy="finished parts are kept: make room and give the same command again, or choose another folder",
         ) from error
     return progress
 
@@ -144,16 +145,7 @@ def _claim(campaign: Campaign, place: Path) -> None:
         # the file keeps the longer one.
         if owner.runs >= campaign.runs:
             return
-    try:
-        save(campaign, place / FILE, force=True)
-    except OSError as error:
-        raise FieldError(
-            "out",
-            str(place),
-            f"not writable ({error.strerror or error})",
-            allowed="a folder that can be written",
-            remedy="choose another folder",
-        ) from error
+    save(campaign, place / FILE, force=True)
 
 
 def compute(folder: str, part: int) -> tuple[int, int]:

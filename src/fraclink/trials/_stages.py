@@ -27,7 +27,7 @@ from fraclink.trials._campaign import PART_RUNS, Campaign
 from fraclink.trials._run import run_campaign
 from fraclink.trials._study import Refusal, Study, save_study
 from fraclink.trials._summary import summarise
-from fracsys.checks import Between, Seed, checked
+from fracsys.checks import Between, Seed, checked, checked_choice
 
 __all__ = [
     "designed",
@@ -94,14 +94,8 @@ def run(
     >>> [f"{1e3 * move.payload:g} g" for move in study.runs], study.verdict.model.state, study.verdict.state
     (['20 g', '30 g', '40 g'], 'passed', 'not run')
     """
-    if structure is not None and structure not in STRUCTURES:
-        raise FieldError(
-            "structure",
-            structure,
-            "unknown",
-            allowed=", ".join(STRUCTURES),
-            remedy="choose one of these",
-        )
+    if structure is not None:
+        checked_choice("structure", structure, STRUCTURES)
     begin("examining the log")
     study = examined(rig, log)
     # Kept where they are computed: an interrupted campaign of a million arms continues
