@@ -16,13 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import zeta
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
 from fraclink._arm.motor_loop import MotorLoop
 from fracsys.checks import Complex, Real
 
-__all__ = ["SampledPlant", "sampled_plant", "tail_sum"]
+__all__ = ["SampledPlant", "sampled_plant"]
 
 
 # aliases summed one by one on either side; the rest, 1e-7 of the sum, is summed in
@@ -31,31 +32,6 @@ _TERMS = 12
 # where there is no closed form for the rest: F/s falls like s^-3, and 3e-9 of the sum
 # is left out
 _UNSUMMED = 60
-
-
-def tail_sum(exponent: float, start: Real | float) -> Real:
-    """Return ``Σ_{k>=0} (k + start)^(-exponent)`` by Euler–Maclaurin, for exponent > 1
-    and start >= 8.
-
-    The first term left out is 2e-9 of the sum at exponent 2 and start 8, and 5e-8 at
-    exponent 5 and start 10.
-
-    >>> round(float(tail_sum(2.0, 10.0)), 9)
-    0.105166336
-    """
-    a, q = np.asarray(start, dtype=float), exponent
-    third = q * (q + 1.0) * (q + 2.0)
-    fifth = third * (q + 3.0) * (q + 4.0)
-    # Euler-Maclaurin formula: the integral, half of the first term, and B₂ₖ/(2k)! times
-    # the odd derivatives.
-    series = (
-        a / (q - 1.0)
-        + 0.5
-        + q / (12.0 * a)
-        - third / (720.0 * a**3)
-        + fifth / (30240.0 * a**5)
-    )
-    return np.asarray(a ** (-q) * series)
 
 
 @dataclass(frozen=True)
@@ -119,8 +95,8 @@ class SampledPlant:
         """
         q = self.decay
         turn = np.exp(-0.5j * math.pi * q)
-        above = tail_sum(q, _TERMS + 1.0 + w / rate)
-        below = tail_sum(q, _TERMS + 1.0 - w / rate)
+        above = zeta(q, _TERMS + 1.0 + w / rate)
+        below = zeta(q, _TERMS + 1.0 - w / rate)
         return np.asarray(rate**-q * (turn * above + np.conj(turn) * below))
 
 
