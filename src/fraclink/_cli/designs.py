@@ -237,9 +237,10 @@ def simulate(
     )
     move.save(place)
     passed = move.verdict.passed
-    step = f"simulate {design_file} --payload {mass:g} --on twin"
-    if twin:
-        step = f"{'certify' if passed else 'assess'} {design_file}"
+    # A move that fails on the model needs no twin.
+    step = f"{'certify' if passed else 'assess'} {design_file}"
+    if passed and not twin:
+        step = f"simulate {design_file} --payload {mass:g} --on twin"
     return Answer(
         move,
         passed,

@@ -91,10 +91,10 @@ def _agree(rig: Rig, model: LinkModel) -> None:
     if abs(model.natural_frequency / frequency - 1.0) > SAME_ARM:
         raise FieldError(
             "model.natural_frequency",
-            model.natural_frequency,
+            float(f"{model.natural_frequency:.4g}"),
             f"contradicting stiffness, length and payload, which make {frequency:.4g}",
-            allowed=f"within {100 * SAME_ARM:g} % of eq. (5)",
-            remedy="correct the rig, or give damping= and the beam yourself",
+            allowed=f"within {100 * SAME_ARM:g} % of that",
+            remedy="correct these in the rig; in Python, damping= and a beam may be given instead",
         )
 
 
