@@ -92,6 +92,19 @@ def test_a_drawing_brings_the_colours_of_both_themes(results: dict[str, Any]) ->
     assert "var(" not in style
 
 
+def test_a_certificate_and_its_statement_show_what_was_proved(
+    results: dict[str, Any],
+) -> None:
+    certificate: Any = fl.certify(results["Design"], modulus_margin=0.3)
+    assert results["Certificate"]._repr_svg_() is None
+    drawing = certificate._repr_svg_()
+    assert "phase margin" in drawing and "gain margin" in drawing
+    statement = certificate.statement
+    assert repr(statement).startswith("Statement(proved stable for every payload")
+    assert "computation delay" in statement._repr_html_()
+    assert statement.clearance in statement.sentence
+
+
 def test_what_a_certificate_says_is_never_more_than_it_proves(
     results: dict[str, Any],
 ) -> None:

@@ -102,6 +102,7 @@ COMPLIANCE_TOLERANCE = 1e-6
 _LOWEST, _SLOWEST = 2.0**-20 * math.pi, 0.05
 
 
+@displayed
 @dataclass(frozen=True)
 class Statement:
     """The claim: everywhere in a box of parameters the sampled loop is stable and |1 +
@@ -163,11 +164,11 @@ class Statement:
     coupling: float  # 1/(K n), the compensation of the coupling torque [V/(N·m)]
 
     @property
-    def sentence(self) -> str:
-        """What is claimed, in units that a person reads.
+    def clearance(self) -> str:
+        """The distance to −1, and the margins that it leaves.
 
         |1 + L| > m leaves a phase margin above 2 asin(m/2) and a gain margin above
-        1/(1 − m); the arms of `intervals` lie inside the claim.
+        1/(1 − m).
         """
         # Rounded downwards: rounding up would claim more than is proved.
         modulus = math.floor(1e3 * self.modulus + 1e-9) / 1e3
@@ -176,12 +177,25 @@ class Statement:
             math.floor(100.0 / (1.0 - modulus)) / 100.0 if modulus < 1.0 else math.inf
         )
         return (
-            f"proved stable for every payload from {span(self.payload_low, self.payload_high, 'g')}, "
-            f"every computation delay from {span(self.delay_low, self.delay_high, 'ms')} and "
-            f"every arm of the stated box; distance to −1 above {number(modulus)}, which is at "
-            f"least {math.floor(10.0 * angle) / 10.0:.1f}° of phase margin and a gain margin of "
+            f"distance to −1 above {number(modulus)}, which is at least "
+            f"{math.floor(10.0 * angle) / 10.0:.1f}° of phase margin and a gain margin of "
             f"{number(factor)}"
         )
+
+    @property
+    def sentence(self) -> str:
+        """What is claimed, in units that a person reads; the arms of `intervals` lie
+        inside the claim.
+        """
+        return (
+            f"proved stable for every payload from {span(self.payload_low, self.payload_high, 'g')}, "
+            f"every computation delay from {span(self.delay_low, self.delay_high, 'ms')} and "
+            f"every arm of the stated box; {self.clearance}"
+        )
+
+    def overview(self) -> Overview:
+        """What is claimed, and about which arms."""
+        return Overview(self.sentence, "", (), (self.intervals,))
 
     @property
     def intervals(self) -> Table:

@@ -4,6 +4,7 @@ phase budget.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fraclink._arm.box import ParameterBox, arms_of
+from fraclink._certify.statement import Certificate
 from fraclink._design import Design
 from fraclink._design.assess import (
     FeasibilityMap,
@@ -31,7 +33,6 @@ from fraclink.view._marks import (
     Curve,
     Mark,
     Point,
-    Upright,
     Zone,
 )
 from fraclink.view._pages import LINES
@@ -130,15 +131,9 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     proved: its radius if a certificate states one, min |1 + L| over all payloads of the
     range.
     """
-    turn = np.exp(1j * np.linspace(0, 2 * math.pi, 181))
     payloads = payloads_of(design)
     clear = proved or min(design.at(m).modulus_margin for m in payloads)
-    disk = -1 + clear * turn
-    marks: list[Mark] = [
-        Curve(disk.real, disk.imag, 2, weight="fill"),
-        Curve(disk.real, disk.imag, 0, dashed=True),
-        Curve(turn.real, turn.imag, 0, weight="thin"),
-    ]
+    marks: list[Mark] = []
     for line, payload in zip(LINES, payloads, strict=False):
         w0 = design.natural_frequency(payload)
         value = loop_response(design, payload, planar=True).values
@@ -150,11 +145,42 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
             at = complex(design.loop(np.array([crossing.frequency]), w0)[0])
             if min(at.real, at.imag) > _REACH[0] and max(at.real, at.imag) < _REACH[1]:
                 marks.append(Point(at.real, at.imag, line=line))
-    marks.append(Point(-1.0, 0.0, "−1", sign="cross"))
-    square = Scale(*_REACH)
-    panel = Panel("imaginary part of L", marks, 340.0, square)
     word = "proved" if proved else "worst"
     description = f"Nyquist curve around −1; {word} distance {number(clear, 3)}"
+    return _around_critical(description, clear, marks)
+
+
+@figure_of.register
+def certificate_figure(certificate: Certificate) -> Figure | None:
+    """Draw the disk around −1 that the loop of every proved arm avoids, and the margins
+    that this leaves on the unit circle and on the real axis; None where nothing was
+    proved.
+    """
+    if not certificate.passed:
+        return None
+    modulus = certificate.statement.modulus
+    turn = cmath.exp(1j * (math.pi - 2.0 * math.asin(min(1.0, 0.5 * modulus))))
+    marks: list[Mark] = [
+        Curve([0.0, turn.real], [0.0, -turn.imag], 1),
+        Point(turn.real, -turn.imag, "phase margin", 1, beside="right"),
+        Point(modulus - 1.0, 0.0, "1/gain margin", 1, beside="right"),
+    ]
+    return _around_critical(certificate.sentence, modulus, marks)
+
+
+def _around_critical(description: str, radius: float, marks: list[Mark]) -> Figure:
+    """The complex plane around −1, with a disk about it and the unit circle."""
+    turn = np.exp(1j * np.linspace(0, 2 * math.pi, 181))
+    disk = -1 + radius * turn
+    marks = [
+        Curve(disk.real, disk.imag, 2, weight="fill"),
+        Curve(disk.real, disk.imag, 0, dashed=True),
+        Curve(turn.real, turn.imag, 0, weight="thin"),
+        *marks,
+        Point(-1.0, 0.0, "−1", sign="cross"),
+    ]
+    square = Scale(*_REACH)
+    panel = Panel("imaginary part of L", marks, 340.0, square)
     name = "real part of L"
     return Figure("nyquist", description, (panel,), name, scale=square, rigid=True)
 
@@ -287,9 +313,6 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
     )
 
 
-_SETTLING = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
-
-
 @figure_of.register
 def map_figure(
     region: FeasibilityMap,
@@ -317,12 +340,6 @@ def map_figure(
         max([y[-1], *(math.degrees(p[1]) + 5 for p in places)]),
     )
     marks: list[Mark] = []
-    for settling in _SETTLING:
-        # A crossover ω_c corresponds to a settling time of about 2π/ω_c, which
-        # practitioners find easier to read.
-        w = 2 * math.pi / settling
-        if sx.low < w < sx.high:
-            marks.append(Upright(w, f"{settling:g} s"))
     if request is not None:
         marks.append(
             Point(request[0], math.degrees(request[1]), "requested", sign="cross")
@@ -339,8 +356,10 @@ def map_figure(
     marks = [Cells(x, y, table), *edge, *marks]
     panel = Panel("phase margin at the lightest payload [°]", marks, 330.0, sy)
     key = ("noise gain", *_ranges(levels))
-    description = f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}; upright: 2π/ω_c"
-    name = "gain crossover at the heaviest payload [rad/s]; upright: 2π/ω_c"
+    description = (
+        f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}"
+    )
+    name = "gain crossover at the heaviest payload [rad/s]"
     return Figure("map", description, (panel,), name, "map", sx, key=key)
 
 
