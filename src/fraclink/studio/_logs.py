@@ -18,7 +18,6 @@ from fraclink._arm.link import STRUCTURES
 from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._display import number
-from fraclink._files import sha256_of
 from fraclink._identify import Fit
 from fraclink._identify.error_map import error_map
 from fraclink._identify.welch import welch_response
@@ -32,55 +31,23 @@ from fraclink._reading.reading import (
 )
 from fraclink.errors import FieldError, LogError, required
 from fraclink.logs import match
-from fraclink.studio._messages import Reply
+from fraclink.studio._messages import Reply, held
 from fraclink.studio._session import Session, bare
 from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
 from fraclink.view._figures import residual_density
+from fraclink.view._scales import envelope
 from fraclink.view._text import grid_of
 from fracsys.checks import Complex, Real
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
-_POINTS = 2400  # points of a curve over time: two for each pixel of a wide screen
-_SPARKS = 240
-_TEXTS = 16  # statements of columns
 
-
-def thinned(values: Real, points: int = _POINTS) -> Real:
-    """Return at most `points` of a signal, the extremes of each stretch, so that no
-    spike is lost.
-
-    >>> thinned(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, -9.0, 0.0]), 4).tolist()
-    [0.0, 9.0, 0.0, -9.0]
+def thinned(values: Real) -> Real:
+    """Return a signal thinned to the extremes of its stretches, which the page draws at
+    equal distances.
     """
-    if values.size <= points:
-        return values
-    # Two points per stretch, the smallest and the largest value in their order: a
-    # picture of that many pixels shows no more.
-    size = -(-values.size // (points // 2))
-    # Padded with the last value, which adds no extreme.
-    padded = np.concatenate([values, np.full(-values.size % size, values[-1])]).reshape(
-        -1, size
-    )
-    low, high = np.argmin(padded, axis=1), np.argmax(padded, axis=1)
-    rows = np.arange(padded.shape[0])
-    first, second = np.minimum(low, high), np.maximum(low, high)
-    return np.stack([padded[rows, first], padded[rows, second]], axis=1).ravel()
-
-
-def _finite(values: Real) -> Real:
-    """The signal with gaps replaced by the previous value, since a picture cannot show
-    NaN.
-    """
-    # Loggers write values such as 1e38 for missing ones; as float32 these are nearly
-    # infinite.
-    good = np.isfinite(values) & (np.abs(values) < 1e30)
-    if not good.any():
-        return np.zeros_like(values)
-    last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
-    signal = np.where(good, values, 0.0)[last]
-    return np.asarray(signal)
+    return envelope(values, values)[1]
 
 
 def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -113,7 +80,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     listing = inspect_log(session.source)
     table = read_table(session.source)
     curves = {
-        f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS)
+        f"spark{k}": thinned(_scaled(held(values)))
         for k, values in enumerate(table.values)
     }
     # A listing only suggests roles; the user corrects a wrong guess by dragging.
@@ -123,7 +90,6 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     channels = listing.channels
     samples = channels[0].samples if channels else 0
     head["log"] = {
-        "name": listing.path,
         "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, {samples} samples.",
         "channels": [
             {
@@ -133,8 +99,6 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
             }
             for entry in channels
         ],
-        "notes": listing.notes,
-        "sha256": sha256_of(session.source),
     }
     head["guesses"] = guessed.guesses
     head["roles"] = {
@@ -171,16 +135,12 @@ def _scaled(values: Real) -> Real:
 def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     """Read the log with the columns that the page states, and examine it."""
     texts, payload = given.get("columns", []), given.get("payload")
-    if (
-        not isinstance(texts, list)
-        or len(texts) > _TEXTS
-        or not all(isinstance(t, str) for t in texts)
-    ):
+    if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
         raise FieldError(
             "columns",
             str(texts)[:80],
             "not statements",
-            allowed=f"at most {_TEXTS} texts",
+            allowed="texts",
             remedy="state a column as motor_angle=theta [deg]",
         )
     source = required(

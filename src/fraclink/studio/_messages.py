@@ -21,13 +21,14 @@ from fraclink._design import Specification
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.studio._protocol import LONGEST
 from fraclink.view._text import plain
-from fracsys.checks import PhaseMarginDeg, rule
+from fracsys.checks import PhaseMarginDeg, Real, rule
 
 __all__ = [
     "NAMES",
     "Message",
     "Reply",
     "checked_request",
+    "held",
     "parsed",
     "refusal",
     "wanted_of",
@@ -78,6 +79,21 @@ class Reply:
             + text
             + b"".join(array.tobytes() for array in arrays.values())
         )
+
+
+def held(values: Real, most: float = 1e30) -> Real:
+    """Return a signal with each value that a picture cannot show, NaN or beyond `most`,
+    replaced by the one before it.
+
+    Loggers write values such as 1e38 for missing ones; as float32 these are nearly
+    infinite.
+
+    >>> held(np.array([np.nan, 1.0, np.inf, 2.0])).tolist()
+    [0.0, 1.0, 1.0, 2.0]
+    """
+    good = np.isfinite(values) & (np.abs(values) < most)
+    last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
+    return np.asarray(np.where(good, values, 0.0)[last])
 
 
 def _no_constant(name: str) -> float:

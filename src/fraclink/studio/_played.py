@@ -12,9 +12,8 @@ import numpy as np
 
 from fraclink._arm.reference import smooth_step
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin, simulate
-from fraclink._simulate.events import Event
 from fraclink.errors import FieldError
-from fraclink.studio._messages import Reply
+from fraclink.studio._messages import Reply, held
 from fraclink.studio._session import Session
 from fraclink.trials._fault_trial import Bench, Case
 from fraclink.trials._faults import fault_named, observe
@@ -59,9 +58,9 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
 
 def _events(
     given: Mapping[str, Any], angle: Callable[[Any], Any]
-) -> tuple[list[Event], str]:
+) -> tuple[list[Obstacle | PayloadChange], str]:
     hold, throw = given.get("hold"), given.get("throw")
-    events: list[Event] = []
+    events: list[Obstacle | PayloadChange] = []
     sentences = []
     if isinstance(hold, Mapping):
         begin, until, place = (
@@ -114,18 +113,16 @@ def _reply(said: str, run: Run, move: float) -> Reply:
     """The run, with non-finite values, such as readings changed by a fault, replaced by
     the previous value.
     """
-    clean = {}
     curves = {
         "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
         "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
     }  # fmt: skip
-    for name, values in curves.items():
-        numbers = np.asarray(values, dtype=float).copy()
-        good = np.isfinite(numbers) & (np.abs(numbers) < 1e6)
-        # A non-finite value is a reading changed by the fault; the law held the
-        # previous value, and so does the picture.
-        last = np.maximum.accumulate(np.where(good, np.arange(numbers.size), 0))
-        clean[name] = np.where(good, numbers, 0.0)[last]
+    # A value that is not finite is a reading changed by the fault; the law held the
+    # previous one, and so does the picture.
+    clean = {
+        name: held(np.asarray(values, dtype=float), 1e6)
+        for name, values in curves.items()
+    }
     head = {"ok": True, "said": said, "payload": run.payload, "move": move}
     return Reply(head, clean)
 

@@ -25,7 +25,6 @@ __all__ = ["serve"]
 _HOST = "127.0.0.1"
 _ALONE = 600.0  # [s] without a page, after which the studio ends
 _LOOK = 0.5  # [s] between two checks
-_PING = 20.0  # [s]
 
 
 def serve(
@@ -69,7 +68,6 @@ def serve(
         # At most four bytes per character (UTF-8): longer than any request accepted by
         # `parsed`.
         ws_max_size=4 * LONGEST,
-        ws_ping_interval=_PING,
         ws_per_message_deflate=False,  # 14 kB per drag that never leave the machine
         h11_max_incomplete_event_size=LONGEST,
         lifespan="off",

@@ -46,7 +46,6 @@ SHOWN = {
     "peak_voltage": "largest voltage",
     "motor_reference_noise": "reference noise",
 }
-_BINS = 40
 # cells in each direction for many runs; for few runs, a cell still contains twice
 # `_FEWEST` on average
 _MOST_CELLS = 14
@@ -76,7 +75,7 @@ def _histogram(name: str, unit: str, column: Real) -> Figure:
     top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
     top = top if top > low else low + 1.0
     heights, edges = np.histogram(
-        np.clip(finite, low, top), bins=_BINS, range=(low, top)
+        np.clip(finite, low, top), bins="sqrt", range=(low, top)
     )
     marks: list[Mark] = [Bars(edges, heights)]
     end = top

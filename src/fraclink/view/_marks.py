@@ -40,8 +40,6 @@ ACROSS, DOWN = (
     4000,
     2000,
 )
-# fraction of the width: labels of points farther to the right stand on their left
-_ASIDE = 0.55
 
 
 def escaped(text: object) -> str:
@@ -337,7 +335,7 @@ class Upright:
         left = (
             self.left
             if self.left is not None
-            else float(frame.x.share(self.value)) > _ASIDE
+            else float(frame.x.share(self.value)) > 0.5
         )
         x, bottom = frame.across(self.value), frame.top + frame.height
         line = f'<line class="limit" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'
@@ -368,7 +366,7 @@ class Point:
         }
         # The width of a text is unknown, since the reader chooses the typeface: the
         # side with more room rarely makes it run out of the drawing.
-        roomy = float(frame.x.share(self.x)) > _ASIDE
+        roomy = float(frame.x.share(self.x)) > 0.5
         left = self.beside == "left" or (not self.beside and roomy)
         side = 'text-anchor="end" x="-9"' if left else 'x="9"'
         text = (

@@ -17,7 +17,7 @@ from fraclink.view._loops import budget_figure, margin_curves_figure
 from fraclink.view._marks import Bars, Curve, Mark, Upright
 from fraclink.view._matplotlib import on_axes
 from fraclink.view._responses import line_of, named
-from fraclink.view._scales import Scale
+from fraclink.view._scales import POINTS, Scale
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
 from fracsys._response import step_response
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["latency", "margins_against_payload", "phase_shares", "step_plot"]
 
-_POINTS = 1000
 _TIMES = 8.0  # time constants of the slowest pole, after which 3e-4 is left
 
 
@@ -73,7 +72,7 @@ def step_plot(
             allowed="> 0 s",
             remedy="give the seconds to show",
         )
-    time = np.linspace(0.0, duration, _POINTS)
+    time = np.linspace(0.0, duration, POINTS)
     curves = [
         Curve(time, step_response(system, time).output, line_of(k), name)
         for k, (system, name) in enumerate(zip(systems, names, strict=True))

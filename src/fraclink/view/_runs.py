@@ -25,7 +25,6 @@ from fraclink.view._text import grams
 
 __all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
 
-
 _BAND = 0.02  # share of the move that counts as settled
 
 

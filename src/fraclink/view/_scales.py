@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink._display import number
 from fracsys.checks import Real
 
-__all__ = ["Scale", "envelope", "nice_ticks"]
+__all__ = ["POINTS", "Scale", "envelope", "nice_ticks"]
 
 
-_POINTS = 900  # a line gets twice this many points; the page shows about 800 dots
+POINTS = 900  # a line gets twice this many points; the page shows about 800 dots
 
 
 def envelope(
-    time: NDArray[Any], values: NDArray[Any], points: int = _POINTS
+    time: NDArray[Any], values: NDArray[Any], points: int = POINTS
 ) -> tuple[Real, Real]:
     """Return a record thinned to its smallest and largest value in each of `points`
     stretches.
