@@ -37,7 +37,7 @@ function layArm() {
   const room = W / (beside ? 4 : 2) - margin, high = 0.38 * innerHeight - margin;
   const L = Math.max(60, round ? Math.min(room, high / 2 - 12) : Math.min(room / Math.max(Math.sin(reach), 0.62), high - foot));
   const H = Math.round(round ? 2 * (L + margin) : L + margin + foot), cy = round ? H / 2 : H - foot;
-  Object.assign(arm, {W, H, L, middle, round, thick: narrow ? 8 : 11});
+  Object.assign(arm, {W, H, L, middle, round, beside, thick: narrow ? 8 : 11});
   set(arm.svg, {viewBox: `0 0 ${W} ${H}`, height: H});
   arm.svg.replaceChildren();
   arm.pair = all.map((law, i) => layOne(law, i, beside ? (W * (1 + 2 * i)) / 4 : W / 2, cy, beside || !i));
@@ -110,7 +110,9 @@ function drawScale() {
   const wide = (unit / DATA.length) * arm.L, y = arm.H - 14;
   el('path', {class: 'scale', d: `M14 ${y - 4}V${y}H${px(14 + wide)}V${y - 4}`}, g);
   el('text', {x: px(14 + wide / 2), y: y - 6, 'text-anchor': 'middle'}, g, `${unit} m`);
-  el('text', {x: arm.W - 6, y, 'text-anchor': 'end'}, g, arm.W < 900 ? 'bow drawn ×2' : 'bow drawn twice as deep');
+  // between two hubs, or on the right of the only one
+  const place = arm.beside ? {x: arm.W / 2, 'text-anchor': 'middle'} : {x: arm.W - 6, 'text-anchor': 'end'};
+  el('text', {y, ...place}, g, arm.W < 900 ? 'bow drawn ×2' : 'bow drawn twice as deep');
 }
 
 function drawHub(one) {

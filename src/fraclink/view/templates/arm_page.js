@@ -52,8 +52,8 @@ function say() {
   } else if (o.worst < 3) {
     if (Number.isNaN(o.settles)) text += `The tip does not come to rest within 2 % in ${fixed(DATA.half, 1)} s.`;
     else {
-      text += `Settled after ${o.settles.toFixed(2)} s (within 2 %), overshoot ${fixed(100 * o.overshoot, 1)} %`;
-      text += Number.isNaN(o.returns) ? '; it does not settle after the move back.' : `, back after ${o.returns.toFixed(2)} s.`;
+      text += `Settled after ${o.settles.toFixed(2)} s (within 2 %) with ${fixed(100 * o.overshoot, 1)} % overshoot`;
+      text += Number.isNaN(o.returns) ? '; it does not settle after the move back.' : `, on the way back after ${o.returns.toFixed(2)} s.`;
     }
   }
   if ('reversed' in state.faults && o.worst <= 1) {
