@@ -317,9 +317,11 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         assert after == {**before, "gain_crossover": after["gain_crossover"]} != before
         page.run("document.querySelector('.thumb .chip').click()")
         page.until(
-            "document.querySelectorAll('.curve.other').length === 4",
-            "a state over this one",
+            "document.querySelectorAll('.curve.other').length === 7",
+            "a state over this one: its loop, S and T, its margins and its move",
         )
+        sensitivity_of_the_loop(page)
+        zoomed(page)
         assert "B" in page.run("document.querySelector('#compared thead').textContent")
         page.run("document.querySelector('#fan').click()")
         page.until(
@@ -379,6 +381,32 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c
     ]
     assert complaints == []
+
+
+def sensitivity_of_the_loop(page: Page) -> None:
+    """|S| and |T| are those of the loop that is drawn beside them."""
+    shown = page.run(
+        "import('/studio.js').then(({design}) => ['gain', 'phase', 'S', 'T'].map("
+        "(name) => Array.from(design[name].curves.get('light').ys)))"
+    )
+    gain, phase, s, t = (np.array(values) for values in shown)
+    loop = 10.0 ** (gain / 20.0) * np.exp(1j * np.radians(phase))
+    assert np.allclose(s, -20.0 * np.log10(np.abs(1.0 + loop)), atol=1e-3)
+    assert np.allclose(t - s, gain, atol=1e-3)
+
+
+def zoomed(page: Page) -> None:
+    """Plus narrows the axis of a plot and of those over the same one, zero restores it."""
+    ends = (
+        "import('/studio.js').then(({design}) => ['gain', 'S', 'nichols'].map("
+        "(name) => design[name].x.high / design[name].x.low))"
+    )
+    gain, sensitivity, nichols = page.run(ends)
+    page.run("document.querySelector('#h-crossover').focus()")
+    page.key("+")
+    page.until(lambda: page.run(ends) == pytest.approx([gain**0.5] * 2 + [nichols]))
+    page.key("0")
+    page.until(lambda: page.run(ends) == pytest.approx([gain, sensitivity, nichols]))
 
 
 def _loses_the_payload(page: Page) -> bool:

@@ -32,17 +32,9 @@ _WAITING = 64
 
 
 def _note(session: Session, given: Mapping[str, Any]) -> Reply:
-    from_page = given.get("state")
-    if not isinstance(from_page, dict):
-        raise FieldError(
-            "state",
-            from_page,
-            "not an object",
-            allowed="a state",
-            remedy="send the state",
-        )
-    checked_request(from_page)
-    session.history.add(from_page)
+    request: Any = given.get("state")
+    checked_request(request)
+    session.history.add(request)
     return Reply(
         {"ok": True, "at": session.history.at, "states": len(session.history.states)}
     )
@@ -73,7 +65,6 @@ def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
         "kept": sorted(history.kept),
         **(session.subject.axes() if session.subject else {}),
         **session.overview(),
-        **session.arm(given.get("arm", "")),
     }
     return Reply(head)
 

@@ -182,7 +182,7 @@ def _checked(name: str, bounds: Between, value: object) -> Any:
 _PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
 # relative to the design's payloads; periods beyond the delay
 _LIGHTER, _HEAVIER, _LATER = (0.5, 1.5, 6)
-_POINTS = 400  # points of a curve
+_POINTS = 1200  # of a curve: twenty within the resonance of the least damped link drawn
 _UNSTABLE = 1.0
 _ARMS, _FAILED = 24, 12  # moves that are drawn, and how many of failing arms: 4 ms each
 _SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods per point: one pixel

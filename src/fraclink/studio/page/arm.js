@@ -1,4 +1,3 @@
-// @ts-check
 // The arm of the shared page, given a new law at every drag.
 import {startArm} from './arm_box.js';
 import {$, on, put, say} from './dom.js';
@@ -27,9 +26,8 @@ export class Arm {
   rebuild(text) {
     this.moving?.stop();
     say('arm-data', text);
-    const template = /** @type {HTMLTemplateElement} */ ($('arm-template'));
     document.querySelector('.armbox')?.remove();
-    this.box = /** @type {HTMLElement} */ (/** @type {any} */ (template.content.cloneNode(true)).querySelector('.armbox'));
+    this.box = $('arm-template').content.cloneNode(true).querySelector('.armbox');
     $('arm-design').append(this.box);
     this.moving = startArm();
     this.move(this.app.step);
@@ -87,5 +85,5 @@ export class Arm {
       timer = 0;
     }, true);
   }
-  runs(masses) { return this.moving ? this.moving.runs(masses) : null; }
+  runs(masses, blocks) { return this.moving ? this.moving.runs(masses, blocks) : null; }
 }

@@ -1,11 +1,10 @@
-// @ts-check
 // Around the loop: the map of feasible requests, and states compared with one another.
 import {Plot, digits, el, ends, limited, line, plain} from './plot.js';
 import {$, make, button, emptied, on, put, table} from './dom.js';
 
 export class Around {
   constructor(app, design) {
-    Object.assign(this, {app, design, of: '', pictures: new Map(), pinned: ''});
+    Object.assign(this, {app, design, of: '', pictures: new Map(), pinned: new Map()});
     this.map = new Plot('p-map');
     this.both = (x, y) => { design.set('gain_crossover', digits(x, 3)); design.set('phase_margin_deg', Math.round(y)); };
     this.map.painted(app.hand, (from, to) => this.both(...to));
@@ -40,25 +39,33 @@ export class Around {
       const go = button('', '', item, () => this.app.go(k), `Go to state ${k + 1}: ${this.words(state)}${kept}`), key = JSON.stringify(state);
       const path = el('path', {}, el('svg', {viewBox: '0 0 64 40', 'aria-hidden': 'true'}, go));
       make('small', '', `${kept ? '★ ' : ''}${this.words(state)}`, go);
-      put(button('B', 'chip', item, () => this.pin(key === this.pinned ? '' : key, state), `Overlay state ${k + 1} on this design`), {'aria-pressed': key === this.pinned});
+      const letter = this.others().find((other) => other.key === key)?.letter;
+      put(button(letter || '+', 'chip', item, () => this.pin(key, state), `Overlay state ${k + 1} on this design`), {'aria-pressed': Boolean(letter)});
       this.look(state).then((seen) => {
         const c = seen.curves;
         if (c?.gain) put(path, {d: line(c.gain[1], 64, (v) => 20 - limited(v, -40, 40) / 2)});
       });
     }
   }
+  /** Overlay a state, or no longer; a third one takes the place of the first. */
   async pin(key, state) {
-    this.pinned = key;
-    this.other = key ? await this.look(state) : null;
+    const {pinned} = this;
+    if (!pinned.delete(key)) {
+      const seen = await this.app.ask('look', {state}); // its picture may be older than the law, and then has no blocks
+      if (seen.ok) pinned.set(key, seen);
+    }
+    if (pinned.size > 2) pinned.delete(pinned.keys().next().value);
     this.strip();
     this.compare();
+    this.design.moves();
   }
+  others() { return [...this.pinned].map(([key, seen], i) => ({key, seen, letter: 'BC'[i]})); }
   compare() {
-    const {design} = this, {frequencies: w, payloads} = this.app.axes, b = this.other, a = design.last;
-    const shown = b?.ok && a, {four} = design;
-    if (!shown) { for (const plot of four) plot.remove('other'); emptied('compared'); return; }
-    const c = b.curves;
-    [[w, c.gain[1]], [w, c.phase[1]], [c.phase[1], c.gain[1]], [payloads.map((m) => 1e3 * m), c.margin[0]]].forEach(([x, y], i) => four[i].curve('other', 'other', x, y, 'B'));
-    table($('compared'), ['figure', 'A, now', 'B'], a.facts.map(([name, value], i) => [name, value, b.facts[i][1]]), 'A and B');
+    const {design} = this, a = design.last, others = a ? this.others() : [];
+    for (const letter of 'BC') {
+      const other = others.find((one) => one.letter === letter);
+      if (other) design.nominal(letter, `other ${letter}`, other.seen.curves, letter); else design.remove(letter);
+    }
+    table($('compared'), ['figure', 'A, now', ...others.map(({letter}) => letter)], others.length && a.facts.map(([name, value], i) => [name, value, ...others.map(({seen}) => seen.facts[i][1])]), 'Designs laid over one another');
   }
 }

@@ -1,4 +1,3 @@
-// @ts-check
 // Step 4: the loop, its handles, and the requests they send.
 import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
 import {Around} from './around.js';
@@ -7,6 +6,12 @@ import {$, make, button, emptied, on, table, findings, say, symbol} from './dom.
 const grams = (kg) => 1e3 * kg;
 const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
 const KINDS = ['light', 'nominal', 'heavy'];
+
+/** |S| [dB] of a loop from its gain [dB] and phase [°]; |T| is |S| times the gain. */
+const sensitivity = (gain, phase) => gain.map((g, k) => {
+  const a = 10 ** (g / 20);
+  return -10 * Math.log10(1 + 2 * a * Math.cos((phase[k] * Math.PI) / 180) + a * a);
+});
 
 /** A circle in the complex plane about a centre on the negative real axis, as phases and decibels. */
 const disk = (centre, r) => {
@@ -20,7 +25,7 @@ export class Design {
     this.arm = arm;
     this.last = null;
     this.inputs = {};
-    for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll('[data-option]'))) this.field(input);
+    for (const input of document.querySelectorAll('[data-option]')) this.field(input);
     this.box = on('box', 'change', () => this.put('box', this.box.checked));
     this.plots();
     this.around = new Around(app, this);
@@ -79,9 +84,9 @@ export class Design {
 
   // ---- plots and their handles ----
   plots() {
-    for (const name of ['gain', 'phase', 'nichols', 'margin']) this[name] = new Plot(`p-${name}`);
-    this.four = [this.gain, this.phase, this.nichols, this.margin];
-    this.tip = new Plot('p-moves');
+    for (const name of ['gain', 'phase', 'nichols', 'margin', 'S', 'T', 'tip']) this[name] = new Plot(`p-${name}`);
+    this.over = [this.gain, this.phase, this.S, this.T];
+    this.all = [...this.over, this.nichols, this.margin, this.tip];
     this.contours();
     const {app} = this, hand = app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
     const crossover = {label: 'Gain crossover, at the heaviest payload', unit: 'rad/s', low: 1, high: 300, step: 0.1, get: () => this.get('gain_crossover') || 10, set: (v) => this.set('gain_crossover', digits(v, 4))};
@@ -121,7 +126,7 @@ export class Design {
     nichols.box('bound', 'bound', [-180 - m, m - 180], [-1.2, 1.2]);
     if (ms) nichols.curve('disk', 'bound', ...disk(-1, 1 / ms)); else nichols.remove('disk');
   }
-  place() { this.forbidden(); for (const plot of [...this.four, this.around.map]) plot.place(); }
+  place() { this.forbidden(); for (const plot of [...this.all, this.around.map]) plot.place(); }
 
   /** Circles of constant |T| around −180°, and the critical point. */
   contours() {
@@ -135,21 +140,27 @@ export class Design {
   axes(axes) {
     if (!axes.frequencies) return;
     const {low, high} = ends(axes.frequencies), across = {low: Math.max(low, high / 500), high};
-    this.gain.axes(across);
-    this.phase.axes(across);
+    for (const plot of this.over) plot.axes(across);
+    this.nichols.along = {name: this.gain.x.name, values: axes.frequencies};
     this.margin.axes(ends(axes.payloads.map(grams)));
   }
 
   /** The curves at the beginning of a drag, thin and behind the current ones. */
   ghost(on) {
-    if (!on) { for (const plot of this.four) plot.remove('ghost'); return; }
-    const c = this.last?.curves, {frequencies: w, payloads} = this.app.axes;
-    if (!c || !w) return;
-    const i = c.gain.length - 1;
-    this.gain.curve('ghost', 'ghost', w, c.gain[i]);
-    this.phase.curve('ghost', 'ghost', w, c.phase[0]);
-    this.nichols.curve('ghost', 'ghost', c.phase[0], c.gain[0]);
-    this.margin.curve('ghost', 'ghost', payloads.map(grams), c.margin[0]);
+    const c = on && this.app.axes.frequencies && this.last?.curves;
+    if (c) this.nominal('ghost', 'ghost', c); else this.remove('ghost');
+  }
+  remove(name) { for (const plot of this.all) plot.remove(name); }
+  /** The loop of a design with its nominal payload, and its margins. */
+  nominal(name, kind, c, label) {
+    this.loop(name, kind, c.gain[1], c.phase[1], label);
+    this.margin.curve(name, kind, this.app.axes.payloads.map(grams), c.margin[0], label);
+  }
+  /** One loop in every plot: L over frequency and as a Nichols curve, S and T; payloads have their label where they part. */
+  loop(name, kind, gain, phase, label, w = this.app.axes.frequencies) {
+    const S = sensitivity(gain, phase);
+    [gain, phase, S, S.map((s, k) => s + gain[k])].forEach((values, i) => this.over[i].curve(name, kind, w, values, kind === name ? '' : label));
+    this.nichols.curve(name, kind, phase, gain, label);
   }
 
   preview(answer) {
@@ -160,22 +171,16 @@ export class Design {
     this.last = answer;
     const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
     const {names} = answer, named = Object.fromEntries(KINDS.map((kind, i) => [kind, names[i]]));
-    for (const plot of [this.gain, this.phase, this.nichols, this.tip]) plot.names = named;
-    KINDS.forEach((kind, i) => { document.querySelector(`.k-${kind}`).textContent = names[i]; });
+    for (const plot of this.all) plot.names = plot === this.margin ? {} : named;
+    KINDS.forEach((kind, i) => { for (const key of document.querySelectorAll(`.k-${kind}`)) key.textContent = names[i]; });
     this.nichols.curve('band', 'area', [...c.phase[0], ...Array.from(c.phase[2]).reverse()], [...c.gain[0], ...Array.from(c.gain[2]).reverse()]);
-    KINDS.forEach((kind, i) => {
-      this.gain.curve(kind, kind, w, c.gain[i]);
-      this.phase.curve(kind, kind, w, c.phase[i]);
-      this.nichols.curve(kind, kind, c.phase[i], c.gain[i], i === 1 ? '' : names[i]);
-    });
+    KINDS.forEach((kind, i) => this.loop(kind, kind, c.gain[i], c.phase[i], i === 1 ? '' : names[i]));
     const g = payloads.map(grams), [low, , high] = answer.three.map(grams);
     this.margin.curve('margin', 'nominal', g, c.margin[0]);
     this.margin.box('zone', 'zone', [low, high], null);
-    const fan = (plot, x, y) => { if (!c.fan_gain) { plot.remove('fan'); return; } plot.curve('fan', 'fan', joined(c.fan_gain.map((_, k) => x(k))), joined(y)); };
     const few = Array.from(w).filter((_, k) => k % 4 === 0);
-    fan(this.gain, () => few, c.fan_gain);
-    fan(this.phase, () => few, c.fan_phase);
-    fan(this.nichols, (k) => c.fan_phase[k], c.fan_gain);
+    if (c.fan_gain) this.loop('fan', 'fan', joined(c.fan_gain), joined(c.fan_phase), '', joined(c.fan_gain.map(() => few)));
+    else this.remove('fan');
     this.around.compare();
     this.place();
     this.fields();
@@ -257,13 +262,15 @@ export class Design {
   drawMoves() {
     if (!this.last) return;
     this.drawBudget(this.last.budget);
-    const found = this.arm.runs(this.last.three);
+    const {three} = this.last, found = this.arm.runs(three);
     if (!found) return;
-    const room = Math.max(8, 0.3 * Math.abs(found.goal)), low = Math.min(0, found.goal) - room / 2, high = Math.max(0, found.goal) + room;
+    const room = Math.max(8, 0.8 * Math.abs(found.goal)), low = Math.min(0, found.goal) - room / 2, high = Math.max(0, found.goal) + room;
     const until = Math.min(found.until * found.period, 2.5), few = (list) => list.filter((_, k) => k % 3 === 0 && k * found.period <= until); // a pixel is three periods wide
-    if (this.tip.y.low !== low || this.tip.y.high !== high || this.tip.x.high !== until) this.tip.axes({low: 0, high: until}, {low, high});
+    this.tip.axes({low: 0, high: until}, {low, high});
     const cut = few(found.reference.map((_, k) => k * found.period));
     this.tip.curve('reference', 'reference', cut, few(found.reference));
+    this.tip.curve('motor PID alone', 'alone', cut, few(found.alone[1]));
     KINDS.forEach((kind, i) => this.tip.curve(kind, kind, cut, few(found.tips[i])));
+    for (const {letter, seen} of this.around.others()) if (seen.blocks) this.tip.curve(letter, `other ${letter}`, cut, few(this.arm.runs([three[1]], seen.blocks).tips[0]), letter);
   }
 }

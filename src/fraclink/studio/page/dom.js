@@ -1,7 +1,6 @@
-// @ts-check
 // Elements of the page: find, create and listen to them.
 
-export const $ = (id) => /** @type {any} */ (document.getElementById(id));
+export const $ = (id) => document.getElementById(id);
 /** Set attributes of an element by their names. */
 export const put = (node, given) => { for (const key in given) node.setAttribute(key, given[key]); return node; };
 /** Create an element with text; text from a file is never parsed as markup. */

@@ -1,4 +1,3 @@
-// @ts-check
 // The socket: requests by number, only the newest drag, and reconnection after a break.
 
 export class Link {
@@ -64,16 +63,18 @@ export class Link {
   }
 
   /** One request is in progress, the newest waits, and those in between are dropped. */
-  async drag(given, shown) {
+  drag(given, shown) {
     this.next = [given, shown];
-    if (this.dragging) return;
-    this.dragging = true;
-    while (this.next) {
-      const [newest, show] = this.next;
-      this.next = null;
-      show(await this.ask('preview', newest));
-    }
-    this.dragging = false;
+    if (!this.dragging) this.newest();
+  }
+  async newest() {
+    this.dragging = Boolean(this.next);
+    if (!this.next) return;
+    const [given, shown] = this.next;
+    this.next = null;
+    const answer = await this.ask('preview', given);
+    this.newest(); // Python computes the next one while this one is drawn
+    shown(answer);
   }
 }
 

@@ -1,4 +1,3 @@
-// @ts-check
 // Steps 1 to 3: the log, its channels on the arm, and the fits.
 import {Plot, el, limited, line, plain} from './plot.js';
 import {$, make, button, choices, emptied, findings, on, put, table, takes, say} from './dom.js';
@@ -144,7 +143,7 @@ export class Logs {
   }
 
   /** The arm with a place for each channel. */
-  slots() { for (const box of document.querySelectorAll('[data-role]')) this.slot(/** @type {HTMLElement} */ (box)); }
+  slots() { for (const box of document.querySelectorAll('[data-role]')) this.slot(box); }
   slot(old) {
     // A new copy: an element that is shown again would receive a drop twice.
     const {role} = old.dataset, set = this.roles[role], box = old.cloneNode(true), words = box.firstElementChild.textContent;

@@ -1,4 +1,3 @@
-// @ts-check
 // The command palette: the buttons and fields of all steps, by name.
 import {$, make, on, put} from './dom.js';
 
@@ -6,7 +5,8 @@ export function palette(app) {
   const box = $('palette'), input = $('palette-find'), list = $('palette-list');
   let found = [], at = 0;
   const name = (node) => (node.getAttribute('aria-label') || (node.querySelector('.word') || node.labels?.[0]?.querySelector('span')?.firstChild || node.labels?.[0] || node).textContent || node.title).trim();
-  const step = (node) => node.closest('.step')?.id.slice(5);
+  // the arm stands beside the loop, too, but there without its settings
+  const step = (node) => (node.closest('.armbox') ? 'move' : node.closest('.step')?.id.slice(5));
   const mark = () => [...list.children].forEach((item, i) => {
     put(item, {'aria-selected': i === at});
     if (i === at) { put(input, {'aria-activedescendant': item.id}); item.scrollIntoView({block: 'nearest'}); }
@@ -22,7 +22,7 @@ export function palette(app) {
     found = [...document.querySelectorAll('button[id], .step input[id], .step select[id], .chip[data-name]')]
       .filter((node) => !node.closest('dialog') && !node.disabled && !node.closest('.step [hidden]'))
       .map((node) => [node, `${step(node) ? `${step(node)}: ` : ''}${name(node)}`])
-      .filter(([, text]) => words.every((word) => text.toLowerCase().includes(word))).slice(0, 60);
+      .filter(([, text]) => words.every((word) => text.toLowerCase().includes(word)));
     at = 0;
     list.replaceChildren();
     found.forEach(([node, text], i) => {
@@ -34,7 +34,7 @@ export function palette(app) {
   on(input, 'input', fill);
   on(input, 'keydown', (event) => {
     const by = {ArrowDown: 1, ArrowUp: -1}[event.key];
-    if (by) { at = (at + by + found.length) % found.length; mark(); } else if (event.key === 'Enter') { if (found[at]) run(found[at][0]); } else return;
+    if (by) { at = (at + by + found.length) % found.length; mark(); } else if (event.key === 'Escape') box.close(); else if (event.key === 'Enter') { if (found[at]) run(found[at][0]); } else return;
     event.preventDefault();
   });
   return () => { input.value = ''; fill(); box.showModal(); input.focus(); };

@@ -1,6 +1,5 @@
-// @ts-check
 // Plots in screen pixels with fixed axes, curves from arrays, handles that are accessible sliders, and tables.
-import {button, emptied, make, on, put, table} from './dom.js';
+import {$, button, emptied, make, on, put, table} from './dom.js';
 
 /** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
@@ -50,10 +49,13 @@ const axisOf = (text) => {
   const [name, range, ticks, unit = ''] = text.split('; '), [low, high, log] = range.split(' ');
   return {name, low: Number(low), high: Number(high), log: Boolean(log), ticks: ticks ? ticks.split(' ').map(Number) : null, unit};
 };
+/** The index of the value at the least distance. */
+const nearest = (values, distance) => values.reduce((best, v, i) => (distance(v) < distance(values[best]) ? i : best), 0);
 /** At most `count` indices, spread evenly over a list. */
 const spread = (length, count) => Array.from({length: Math.min(length, count)}, (_, k) => Math.round((k * (length - 1)) / Math.max(1, Math.min(length, count) - 1)));
 /** The functions a gesture calls. @typedef {{begin?: () => void, change?: (at?: number) => void, end?: () => void, cancel?: () => void}} Hand */
 const STILL = {begin() {}, change() {}, end() {}, cancel() { this.change(); }};
+const WHOLE = 1e6; // a share of the axes that exceeds every plot
 const ROWS = 14; // of a table of numbers
 const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are left out of the readings and tables
 
@@ -63,20 +65,21 @@ let clips = 0;
 export class Plot {
   /** @param {string} id of an svg in a figure, whose axes are its `data-x` and `data-y` */
   constructor(id) {
-    const svg = /** @type {SVGSVGElement} */ (/** @type {any} */ (document.getElementById(id))), {x, y, height} = svg.dataset;
-    Object.assign(this, {svg, x: axisOf(x), y: axisOf(y), height: Number(height) || 210, names: {}, flagged: [], grid: null, later: 0});
+    const svg = $(id), {x, y, height} = svg.dataset;
+    Object.assign(this, {svg, x: axisOf(x), y: axisOf(y), height: Number(height) || 210, names: {}, flagged: [], grid: null, along: null, later: 0});
+    this.home = [{...this.x}, {...this.y}];
     this.desc = el('desc', {}, svg);
     this.clip = `clip-${++clips}`;
     this.frame = el('g', {class: 'frame', 'aria-hidden': 'true'}, svg);
     this.rect = el('rect', {}, el('clipPath', {id: this.clip}, el('defs', {}, svg)));
     this.inside = el('g', {'clip-path': `url(#${this.clip})`, 'aria-hidden': 'true'}, svg);
     this.over = el('g', {'aria-hidden': 'true'}, svg);
-    this.reader = el('g', {class: 'reader', 'aria-hidden': 'true'}, svg);
+    this.reader = el('g', {'clip-path': `url(#${this.clip})`, class: 'reader', 'aria-hidden': 'true'}, svg);
     this.grips = el('g', {}, svg);
     this.curves = new Map();
     this.handles = [];
     this.W = 0;
-    const caption = svg.closest('figure').querySelector('figcaption');
+    const figure = svg.closest('figure'), caption = figure.querySelector('figcaption');
     this.numbers = make('div', 'tablebox');
     svg.after(this.numbers);
     this.opener = button('▦', 'chip tool numbers', null, () => { put(this.opener, {'aria-expanded': this.opener.ariaExpanded !== 'true'}); this.tell(); }, `${caption.firstChild.textContent.trim()}: the numbers as a table`);
@@ -85,6 +88,9 @@ export class Plot {
     plots.push(this);
     on(svg, 'pointermove', (event) => { if (!event.buttons) this.point(this.spot(event)[0]); });
     on(svg, 'pointerleave', () => this.point(NaN));
+    on(svg, 'wheel', (event) => { if (event.ctrlKey) { event.preventDefault(); this.zoom(2 ** (event.deltaY / 200), ...this.parts(event)); } });
+    on(svg, 'dblclick', () => this.zoom(WHOLE));
+    on(figure, 'keydown', (event) => { const factor = {'+': 0.5, '-': 2, 0: WHOLE}[event.key]; if (factor && !event.ctrlKey) this.zoom(factor); });
     new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
@@ -106,24 +112,39 @@ export class Plot {
     return (v) => from + k * (v - low);
   }
 
-  /** Set new ends of the axes: only after another log or model is opened, never during a drag. */
+  /** Set new ends of the axes: only after another log, model or move is opened, never during a drag. */
   axes(x, y) {
+    const home = [{...this.home[0], ...x}, {...this.home[1], ...y}];
+    if (JSON.stringify(home) === JSON.stringify(this.home)) return;
+    this.home = home;
     Object.assign(this.x, x);
     Object.assign(this.y, y);
     this.lay();
+  }
+  /** Show this share of the axes about a place of the plot; plots over the same axis follow. */
+  zoom(share, across = 0.5, up = 0.5) {
+    const ends = (axis, home, part) => {
+      const [low, high] = [part - part * share, part + (1 - part) * share].map((p) => this.value(axis, p));
+      Object.assign(axis, {low: Math.max(low, home.low), high: Math.min(high, home.high)});
+    };
+    ends(this.y, this.home[1], up);
+    for (const plot of plots) if (plot.x.name === this.x.name) { ends(plot.x, plot.home[0], across); plot.lay(); }
   }
 
   lay() {
     if (!this.svg.clientWidth) return;
     this.W = this.svg.clientWidth;
-    const {W, height} = this;
+    const {W} = this, [x, y] = this.home;
+    if ('equal' in this.svg.dataset) this.height = TOP + FOOT + ((W - LEFT - RIGHT) * (y.high - y.low)) / (x.high - x.low);
+    const {height} = this;
     this.svg.setAttribute('viewBox', `0 0 ${W} ${height}`);
     this.svg.setAttribute('height', String(height));
     const inside = {x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT};
     put(this.rect, inside);
+    emptied(this.reader);
     this.frame.replaceChildren();
     el('rect', {class: 'ground', ...inside}, this.frame);
-    const across = this.x.ticks || (this.x.log ? decades(this.x.low, this.x.high) : steps(this.x.low, this.x.high, W / 75));
+    const across = this.ticks(this.x, x, W / 75);
     let last = -1e9;
     for (const t of across) {
       const x = this.X(t);
@@ -132,7 +153,7 @@ export class Plot {
       last = x;
       el('text', {x, y: height - 5, 'text-anchor': x > W - 25 ? 'end' : 'middle'}, this.frame, plain(t) + this.x.unit);
     }
-    for (const t of this.y.ticks || steps(this.y.low, this.y.high, height / 40)) {
+    for (const t of this.ticks(this.y, y, height / 40)) {
       const y = this.Y(t);
       el('line', {class: t ? 'grid' : 'grid zero', x1: LEFT, x2: W - RIGHT, y1: y, y2: y}, this.frame);
       el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, plain(t) + this.y.unit);
@@ -145,6 +166,13 @@ export class Plot {
       el('text', {x: 13, y: 9}, flag, code);
     });
     this.place();
+  }
+
+  /** Those of the page for the whole axis, and round numbers for a part of it. */
+  ticks({low, high, log, ticks}, home, count) {
+    if (ticks && low === home.low && high === home.high) return ticks;
+    const round = log ? decades(low, high) : [];
+    return round.length > 2 ? round : steps(low, high, count);
   }
 
   /** A named curve; redrawn only if its numbers change. */
@@ -171,11 +199,14 @@ export class Plot {
         if (c.tag && y > TOP + 10 && y < foot && x > LEFT + 30 && x < most) tagged = [x, y];
       }
       c.path.setAttribute('d', parts.join(''));
-      if (c.tag && tagged) {
-        const [x, at] = tagged, others = [...this.curves.values()].filter((o) => o !== c && o.spot && Math.abs(o.spot[0] - x) < 42);
+      if (c.tag) {
+        c.spot = null;
+        const [x, at] = tagged || [0, 0], others = [...this.curves.values()].filter((o) => o !== c && o.spot && Math.abs(o.spot[0] - x) < 42);
         let y = at + (kind === 'heavy' ? 14 : -5), near;
         while ((near = others.find((o) => Math.abs(o.spot[1] - y) < 12))) y = near.spot[1] + 13; // always further down
-        c.tag.textContent = label;
+        const shown = tagged && y < foot;
+        c.tag.textContent = shown ? label : '';
+        if (!shown) return;
         c.spot = [x, y];
         put(c.tag, {x: tenth(x), y: tenth(y)});
       }
@@ -282,24 +313,35 @@ export class Plot {
     on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
     on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
   }
-  /** Draw a hairline in every plot with the same axis, with the values of its curves there. */
-  point(v) { for (const plot of plots) if (plot.x.name === this.x.name && plot.W) plot.read(v); }
+  /** Draw a hairline in every plot with the same axis, with the values of its curves there, and dots on curves along it. */
+  point(v) {
+    for (const plot of plots) {
+      if (!plot.W) continue;
+      if (plot.x.name === this.x.name) plot.read(v);
+      else if (plot.along && this.x.name === plot.along.name) plot.dots(v);
+    }
+  }
+  dots(v) {
+    const place = emptied(this.reader), at = v === v && nearest(this.along.values, (u) => Math.abs(Math.log(u / v)));
+    if (at !== false) for (const {xs, ys} of this.told()) el('circle', {r: 3.5, cx: this.X(xs[at]), cy: this.Y(ys[at])}, place);
+  }
   read(v) {
     const place = emptied(this.reader), told = v === v && this.told();
     if (!told?.length) return;
-    const x = this.X(v), near = (xs) => xs.reduce((a, u, i) => (Math.abs(this.X(u) - x) < Math.abs(this.X(xs[a]) - x) ? i : a), 0), left = x > this.W / 2, unit = this.x.unit || ` ${(this.x.name.match(/\[(.*)\]/) || ['', ''])[1]}`;
+    const x = this.X(v), near = (xs) => nearest(xs, (u) => Math.abs(this.X(u) - x)), left = x > this.W / 2, unit = this.x.unit || ` ${(this.x.name.match(/\[(.*)\]/) || ['', ''])[1]}`;
     el('path', {d: `M${tenth(x)} ${TOP}V${this.height - FOOT}`}, place);
     [plain(v, 3) + unit, ...told.map(({name, xs, ys}) => `${told.length > 1 ? `${name}: ` : ''}${plain(ys[near(xs)], 3)}${this.y.unit}`)].forEach((text, i) => {
       el('text', {x: left ? LEFT + 4 : this.W - RIGHT - 4, y: TOP + 12 + 13 * i, 'text-anchor': left ? 'start' : 'end'}, place, text);
     });
   }
   told() { return [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys}]) => ({name: this.names[key] || key, xs, ys})); }
-  /** The position of a pointer in units of the axes. */
-  spot(event) {
+  /** The position of a pointer as shares of the axes, and in their units. */
+  parts(event) {
     const box = this.svg.getBoundingClientRect();
     const x = (event.clientX - box.left - LEFT) / (this.W - LEFT - RIGHT), y = (event.clientY - box.top - TOP) / (this.height - TOP - FOOT);
-    return [this.value(this.x, limited(x, 0, 1)), this.value(this.y, 1 - limited(y, 0, 1))];
+    return [limited(x, 0, 1), 1 - limited(y, 0, 1)];
   }
+  spot(event) { const [x, y] = this.parts(event); return [this.value(this.x, x), this.value(this.y, y)]; }
 
   place() {
     if (!this.W) return;

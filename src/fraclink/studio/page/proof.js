@@ -1,10 +1,9 @@
-// @ts-check
 // Steps 6 and 7: the certificate, the trials, and the exported files.
 import {Plot, ends, joined, plain, ring} from './plot.js';
 import {$, make, button, emptied, items, on, table, say} from './dom.js';
 import {download} from './link.js';
 
-const precision = () => /** @type {HTMLInputElement} */ (document.querySelector('input[name=precision]:checked')).value;
+const precision = () => document.querySelector('input[name=precision]:checked').value;
 const JOBS = ['prove', 'arms', 'faults'];
 
 export class Proof {
@@ -18,7 +17,7 @@ export class Proof {
     this.plane = new Plot('p-nyquist');
     this.arms = new Plot('p-fan');
     on(document.querySelector('.choice'), 'change', () => this.board());
-    for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll('[data-target]'))) on(one, 'click', () => this.export(one.dataset.target));
+    for (const one of document.querySelectorAll('[data-target]')) on(one, 'click', () => this.export(one.dataset.target));
     on('zip', 'click', async () => {
       const answer = await app.link.ask('zip');
       const why = answer.ok ? await download(app.link.token, 'fraclink.zip') : answer.error;
@@ -64,7 +63,8 @@ export class Proof {
     if (box) this.swept.box('proved', 'proved', box.payloads, box.delays);
     else this.swept.remove('proved');
     this.plane.curve('sweep', 'fan', joined(curves.sweep_x), joined(curves.sweep_y));
-    ['light', 'nominal', 'heavy'].forEach((kind, i) => this.plane.curve(kind, kind, curves.sweep_x[2 * i], curves.sweep_y[2 * i], swept.names[i]));
+    ['light', 'nominal', 'heavy'].forEach((kind, i) => this.plane.curve(kind, kind, curves.sweep_x[2 * i], curves.sweep_y[2 * i]));
+    this.plane.names = Object.fromEntries(['light', 'nominal', 'heavy'].map((kind, i) => [kind, swept.names[i]]));
   }
   progress(answer) {
     say('progress-said', answer.said);

@@ -1,4 +1,3 @@
-// @ts-check
 // The page: steps, the state and its history, verdicts, kept states. It shows Python's answers and decides nothing itself.
 import {Link} from './link.js';
 import {Arm} from './arm.js';
@@ -13,7 +12,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 export const app = {
   /** the request, with the option names of the command line */
   state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
-  link: /** @type {Link} */ (/** @type {any} */ (null)),
+  link: null,
 
   // ---- one gesture: begin, change …, end or cancel ----
   begin() {
@@ -207,7 +206,7 @@ export const logs = new Logs(app);
 export const proof = new Proof(app, arm);
 
 async function hello() {
-  const answer = await app.ask('hello', {arm: arm.key});
+  const answer = await app.ask('hello');
   if (!answer.ok) return;
   design.around.pictures.clear(); // those requested when the connection was lost
   const first = !app.states.length && app.at < 0;
@@ -221,7 +220,6 @@ async function hello() {
   app.axes = axesOf(answer);
   app.took(answer);
   design.axes(app.axes);
-  arm.take(answer);
   app.buttons();
   if (!app.step) app.show(sessionStorage.getItem('step') || (answer.frequencies ? 'design' : 'log'));
   if (answer.frequencies) {
@@ -252,7 +250,7 @@ function listen() {
     if (held && key === 'z') { event.preventDefault(); app.go(app.at + (event.shiftKey ? 1 : -1)); return; }
     if (held && key === 'k') { event.preventDefault(); open(); return; }
     if (held && key === 's') { event.preventDefault(); app.keep(); return; }
-    const typing = /** @type {HTMLElement} */ (event.target).closest('input:not([type=range]), select, textarea, dialog');
+    const typing = event.target.closest('input:not([type=range]), select, textarea, dialog');
     if (held || event.altKey || typing) return;
     if (/^[1-7]$/.test(key)) app.show(STEPS[Number(key) - 1]);
     else if (key === '/') open();
