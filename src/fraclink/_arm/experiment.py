@@ -16,7 +16,7 @@ from fraclink._arm.timebase import time_base
 from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document, write_text
 from fraclink.errors import LogError
-from fraclink.findings import Finding
+from fraclink.findings import Finding, Findings
 from fracsys.checks import Array, Between, Payload, Positive, Real, checked
 from fracsys.checks.equality import compared
 
@@ -100,6 +100,7 @@ class Experiment:
     earlier_angle: Annotated[Real, Array(1)] | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "findings", Findings(self.findings))
         count = self.motor_angle.size
         for name, values in (("output", self.output), ("voltage", self.voltage)):
             if values is not None and values.size != count:

@@ -17,7 +17,7 @@ from fraclink._display import Overview, Row, displayed, number
 from fraclink._files import Saved, document
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
-from fraclink.findings import Finding, errors_of
+from fraclink.findings import Finding, Findings, errors_of
 from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
@@ -196,6 +196,7 @@ class Fit(Saved):
     _validated: ClassVar[Callable[..., Any]]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "findings", Findings(self.findings))
         for name in ("standard_errors", "intervals"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("predicted", "residual"):

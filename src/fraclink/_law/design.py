@@ -28,7 +28,7 @@ from fraclink._law.requirement import (
     no_law_rows,
 )
 from fraclink.errors import FieldError
-from fraclink.findings import Finding, errors_of
+from fraclink.findings import Finding, Findings, errors_of
 from fracsys.checks import (
     Between,
     Complex,
@@ -193,6 +193,7 @@ class Design(Saved):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "requirements", Listed(self.requirements))
+        object.__setattr__(self, "findings", Findings(self.findings))
 
     @property
     def sentence(self) -> str:
