@@ -200,7 +200,7 @@ CEILINGS = {
     "logs": 676,
     "studio": 1180,
     "trials": 1473,
-    "view": 1673,
+    "view": 1676,
 }
 
 

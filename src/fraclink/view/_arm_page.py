@@ -22,6 +22,9 @@ from fraclink.view._text import grams
 __all__ = ["render_arm_page", "write_arm_page"]
 
 _LARGEST = 160_000  # bytes of a page
+# Payloads of a slider; with fewer, the page for a short period is made without the
+# twin, whose noise takes the space.
+_FEWEST = 9
 
 
 def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
@@ -74,7 +77,7 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
             allowed="a study with a design",
             remedy="make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
         )
-    design = study.design
+    design, payloads, twin = study.design, MOST_PAYLOADS, True
     low, high = design.payloads
     texts: dict[str, Any] = {
         "title": title or design.rig.name,
@@ -89,11 +92,8 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         "simulated": _simulated(design),
         "not_simulated": _not_simulated(design),
     }
-    page = ""
-    # The twin's noise takes the space of many payloads at a short period, and a fine
-    # slider is more useful than both with a coarse one.
-    for twin, share in ((True, 1), (True, 2), (False, 1), (False, 2), (False, 4)):
-        arm = arm_box(study, design, payloads=MOST_PAYLOADS // share, twin=twin)
+    while True:
+        arm = arm_box(study, design, payloads=payloads, twin=twin)
         if arm is None:
             raise _too_fast(design)
         style = squeezed("palette.css") + arm.style + squeezed("arm.css")
@@ -105,9 +105,16 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
             twin=_twin_simulated(design, twin_fits=arm.has_twin),
             **texts,
         )
-        if len(page.encode()) <= _LARGEST:
-            break
-    return page
+        excess = len(page.encode()) - _LARGEST
+        if excess <= 0 or payloads <= 5:
+            return page
+        # At least one less in every round, so that the loop ends; a link counts as a
+        # large one, so that not too many are dropped.
+        payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
+        # A fine slider without the twin is more useful than both with five payloads; so
+        # the full number is tried again.
+        if twin and payloads < _FEWEST:
+            payloads, twin = MOST_PAYLOADS, False
 
 
 def _too_fast(design: Design) -> FieldError:
