@@ -23,6 +23,7 @@ from fraclink._identify.fitting import (
     make_search,
     predicted_output,
 )
+from fraclink._identify.problem import CERTAIN
 from fraclink._identify.residual import mean_with_error
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
@@ -32,14 +33,8 @@ from fraclink.findings import Finding
 from fracsys.checks import checked
 from fracsys.checks.equality import compared
 
-# By chance alone one superfluous parameter lowers the AIC by 8 in one log of six
-# hundred (by 4 in one of seventy). Of 510 random logs, two thirds of them with coloured
-# noise, a limit of 4 preferred a wrong structure in 13 and a limit of 8 in 3, which
-# left one log in five undecided instead of one in seven (benchmarks/bench_gates.py).
-_DECISIVE = 8.0
-# Standard errors by which an undamped link, which no real link is, may predict the
-# held-out part worse than a damped one: Breiman's rule.
-_WORSE = 1.0
+# One superfluous parameter lowers n ln(MSE) by χ² of one degree, of which the AIC takes 2.
+_DECISIVE = CERTAIN**2 - 2.0
 Criteria = Mapping[str, tuple[float, float]]
 
 
@@ -61,7 +56,7 @@ class Comparison:
         the same with the delay held at zero (parameters and errors only, no details).
     preferred
         the structure to use: of those whose criterion (the AIC where the residual is
-        white) is within 8 of the lowest, the one with the fewest parameters, then with
+        white) is within 8.8 of the lowest, the one with the fewest parameters, then with
         the lowest criterion. One without damping is not preferred where a damped one of
         these predicts the held-out part better (Diebold and Mariano's test).
     verdict
@@ -390,7 +385,8 @@ def vetoed_structures(
         mean, error = mean_with_error(squares[name] - squares[other])
         # Two descents to the same model agree to within their tolerance.
         same = abs(mean) <= 1e-6 * float(squares[name].mean())
-        return not same and mean > _WORSE * error
+        # One standard error, Breiman's rule: no real link is undamped.
+        return not same and mean > error
 
     return tuple(n for n in undamped if any(predicts_worse(n, o) for o in damped))
 
@@ -474,7 +470,9 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
     at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
     # A delay below one sample may come from the noise of the angle, which interpolation
     # averages.
-    resolution = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
+    resolution = max(
+        CERTAIN * viscous.standard_errors.get("delay", math.inf), viscous.period
+    )
     if (
         at_once_wins
         and viscous.aic <= fractional.aic + 2

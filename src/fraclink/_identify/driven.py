@@ -21,6 +21,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
 from fraclink._display import Overview, Row, number
 from fraclink._files import document
+from fraclink._identify.structure_findings import BEYOND
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import Weighting, identify_structure
 from fraclink.errors import FieldError, NotConvergedError
@@ -43,9 +44,6 @@ _STRUCTURES = {
     "motor_angle": f"A*((s/z)**l + 1)/{_BOTTOM}",
     "torque": f"k*(s/z)**l/{_BOTTOM}",
 }
-# multiple of the band within which a peak outside it is sought, so that it can be
-# reported
-_BEYOND = 3.0
 _GRID = 3000
 _LEAST_OCTAVES = 2  # anti-resonance and peak, with lines on either side of them
 # lines required on either side of a feature that the response is said to show
@@ -322,10 +320,10 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     """
     # Below its anti-resonance the response of a motor angle falls like an integrator: a
     # maximum there is not a resonance.
-    low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
+    low = fit.parameters["z"] if output == "motor_angle" else band[0] / BEYOND
     # Searched on the fitted function instead of the lines, since noise has maxima
     # everywhere.
-    w = np.geomspace(low, _BEYOND * max(band[1], low), _GRID)
+    w = np.geomspace(low, BEYOND * max(band[1], low), _GRID)
     level = np.log(np.abs(fit.transfer_function(1j * w)))
     tops = np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:])) + 1
     if not tops.size:

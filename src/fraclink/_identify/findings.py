@@ -14,7 +14,7 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._identify.columns import column_findings, mains_of, motion_at_start
 from fraclink._identify.fit import Fit
-from fraclink._identify.problem import QUANTILE
+from fraclink._identify.problem import CERTAIN, LEVEL, ORDER_MOST, QUANTILE
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
 from fraclink.findings import Finding, worst_first
@@ -27,9 +27,6 @@ WORSE = 4.0
 # The calibration of a strain gauge is accurate to about 20 %; mrad for rad or volts for
 # radians differ by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
-# n ln(power/mse)/k: pure noise reaches 20 in one log of a thousand, because the fit may
-# choose its frequency.
-SIGNAL_LEAST = 30.0
 # Relative standard error of the resonance; a link that vibrates visibly has 0.01 % to 1
 # %.
 RESONANCE_MOST = 0.1
@@ -37,7 +34,6 @@ RESONANCE_MOST = 0.1
 # largest ratio of their error to that of the rest.
 _START, _FIRST_ERROR = 2.0, 2.0
 _TREMBLE = 1e-3  # [rad]: the encoder of every rig is finer than this
-_COLOURED = 0.01  # p-value below which the residual is reported as coloured
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",
@@ -62,7 +58,7 @@ def findings_of(
     parameters undetermined, `motion` the held-out shares of motion and vibration.
     """
     # Sign and delay of noise mean nothing.
-    audible = signal_of(fit) >= SIGNAL_LEAST
+    audible = signal_of(fit) >= _least_signal(fit)
     findings = [
         *column_findings(log),
         *_of_the_vibration(fit, solution, sure[0], log),
@@ -95,10 +91,19 @@ def signal_of(fit: Fit) -> float:
     )
 
 
-def _no_signal(signal: float, log: Experiment) -> Finding:
+def _least_signal(fit: Fit) -> float:
+    """The signal that pure noise reaches with the chance LEVEL.
+
+    Gain and phase at one frequency gain χ² of two degrees, which exceeds x with the
+    chance e^(−x/2), and a fit chooses the best of the n/2 frequencies of a log.
+    """
+    return 2 * math.log(fit.fitted_samples / 2 / LEVEL)
+
+
+def _no_signal(signal: float, least: float, log: Experiment) -> Finding:
     """W313, with its cause if the output or the motor shows one."""
     travel, hum = float(np.ptp(log.motor_angle)), mains_of(log)
-    evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": travel}
+    evidence = {"signal": signal, "least": least, "motor_range": travel}
     if travel < _TREMBLE:
         return Finding(
             "W313",
@@ -127,9 +132,9 @@ def _no_signal(signal: float, log: Experiment) -> Finding:
 def _of_the_vibration(
     fit: Fit, solution: Solution, resonance: float, log: Experiment
 ) -> Iterator[Finding]:
-    signal = signal_of(fit)
-    if signal < SIGNAL_LEAST:
-        yield _no_signal(signal, log)
+    signal, least = signal_of(fit), _least_signal(fit)
+    if signal < least:
+        yield _no_signal(signal, least, log)
         return
     # λ at its upper limit is a classical link; at the lower one nothing vibrates.
     order_low = 0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
@@ -288,7 +293,9 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         )
     interval = fit.intervals.get("damping_order")
     if interval is not None and (
-        interval.low_open or interval.high_open or interval.high - interval.low > 0.5
+        interval.low_open
+        or interval.high_open
+        or interval.high - interval.low > 2 * ORDER_MOST
     ):
         yield Finding(
             "W308",
@@ -330,7 +337,7 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
         return
     # One sample: a logger that stamps the sample before it reads the gauge causes this
     # delay, which no loop contains.
-    if fit.delay > max(4 * error, fit.period):
+    if fit.delay > max(CERTAIN * error, fit.period):
         yield Finding(
             "W306",
             "info",
@@ -338,7 +345,7 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
             {"delay": fit.delay, "standard_error": error},
             "check the filter of the strain amplifier; a design must count this delay",
         )
-    if fit.delay < -max(4 * error, fit.period):
+    if fit.delay < -max(CERTAIN * error, fit.period):
         yield Finding(
             "W309",
             "warning",
@@ -384,7 +391,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
     yield from _of_outliers(fit)
     if fit.tests is None or not math.isfinite(fit.tests.whiteness):
         return
-    if fit.tests.whiteness < _COLOURED:
+    if fit.tests.whiteness < LEVEL:
         yield Finding(
             "W305",
             "info",
@@ -395,9 +402,8 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             },
             "nothing, or look at the residual for a second mode or friction",
         )
-    # One in a thousand: every real arm has friction, and at one in twenty every log
-    # would be reported.
-    if fit.tests.input_independence < 1e-3:
+    # Not at one in twenty: every real arm has friction, and every log would be reported.
+    if fit.tests.input_independence < LEVEL:
         yield Finding(
             "W310",
             "info",

@@ -17,7 +17,7 @@ from fraclink._arm.link import structure as structure_row
 from fraclink._identify.findings import findings_of
 from fraclink._identify.fit import Fit, aic, bic
 from fraclink._identify.link_problem import LinkProblem
-from fraclink._identify.problem import QUANTILE, Interval
+from fraclink._identify.problem import QUANTILE, RESOLUTION, Interval
 from fraclink._identify.residual import ResidualTests, find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -303,7 +303,7 @@ def fit_from(
         mode = find_second_mode(search, solution, whole.angle, residual)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     motion = motion_after(log, window.samples)
-    sure = (resonance, covariance.singular)
+    sure = (resonance, covariance.unseen.size > 0)
     findings = findings_of(fit, solution, sure, stiffness, motion, log)
     # Errors that make the log unusable make the model unusable.
     return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
@@ -359,7 +359,7 @@ def _identified(
     torque = fit.output_kind == "torque"
     # The gain is linear in the prediction: its profile is a parabola, and the standard
     # error suffices.
-    reach = 1.96 * fit.standard_errors.get("gain", math.nan)
+    reach = QUANTILE * fit.standard_errors.get("gain", math.nan)
     rows = [
         (name, end.low, end.high)
         for name, end in fit.intervals.items()
@@ -400,7 +400,7 @@ def _intervals(
         for name, ratio in covariance.inflation.items()
         if name not in ("gain", "offset")
     }
-    if solution.cost > 1e-12 * solution.gram[0, 0]:
+    if solution.cost > RESOLUTION * solution.gram[0, 0]:
         return link_intervals(search, solution, inflation)
     # A perfect fit: its likelihood is rounding noise.
     at = LinkProblem.of(search, solution, inside=True)

@@ -25,6 +25,8 @@ from fraclink._identify.shape import (
     damping_and_square,
     largest_ratio,
     link_parameters,
+    log_resonance,
+    ratio_of,
 )
 from fraclink._identify.uncertainty import link_covariance
 from fraclink.errors import NotConvergedError
@@ -74,13 +76,12 @@ class Coordinates:
         order, other = own.get("order", 2.0), own.get("damping_order", 1.0)
         damping = math.exp(own["damping"]) if "damping" in own else 0.0
         delay = own.get("delay", self.fixed_delay or 0.0)
-        log_resonance = own["frequency"]
+        place = own["frequency"]
         if self.payloads is not None:
-            square = math.exp(log_resonance) / self.payloads[log]
-            log_resonance = _log_resonance(square, order, damping, other)
-        sine = math.sin(other * math.pi / 2)
-        ratio = damping * sine * math.exp((other - order) * log_resonance) / 2
-        shape = np.array([order, log_resonance, ratio, other, delay])
+            square = math.exp(place) / self.payloads[log]
+            place = log_resonance(square, order, damping, other)
+        ratio = ratio_of(place, order, damping, other)
+        shape = np.array([order, place, ratio, other, delay])
         values, slopes = (part[0] for part in link_parameters(shape[None]))
         # The derivatives of the parameters with respect to the shape, in logarithms
         # where θ uses them; their inverse is needed.
@@ -90,24 +91,6 @@ class Coordinates:
         rates = np.zeros((5, self.size))
         rates[:, list(at.values())] = np.linalg.inv(slopes)[:, columns]
         return shape, rates
-
-
-def _log_resonance(square: float, order: float, damping: float, other: float) -> float:
-    """ln Ω of Ω^λ = ω₀² + μ Ω^α cos(απ/2), by Newton's method in ln Ω."""
-    cosine = math.cos(other * math.pi / 2)
-    # Ω of the undamped link is within a few per cent of the root, because the damping
-    # of an arm is weak.
-    place = math.log(square) / order
-    for _ in range(40):
-        moving, friction = math.exp(order * place), damping * math.exp(other * place)
-        slope = order * moving - other * friction * cosine
-        step = (moving - square - friction * cosine) / slope
-        # For a sum of exponentials a step from the left overshoots; a limit of half an
-        # e-fold keeps it within range.
-        place -= min(max(step, -0.5), 0.5)
-        if abs(step) < 1e-14:
-            break
-    return place
 
 
 def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Real:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from fraclink._display import Overview, Row, displayed, number
+from fraclink._identify.problem import CERTAIN
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding
@@ -33,9 +34,6 @@ _LEAST_SAMPLES = 200
 # A motor model that leaves half of the acceleration unexplained compensates no
 # friction.
 _NMSE_MOST = 0.5
-# Standard errors below zero beyond which a negative value is impossible instead of
-# merely uncertain.
-_SIGN = 3.0
 
 
 @displayed
@@ -226,7 +224,7 @@ def _judged(fit: MotorFit) -> MotorFit:
         error = fit.standard_errors[name]
         # A gain of zero or below is impossible, whatever its uncertainty: nothing can
         # be controlled with it.
-        if value < -_SIGN * error or (name == "gain" and value <= 0):
+        if value < -CERTAIN * error or (name == "gain" and value <= 0):
             raise LogError(
                 name,
                 value,
@@ -238,7 +236,7 @@ def _judged(fit: MotorFit) -> MotorFit:
     if fit.inertia is not None and "inertia" in fit.standard_errors:
         # The fit determines 1/J, whose error is that of J divided by its square.
         error = fit.standard_errors["inertia"] / fit.inertia**2
-        if 1 / fit.inertia < -_SIGN * error:
+        if 1 / fit.inertia < -CERTAIN * error:
             raise LogError(
                 "inertia",
                 fit.inertia,
@@ -246,7 +244,7 @@ def _judged(fit: MotorFit) -> MotorFit:
                 allowed="> 0",
                 remedy="check the sign and the unit of the link's torque, and that it is of this motor",
             )
-        if 1 / fit.inertia < _SIGN * error:
+        if 1 / fit.inertia < CERTAIN * error:
             findings.append(
                 Finding(
                     "W303",

@@ -18,12 +18,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from fracsys.checks import Mask, Real
 
 __all__ = [
-    "PERFECT",
+    "AT_LIMIT",
+    "CERTAIN",
+    "FIRST_STEPS",
+    "LEVEL",
+    "ORDER_MOST",
     "QUANTILE",
+    "RESOLUTION",
     "Descent",
     "Interval",
     "Problem",
@@ -36,14 +42,26 @@ __all__ = [
 ]
 
 
-QUANTILE = 1.959963984540054  # 97.5 % quantile of the normal distribution
+# Chance below which something counts as shown, and the standard errors beyond which noise
+# gets with it, to either side; and those of a 95 % interval.
+LEVEL = 1e-3
+CERTAIN, QUANTILE = (float(-ndtri(chance / 2)) for chance in (LEVEL, 0.05))
+# Half-width of an order's interval beyond which the data do not determine it: the
+# difference between two structures that people would distinguish.
+ORDER_MOST = 0.25
+# Share of the range of a coordinate within which it is at a limit.
+AT_LIMIT = 1e-7
+# Share of the output's power that 16 bits resolve. What is fitted more closely is a
+# simulation, whose residual is rounding or the interpolation between its samples.
+RESOLUTION = 2.0**-32
 # Smallest eigenvalue of a normal matrix scaled to ones on its diagonal: since its
 # entries are sums of products of doubles, a weaker direction is rounding.
 _UNSEEN = 1e-10
 # Factors down by ten and up by eight, so that no damping that failed is tried again.
 _FASTER, _SLOWER = 0.1, 8.0
+FIRST_STEPS = 10  # enough to tell a promising descent from a lost one
 _STUCK = 1e9  # damping at which a step is negligible
-PERFECT = 1e-16  # share of the power: a cost below it is rounding
+_PERFECT = 1e-16  # share of the power: a cost below it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +231,7 @@ def descend(
             | (places[own] >= high[own]) & (slope[own] > 0),
         )
         step = np.clip(step, -problem.reach, problem.reach)
-        least = np.maximum(problem.precision * costs[own], PERFECT * problem.power)
+        least = np.maximum(problem.precision * costs[own], _PERFECT * problem.power)
         settled[own] = gain <= least
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
         at = problem.quadratic(trial)
@@ -289,20 +307,20 @@ def _axes(normal: Real, held: Mask) -> tuple[Real, Real, Real]:
     return values, vectors, size
 
 
-def inverted(normal: Real) -> tuple[Real, bool]:
-    """Inverse of a normal matrix (p, p), and whether the data leave one of its
-    directions undetermined.
+def inverted(normal: Real) -> tuple[Real, Real]:
+    """Inverse of a normal matrix (p, p), and the directions (p, k) that the data leave
+    undetermined, in units of each coordinate's own curvature.
 
-    Along that direction the error is not zero but 1e7 times the others': large enough
+    Along such a direction the error is not zero but 1e7 times the others': large enough
     to fail every gate, and finite for printing.
     """
     if not normal.size:
-        return normal, False
+        return normal, normal
     values, vectors, size = (
         x[0] for x in _axes(normal[None], np.zeros((1, len(normal)), dtype=bool))
     )
     inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
-    return inverse, bool(values[0] < _UNSEEN)
+    return inverse, vectors[:, values < _UNSEEN]
 
 
 # --- intervals --------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from scipy.linalg import lstsq, toeplitz
 from scipy.special import gammaincc
 
 from fraclink._arm.link import SecondMode
+from fraclink._identify.problem import CERTAIN
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import Window, columns_of, mask_of
 from fracsys.checks import Real
@@ -387,9 +388,7 @@ def find_second_mode(
 def _shows_again(
     window: Window, place: Real, gain: float, motor_angle: Real, whole: Real
 ) -> bool:
-    """Whether the held-out part agrees; three standard errors suffice there, since a
-    single mode is tested.
-    """
+    """Whether the held-out part agrees, where a single mode is tested."""
     if whole.size - window.samples < 100:
         return True
     log = Window(motor_angle, whole, window.period, window.hold)
@@ -399,7 +398,9 @@ def _shows_again(
     again, error = _regressed(whole[window.samples :], column[window.samples :])
     # Within a factor of three: a mode is linear, while effects of friction or backlash
     # vary with the motion.
-    return again * gain > 0 and abs(again) > 3.0 * error and 1 / 3 < again / gain < 3
+    return (
+        again * gain > 0 and abs(again) > CERTAIN * error and 1 / 3 < again / gain < 3
+    )
 
 
 def _regressed(residual: Real, response: Real) -> tuple[float, float]:

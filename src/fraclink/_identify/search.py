@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, structure
+from fraclink._identify.problem import AT_LIMIT, FIRST_STEPS
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
@@ -89,13 +90,13 @@ class Solution:
         return (
             3 in self.free
             and other < 1
-            and self.shape[2] >= (1 - 1e-7) * largest_ratio(other)
+            and self.shape[2] >= (1 - AT_LIMIT) * largest_ratio(other)
         )
 
     @property
     def at_bound(self) -> tuple[int, ...]:
         """Free coordinates that ended on a limit."""
-        near = 1e-7 * (self.upper - self.lower)
+        near = AT_LIMIT * (self.upper - self.lower)
         return tuple(
             i
             for i in self.free
@@ -266,34 +267,37 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
-            ends = [self._descended(name, row) for row in self._starts(name)]
+            ends = [self._begun(name, row) for row in self._starts(name)]
             if name == FRACTIONAL:
                 # The other structures start from it, in its valleys.
-                ends += self._from_elsewhere(self._lowest(ends))
-            solution = self._lowest(ends)
-            rivals = self._rivals(solution, ends)
+                found = self._ended(self._lowest(ends))
+                ends += [found, *self._from_elsewhere(found)]
+            self._lowest(ends)
+            ends = [self._ended(end) for end in self._valleys(ends)]
+            solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
             # The best one need not be the last one; the work on later attempts counts
             # as well.
             self.solutions[name] = replace(
-                solution, evaluations=self._evaluations, rivals=rivals
+                solution, evaluations=self._evaluations, rivals=tuple(rivals)
             )
         return self.solutions[name]
 
-    def _rivals(
-        self, found: Solution, ends: Sequence[Solution]
-    ) -> tuple[Solution, ...]:
-        """The ends in other valleys that explain the log nearly as well."""
+    def _valleys(self, ends: Sequence[Solution]) -> list[Solution]:
+        """The lowest end, and the ends in other valleys that explain the log nearly as
+        well, best first.
+        """
         # Two vibrations can be separated if they differ by half a turn over all the
         # motion of the link.
         turn = math.pi / (2 * self.window.angle.size * self.window.period)
-        distinct = [found]
-        for end in sorted(ends, key=lambda each: each.cost):
+        lowest, *others = sorted(ends, key=lambda each: each.cost)
+        distinct = [lowest]
+        for end in others:
             apart = (abs(end.resonance - other.resonance) > turn for other in distinct)
-            if end.cost <= _WORTH * found.cost and all(apart):
+            if end.cost <= _WORTH * lowest.cost and all(apart):
                 distinct.append(end)
-        return tuple(distinct[1:])
+        return distinct
 
     def _lowest(self, ends: Sequence[Solution]) -> Solution:
         best = min(ends, key=lambda each: each.cost)
@@ -318,14 +322,27 @@ class Search:
                 row = self._links(place, found.shape[0], part)[0]
                 # Otherwise its descent would end at the same point.
                 if abs(row[4] - found.shape[4]) > _DELAYS[1] / 2 * wave:
-                    yield self._descended(name, row)
+                    yield self._begun(name, row)
         if {0, 1} & {*found.at_bound} or (4 in found.at_bound and found.shape[4] != 0):
             places = np.linspace(*self._range, _PLACES)
             for row in self._links(places, _SCAN_ORDER, 0.0):
-                yield self._descended(name, row)
+                yield self._begun(name, row)
+
+    def _begun(self, name: str, row: Real) -> Solution:
+        """The first steps of a descent, or all of it if they reach its end."""
+        return self._descended(name, row, iterations=FIRST_STEPS)
+
+    def _ended(self, begun: Solution) -> Solution:
+        """The end of a descent that has begun."""
+        converged = begun.status == 0
+        return begun if converged else self._descended(begun.structure, begun.shape)
 
     def _descended(
-        self, name: str, row: Real, delays: tuple[float, float] | None = None
+        self,
+        name: str,
+        row: Real,
+        delays: tuple[float, float] | None = None,
+        iterations: int = _ITERATIONS,
     ) -> Solution:
         """The end of the kernel's descent from a row, with the delay in a range; with
         infinite cost if there is no response.
@@ -352,7 +369,7 @@ class Search:
             upper,
             self.gain,
             self.offset,
-            _ITERATIONS,
+            iterations,
         )
         self._evaluations += evaluations
         return Solution(

@@ -157,25 +157,35 @@ def model_of(shape: Real, stiffness: float, payload: float | None) -> LinkModel:
 
 
 def shape_of(model: LinkModel, delay: float = 0.0) -> Real:
-    """The shape of a link model (for λ = 2 exact; a general model's damping is matched
-    at its pole).
-    """
-    pole = model.pole
-    if model.damping == 0:
-        return np.array([model.order, math.log(abs(pole)), 0.0, 1.0, delay])
-    turn = model.damping_order * math.pi / 2
-    resonance = abs(pole)
-    for _ in range(
-        60
-    ):  # Ω² = ω₀² + μ Ω^α cos(απ/2): a contraction for a weakly damped link
-        reach = model.damping * resonance**model.damping_order
-        resonance = math.sqrt(
-            max(model.natural_frequency**2 + reach * math.cos(turn), 1e-12)
-        )
-    ratio = reach * math.sin(turn) / (2 * resonance**2)
-    return np.array(
-        [model.order, math.log(resonance), ratio, model.damping_order, delay]
-    )
+    """The shape of a link model."""
+    order, other = model.order, model.damping_order
+    place = log_resonance(model.natural_frequency**2, order, model.damping, other)
+    ratio = ratio_of(place, order, model.damping, other)
+    return np.array([order, place, ratio, other, delay])
+
+
+def ratio_of(place: float, order: float, damping: float, other: float) -> float:
+    """ζ = μ S Ω^(α−λ)/2 at ln Ω."""
+    sine = math.sin(other * math.pi / 2)
+    return damping * sine * math.exp((other - order) * place) / 2
+
+
+def log_resonance(square: float, order: float, damping: float, other: float) -> float:
+    """ln Ω of Ω^λ = ω₀² + μ Ω^α C, by Newton's method in ln Ω."""
+    cosine = math.cos(other * math.pi / 2)
+    # Ω of the undamped link is within a few per cent of the root, because the damping
+    # of an arm is weak; without ω₀ the damping alone gives Ω.
+    place = math.log(max(square, damping * cosine, 1e-12)) / order
+    for _ in range(40):
+        moving, friction = math.exp(order * place), damping * math.exp(other * place)
+        slope = order * moving - other * friction * cosine
+        step = (moving - square - friction * cosine) / slope
+        # For a sum of exponentials a step from the left overshoots; a limit of half an
+        # e-fold keeps it within range.
+        place -= min(max(step, -0.5), 0.5)
+        if abs(step) < 1e-14:
+            break
+    return place
 
 
 def largest_ratio(other: float) -> float:

@@ -10,29 +10,26 @@ from itertools import combinations
 import numpy as np
 
 from fraclink._identify.problem import (
-    PERFECT,
+    AT_LIMIT,
+    ORDER_MOST,
     QUANTILE,
+    RESOLUTION,
     Interval,
     interval_ends,
-    inverted,
 )
 from fraclink._identify.structure_data import Lines
 from fraclink._identify.structure_problem import GENERAL_POINTS, StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
-from fracsys.checks import Real
 
 __all__ = ["Certainty", "certainty_of", "in_order"]
 
 
-_AT_BOUND = 1e-7  # share of the range of the coordinate
 # share in an undetermined direction beyond which a parameter belongs to it
 _SHARE = 0.1
-# Relative half-width of the interval of a coefficient, and half-width of that of an
-# order, beyond which the data do not determine it: a factor of two, and the difference
-# between two structures that people would distinguish.
+# Relative half-width of the interval of a coefficient beyond which the data do not
+# determine it: a factor of two.
 _COEFFICIENT_MOST = 0.5
-_ORDER_MOST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +69,7 @@ def certainty_of(
         return Certainty({}, {}, stuck, (), (), {})
     place = problem.places_of(best.values)[0]
     rows, residual = problem.linearised(place)
-    blind = _blind(rows, free)
-    perfect = best.cost <= PERFECT * problem.power
+    perfect = best.cost <= RESOLUTION * problem.power
     covariance = Covariance.of(
         (*free, "offset")[: len(rows)],
         rows,
@@ -81,6 +77,12 @@ def certainty_of(
         best.cost,
         coloured=not perfect,
         are_lines=isinstance(data, Lines),
+    )
+    shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
+    blind = tuple(
+        name
+        for name, share in zip(free, shares, strict=False)  # the offset comes last
+        if share > _SHARE
     )
     intervals = {
         name: _straight_interval(
@@ -123,11 +125,8 @@ def certainty_of(
         if name in blind
         or not _is_known(problem, name, best.values[name], intervals[name])
     )
-    inverse = inverted(rows @ rows.T)[0]
-    size = np.sqrt(np.diag(inverse))
-    related = inverse / np.outer(size, size)
     pairs = {
-        (free[i], free[j]): float(related[i, j])
+        (free[i], free[j]): float(covariance.correlations[i, j])
         for i, j in combinations(range(len(free)), 2)
     }
     widest = max((covariance.inflation[name] for name in intervals), default=1.0)
@@ -138,20 +137,8 @@ def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
     low, high = problem.box_of(name)
     # Share of the range of the coordinate: for 1e-12 to 1e12 it is a factor of 1 +
     # 5e-6.
-    near, place = _AT_BOUND * (high - low), float(problem.coordinate(name, value))
+    near, place = AT_LIMIT * (high - low), float(problem.coordinate(name, value))
     return place <= low + near or place >= high - near
-
-
-def _blind(jacobian: Real, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Parameters in the directions along which the measured output does not change."""
-    size = np.sqrt(np.einsum("qr,qr->q", jacobian, jacobian))
-    none = {name for name, own in zip(names, size, strict=False) if own == 0.0}
-    rows = jacobian / np.where(size > 0, size, 1.0)[:, None]
-    values, vectors = np.linalg.eigh(rows @ rows.T)
-    # Differences are accurate to 1e-6, which is squared in the normal matrix.
-    unseen = vectors[:, values < 1e-11 * len(values)]
-    blind = np.abs(unseen).max(axis=1, initial=0.0) > _SHARE
-    return tuple(name for k, name in enumerate(names) if name in none or blind[k])
 
 
 def _is_known(
@@ -167,7 +154,7 @@ def _is_known(
     # the upper end has to be closed.
     half = (interval.high - interval.low) / 2
     if role == "order":
-        return half <= _ORDER_MOST
+        return half <= ORDER_MOST
     return role == "delay" or half <= _COEFFICIENT_MOST * abs(value)
 
 

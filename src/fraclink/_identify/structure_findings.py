@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from fraclink._identify.findings import HELDOUT_MOST, WORSE, rival_finding
-from fraclink._identify.problem import QUANTILE
+from fraclink._identify.problem import QUANTILE, RESOLUTION
 from fraclink._identify.structure_certainty import Certainty
 from fraclink._identify.structure_data import Lines, RecordStart
 from fraclink._identify.structure_fit import StructureFit
@@ -28,10 +29,10 @@ _RESOLUTION, _SMOOTH = 1e-6, 0.01
 # share of the power of lines that they have in common with their neighbours; 0 for
 # noise
 _ALIKE = 0.5
-# factor by which a corner may lie outside the excited band, since its slope extends
-# into it
-_BEYOND = 3.0
-_LARGEST = 700.0  # the largest logarithm of a double
+# factor by which a corner or a peak may lie outside the excited band, since its slope
+# extends into it
+BEYOND = 3.0
+_LARGEST = math.log(sys.float_info.max)
 
 
 def structure_findings(
@@ -116,7 +117,7 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
             "check the channels and their units, or take another structure",
         )
     heldout = fit.heldout_nmse
-    if heldout is not None and heldout > max(WORSE * fit.nmse, 1e-12):
+    if heldout is not None and heldout > max(WORSE * fit.nmse, RESOLUTION):
         yield Finding(
             "W318",
             "error" if heldout > HELDOUT_MOST else "warning",
@@ -181,7 +182,7 @@ def _of_rivals(
         ]
         # If the fit is perfect, every rival is perfect too: these are two parameter
         # sets for the same function.
-        if evidence < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
+        if evidence < QUANTILE**2 * certain.inflation and apart and least > RESOLUTION:
             yield rival_finding({name: rival.values[name] for name in apart})
             return
 
@@ -200,7 +201,7 @@ def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Findi
     logs = [corner for part in terms for corner in log_corners(part)]
     corners = {float(f"{math.exp(min(x, _LARGEST)):.6g}") for x in logs}
     for corner in sorted(corners):
-        if not low / _BEYOND <= corner <= high * _BEYOND:
+        if not low / BEYOND <= corner <= high * BEYOND:
             yield Finding(
                 "W315",
                 "warning",

@@ -15,7 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fraclink._identify.problem import Descent, descend, descend_within_samples
+from fraclink._identify.problem import (
+    FIRST_STEPS,
+    Descent,
+    descend,
+    descend_within_samples,
+)
 from fraclink._identify.structure_data import Lines, RecordStart
 from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_starts import drawn_starts
@@ -25,7 +30,6 @@ __all__ = ["Place", "best_places", "place_of"]
 
 
 _DESCENTS = 16
-_FIRST_STEPS = 10  # enough to tell a promising descent from a lost one
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
 _TRIED = 4  # number of descents followed to their end
 # closer costs belong to the same function, found twice or with its parameters exchanged
@@ -60,7 +64,7 @@ def best_places(
         rows = rows[np.argsort(costs[group & np.isfinite(costs)])[:_DESCENTS]]
         if not len(rows):
             continue
-        first = descend(screen, rows, iterations=_FIRST_STEPS)
+        first = descend(screen, rows, iterations=FIRST_STEPS)
         order = _distinct(problem, first)
         last = descend(screen, first.places[order[:_TRIED]])
         candidates += [*last.places, *first.places[order[_TRIED:]]]
@@ -82,7 +86,7 @@ def best_places(
             wanted=0.0,
             remedy="check that the structure is proper (use a frequency response if it is not), or give start",
         )
-    first = descend(problem, rows[near], iterations=_FIRST_STEPS)
+    first = descend(problem, rows[near], iterations=FIRST_STEPS)
     lowest, *others = _distinct(problem, first)
     ends = [descend(problem, first.places[[lowest]])]
     if isinstance(data, RecordStart):

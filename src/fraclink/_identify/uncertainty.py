@@ -15,7 +15,13 @@ from scipy.special import stdtrit
 
 from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.link_problem import LinkProblem
-from fraclink._identify.problem import QUANTILE, Interval, interval_ends, inverted
+from fraclink._identify.problem import (
+    QUANTILE,
+    RESOLUTION,
+    Interval,
+    interval_ends,
+    inverted,
+)
 from fraclink._identify.residual import (
     Noise,
     autocovariance,
@@ -33,19 +39,21 @@ from fracsys.checks import Real
 class Covariance:
     """Covariances (p, p) of parameters.
 
-    `white` holds for independent residuals; `wide` for residuals of any (short)
+    `inverse` is that of the normal matrix; times the residual's `variance` it is `white`,
+    which holds for independent residuals. `wide` holds for residuals of any (short)
     correlation, and equals `white` if the colour was not requested. `lag` is the
     residual's correlation in samples, `effective` the effective number of fitted
-    parameters with the residual's colour (Takeuchi's trace), `singular` says that the
-    data do not determine all of them.
+    parameters with the residual's colour (Takeuchi's trace), `unseen` (p, k) are
+    the directions that the data leave undetermined.
     """
 
     names: tuple[str, ...]
-    white: Real
+    inverse: Real
+    variance: float
     wide: Real
     lag: int
     effective: float
-    singular: bool
+    unseen: Real
 
     @classmethod
     def of(
@@ -59,11 +67,10 @@ class Covariance:
         are_lines: bool = False,
     ) -> Covariance:
         """From ∂(prediction)/∂(parameters), shape (p, n), and the residual (n,)."""
-        inverse, singular = inverted(regressors @ regressors.T)
+        inverse, unseen = inverted(regressors @ regressors.T)
         # n − p: the fit uses p of the residual's degrees of freedom.
         variance = cost / max(residual.size - len(regressors), 1)
-        white, lag, effective = variance * inverse, 1, float(len(regressors))
-        wide = white
+        wide, lag, effective = variance * inverse, 1, float(len(regressors))
         if coloured:
             colour = autocovariance(residual)
             noise = noise_behind(regressors, colour)
@@ -80,12 +87,17 @@ class Covariance:
             # its residual it gave 1217 effective parameters for one structure and 388
             # for its rival.
             effective = noise.observed / variance if variance > 0 else effective
-        return cls(names, white, wide, lag, effective, singular)
+        return cls(names, inverse, variance, wide, lag, effective, unseen)
 
     def of_functions(self, names: tuple[str, ...], gradients: Real) -> Covariance:
         """Covariance of functions of the parameters with `gradients` (q, p)."""
-        white, wide = (gradients @ x @ gradients.T for x in (self.white, self.wide))
-        return replace(self, names=names, white=white, wide=wide)
+        inverse, wide = (gradients @ x @ gradients.T for x in (self.inverse, self.wide))
+        return replace(self, names=names, inverse=inverse, wide=wide)
+
+    @property
+    def white(self) -> Real:
+        """Covariance for independent residuals."""
+        return self.variance * self.inverse
 
     @cached_property
     def inflation(self) -> dict[str, float]:
@@ -97,6 +109,12 @@ class Covariance:
         white, wide = np.diag(self.white), np.diag(self.wide)
         ratios = np.clip(wide / np.where(white > 0, white, np.inf), 1.0, 1e12)
         return dict(zip(self.names, ratios.tolist(), strict=True))
+
+    @cached_property
+    def correlations(self) -> Real:
+        """Correlation of each pair (p, p)."""
+        size = np.sqrt(np.diag(self.inverse))
+        return np.asarray(self.inverse / np.outer(size, size))
 
     @cached_property
     def errors(self) -> dict[str, float]:
@@ -199,10 +217,6 @@ def link_intervals(
 # After an autoregression a misfit is correlated over a few samples; more lags only add
 # noise.
 _SCORE_LAGS = 5
-# Share of the output's power that 16 bits resolve. A log that is fitted more closely is
-# a simulation, whose residual is the interpolation between its samples and says nothing
-# about the structure.
-_RESOLUTION = 1e-10
 
 
 def structure_criteria(
@@ -248,7 +262,7 @@ def structure_criteria(
         1.0,
     )
     samples = search.window.samples
-    floor = _RESOLUTION * float(np.var(search.window.output))
+    floor = RESOLUTION * float(np.var(search.window.output))
     return {
         name: (
             # A parameter at its limit counts, since it was free to leave it.

@@ -18,18 +18,15 @@ from fraclink._identify.compare import identify
 from fraclink._identify.findings import HELDOUT_MOST
 from fraclink._identify.fit import Fit
 from fraclink._identify.fitting import simulated_torque
+from fraclink._identify.problem import QUANTILE
 from fraclink._identify.shape import moving_angle
-from fraclink._identify.welch import mean_power, segments
+from fraclink._identify.welch import EXCITED, mean_power, segments
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of, worst_first
 from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 
 __all__ = ["LogValidation", "Validation", "Value", "validate"]
-
-# Fraction of the largest power of the prediction: the leakage of the Hann window is
-# smaller, and a frequency with less motion says nothing about the link.
-_LEAST_POWER = 1e-4
 
 
 class Value(NamedTuple):
@@ -248,7 +245,7 @@ def _figures(fit: Fit, model: LinkModel) -> dict[str, Value]:
         else math.nan
         for end in frequency
     )
-    gain = 1.96 * fit.standard_errors.get("gain", math.nan)
+    gain = QUANTILE * fit.standard_errors.get("gain", math.nan)
     figures = {"resonance": Value(*ends)}
     for name in ("order", "damping", "damping_order"):
         if name in fit.standard_errors:
@@ -278,7 +275,7 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
         (predicted, log.output, residual), log.period
     )
     motion, cross = mean_power(expected), np.mean(expected.conj() * measured, axis=0)
-    excited = motion > _LEAST_POWER * motion.max()
+    excited = motion > EXCITED * motion.max()
     return LogValidation(
         log=log,
         predicted=predicted,

@@ -15,13 +15,16 @@ from fraclink._arm.experiment import Experiment
 from fraclink._identify.fit import Fit
 from fracsys.checks import Complex, Real
 
-__all__ = ["WelchResponse", "mean_power", "segments", "welch_response"]
+__all__ = ["EXCITED", "WelchResponse", "mean_power", "segments", "welch_response"]
 
 
 # The average over this many lengths of half-overlapping segments has a standard error
 # of a quarter: enough to see at which frequencies a model is wrong, and a coherence of
 # 0.3 is not accidental.
 _SEGMENTS = 8
+# Fraction of the largest power of the motion: the leakage of the Hann window is smaller,
+# and a frequency with less motion says nothing about the link.
+EXCITED = 1e-4
 
 
 def segments(signals: Sequence[Real], period: float) -> tuple[Real, list[Complex]]:
@@ -61,7 +64,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
         H = P_yu / P_uu,    γ² = |P_yu|² / (P_uu P_yy)
 
     Both use the same windows, which affect a sharp resonance in the same way.
-    Frequencies at which the motor moved less than a thousandth of the largest amplitude
+    Frequencies at which the motor moved less than a hundredth of the largest amplitude
     are left out.
 
     >>> from fraclink._identify import identify
@@ -76,9 +79,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
         (log.motor_angle, log.output, np.asarray(fit.predicted)), log.period
     )
     power = mean_power(u)
-    # A thousandth in amplitude: below it the ratio is that of gauge noise to encoder
-    # noise.
-    usable = power > 1e-6 * power.max()
+    usable = power > EXCITED * power.max()
     cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
     product = np.maximum(power * mean_power(y), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
