@@ -192,7 +192,7 @@ CEILINGS = {
     "_design": 1581,
     "_export": 543,
     "_files": 581,
-    "_identify": 3049,
+    "_identify": 3036,
     "_law": 966,
     "_reading": 1053,
     "_simulate": 1247,

@@ -97,7 +97,7 @@ struct Problem {
         return owned(std::move(values), {count});
     }
 
-    // Returns status, shape, gain, offset, cost, evaluations, Gram matrix of the best of several starts.
+    // Returns status, shape, gain, offset, cost, evaluations of the best of several starts.
     nb::tuple solve(input_table starts, unsigned mask, input_array lower, input_array upper, double gain,
                     double offset, int iterations) {
         std::unique_ptr<fit_table> table(new fit_table);
@@ -125,11 +125,8 @@ struct Problem {
                 std::memcpy(best_shape, shape, sizeof shape);
             }
         }
-        size_t side = 3;
-        for (unsigned bit = 0; bit < FIT_SHAPE; bit++) side += mask >> bit & 1;
         return nb::make_tuple(best_status, owned(std::vector<double>(best_shape, best_shape + FIT_SHAPE), {FIT_SHAPE}),
-                              best.gain, best.offset, best.cost, evaluations,
-                              owned(std::vector<double>(best.gram, best.gram + side * side), {side, side}));
+                              best.gain, best.offset, best.cost, evaluations);
     }
 
     // A linear parameter that is NaN is free.

@@ -169,6 +169,5 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
         }
     }
     r->cost = cost;
-    memcpy(r->gram, gram, sizeof gram);
     return status;
 }

@@ -66,7 +66,6 @@ typedef struct {
     int iterations_max;
     double cost;               /* sum of squares */
     int evaluations;
-    double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX]; /* at the result, side 3 + free */
 } fit_request;
 
 /* Sum of squares of one shape at its best gain and offset; infinite if it has no pole. */

@@ -40,8 +40,6 @@ class FitProblem:
         offset: float,
         iterations: int,
         /,
-    ) -> tuple[
-        int, NDArray[np.float64], float, float, float, int, NDArray[np.float64]
-    ]: ...
+    ) -> tuple[int, NDArray[np.float64], float, float, float, int]: ...
 
 def __getattr__(name: str) -> Any: ...

@@ -23,6 +23,7 @@ from fraclink._display import Overview, Row, number
 from fraclink._files import document
 from fraclink._identify.structure_findings import BEYOND
 from fraclink._identify.structure_fit import StructureFit
+from fraclink._identify.structure_problem import POSITIVE_LIMITS
 from fraclink._identify.structures import Weighting, identify_structure
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding, errors_of
@@ -36,8 +37,6 @@ Band = tuple[float, float]
 # λ up to 2.2: the value of a classical link then lies inside the range, and its
 # interval includes 2.
 _ORDERS = (1.0, 2.2)
-# inertia, friction and stiffness, and the gain of the amplifier
-_POSITIVE = (1e-12, 1e12)
 # Motor (1) and link (10): gain, friction and m are linear in numerator and denominator.
 _BOTTOM = "((s**2 + B*s)*((s/z)**l + 1) + m*(s/z)**l)*exp(-T*s)"
 _STRUCTURES = {
@@ -296,7 +295,8 @@ def _fitted(
         # Wide enough for an anti-resonance outside the band to be found there and
         # reported, instead of being pressed to the edge of the range.
         "z": (low / 30, high * 30),
-        **dict.fromkeys((gain, "B", "m"), _POSITIVE),
+        # gain of the amplifier, friction and stiffness
+        **dict.fromkeys((gain, "B", "m"), POSITIVE_LIMITS),
     }
     fit = identify_structure(
         measured,

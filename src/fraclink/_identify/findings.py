@@ -80,15 +80,24 @@ def signal_of(fit: Fit) -> float:
     """Twice the gain in log-likelihood of the model over an arm at rest, with the
     colour accounted for.
     """
-    # Scaled by the colour of the residual: under slow noise a thousand samples are a
-    # hundred independent ones, and chance has a larger effect.
-    inflation = max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
     output = (fit.predicted + fit.residual)[: fit.fitted_samples]
-    return (
-        fit.fitted_samples
-        * math.log(max(float(np.var(output)) / max(fit.mse, 1e-300), 1.0))
-        / inflation
+    return likelihood_ratio(
+        float(np.var(output)), fit.mse, fit.fitted_samples, _inflation(fit)
     )
+
+
+def _inflation(fit: Fit) -> float:
+    """The factor by which the residual's colour makes samples count less: under slow
+    noise a thousand are a hundred independent ones, and chance has a larger effect.
+    """
+    return max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
+
+
+def likelihood_ratio(
+    cost: float, least: float, samples: int, inflation: float
+) -> float:
+    """n ln(cost/least)/k: for Gaussian noise twice the difference in log-likelihood."""
+    return samples * math.log(max(cost / max(least, 1e-300), 1.0)) / inflation
 
 
 def _least_signal(fit: Fit) -> float:
@@ -444,10 +453,11 @@ def _of_outliers(fit: Fit) -> Iterator[Finding]:
 
 
 def _of_other_valleys(fit: Fit, solution: Solution) -> Iterator[Finding]:
-    inflation = max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
     for rival in solution.rivals:
-        ratio = rival.cost / max(solution.cost, 1e-300)
-        if fit.fitted_samples * math.log(max(ratio, 1.0)) < QUANTILE**2 * inflation:
+        ratio = likelihood_ratio(
+            rival.cost, solution.cost, fit.fitted_samples, _inflation(fit)
+        )
+        if ratio < QUANTILE**2:
             yield rival_finding({"resonance": rival.resonance})
             return
 

@@ -16,8 +16,7 @@ from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.findings import findings_of
 from fraclink._identify.fit import Fit, aic, bic
-from fraclink._identify.link_problem import LinkProblem
-from fraclink._identify.problem import QUANTILE, RESOLUTION, Interval
+from fraclink._identify.problem import QUANTILE
 from fraclink._identify.residual import ResidualTests, find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -272,7 +271,7 @@ def fit_from(
         # On the fitted part: the held-out part is for judging the prediction, not the
         # noise.
         tests = _tests(search, residual[: window.samples], covariance)
-        intervals = _intervals(search, solution, covariance)
+        intervals = link_intervals(search, solution, covariance)
     fit = Fit(
         structure=name,
         model=model_of(solution.shape, 1.0, log.payload),
@@ -390,26 +389,6 @@ def _tests(search: Search, residual: Real, covariance: Covariance) -> ResidualTe
     ratio = max(covariance.inflation.values(), default=1.0)
     motion = search.window.increments()[-search.window.samples :]
     return residual_tests(residual, motion, search.window.period, covariance.lag, ratio)
-
-
-def _intervals(
-    search: Search, solution: Solution, covariance: Covariance
-) -> dict[str, Interval]:
-    inflation = {
-        name: ratio
-        for name, ratio in covariance.inflation.items()
-        if name not in ("gain", "offset")
-    }
-    if solution.cost > RESOLUTION * solution.gram[0, 0]:
-        return link_intervals(search, solution, inflation)
-    # A perfect fit: its likelihood is rounding noise.
-    at = LinkProblem.of(search, solution, inside=True)
-    values = at.parameters(at.place[None, :], at.names)[0][0].tolist()
-    return {
-        name: Interval(value - reach, value + reach, False, False)
-        for name, value in zip(at.names, values, strict=True)
-        for reach in (QUANTILE * covariance.errors[name],)
-    }
 
 
 def _bounds(solution: Solution) -> tuple[str, ...]:

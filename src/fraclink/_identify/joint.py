@@ -22,7 +22,6 @@ from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
-    damping_and_square,
     largest_ratio,
     link_parameters,
     log_resonance,
@@ -104,7 +103,7 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Real:
                 # converges
                 1.0
             )
-        damping, square = damping_and_square(shape)
+        square, _, damping, *_ = link_parameters(shape[None, :])[0][0].tolist()
         frequency = float(shape[1])
         if coordinates.payloads is not None:
             # ω₀² m = c/L² by eq. (5): each log's own estimate of the common value.

@@ -16,11 +16,11 @@ from fraclink._arm.link import FRACTIONAL, STRUCTURES, structure
 from fraclink._identify.problem import AT_LIMIT, FIRST_STEPS
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
+    COORDINATE,
     ORDER_LIMITS,
     Window,
     columns_of,
     embedded,
-    free_coordinates,
     largest_ratio,
     lowest_valleys,
     mask_of,
@@ -56,8 +56,7 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third per s
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The least-squares solution of one structure: coordinates, linear parameters, Gram
-    matrix.
+    """The least-squares solution of one structure: coordinates and linear parameters.
 
     `evaluations`: passes over the data used by the search so far; `rivals` are the ends
     of descents in other valleys, best first.
@@ -69,7 +68,6 @@ class Solution:
     gain: float
     offset: float
     cost: float
-    gram: Real
     lower: Real
     upper: Real
     status: int
@@ -250,11 +248,8 @@ class Search:
 
     def free(self, name: str) -> tuple[int, ...]:
         """Free coordinates of a structure, the delay included unless it is fixed."""
-        names = {0: "order", 3: "damping_order"}
-        own = tuple(
-            i for i in free_coordinates(name) if names.get(i, "") not in self.fixed
-        )
-        return own if "delay" in self.fixed else (*own, 4)
+        own = {*structure(name).free, "delay"} - {*self.fixed}
+        return tuple(sorted(COORDINATE[parameter] for parameter in own))
 
     def _delays(self, row: Real, *, may_lead: bool) -> tuple[float, float]:
         """Range of the delay about a row [s]; `may_lead` allows negative values."""
@@ -362,7 +357,7 @@ class Search:
         start = row.copy()
         start[4] = self.fixed.get("delay", row[4])
         start[free] = np.clip(start[free], lower[free], upper[free])
-        status, shape, gain, offset, cost, evaluations, gram = self.kernel.solve(
+        status, shape, gain, offset, cost, evaluations = self.kernel.solve(
             start[None],
             mask_of(free),
             lower,
@@ -379,7 +374,6 @@ class Search:
             gain,
             offset,
             math.inf if status == 3 else cost,
-            gram,
             lower,
             upper,
             status,

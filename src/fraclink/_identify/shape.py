@@ -61,11 +61,6 @@ _TAIL = 6.0  # and those above 16/Ts·e^6 are negligible
 _MODES_MAX = 64
 
 
-def free_coordinates(name: str) -> tuple[int, ...]:
-    """Coordinates that are free in a structure, without the delay."""
-    return tuple(sorted(COORDINATE[parameter] for parameter in structure(name).free))
-
-
 def mask_of(free: Sequence[int]) -> int:
     """Bit mask of the free coordinates for the kernel."""
     return sum(1 << i for i in free)
@@ -131,16 +126,9 @@ def link_parameters(shapes: Real) -> tuple[Real, Real]:
     return values, slopes
 
 
-def damping_and_square(shape: Real) -> tuple[float, float]:
-    """(μ, ω₀²) of a shape; negative rounding errors become zero."""
-    values = link_parameters(shape[None, :])[0][0]
-    return float(values[2]), float(values[0])
-
-
 def model_of(shape: Real, stiffness: float, payload: float | None) -> LinkModel:
     """The link model of a shape."""
-    damping, square = damping_and_square(shape)
-    order, other = float(shape[0]), float(shape[3])
+    square, order, damping, other, _ = link_parameters(shape[None, :])[0][0].tolist()
     # 1e-9 of the stiffness is below the resolution of any double-precision fit: then
     # only damping is left.
     square = (

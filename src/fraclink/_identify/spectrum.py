@@ -12,9 +12,6 @@ from fracsys.checks import Array, Between, Fraction, Real, checked
 
 __all__ = ["frequency_response"]
 
-# fraction of the largest input line, below which the ratio of a line is mostly noise
-_EXCITED = 0.05
-
 Signal = Annotated[Real, Array(1)]
 
 
@@ -24,7 +21,7 @@ def frequency_response(
     output: Signal,
     *,
     period: Annotated[float, Between(0.0, 1e6, "s", low_open=True)] = 1.0,
-    threshold: Fraction = _EXCITED,
+    threshold: Fraction = 0.05,
 ) -> FrequencyResponse:
     """Frequency response from whole periods of a periodic excitation.
 
@@ -36,7 +33,7 @@ def frequency_response(
         sampling period [s]; 1 where it is unknown: frequencies are then in radians per
         sample.
     threshold
-        lines whose input is below this share of the largest are left out [1].
+        lines whose input is below this share of the largest are left out [1]: their ratio is mostly noise.
 
     Raises
     ------

@@ -8,7 +8,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fraclink._identify.findings import HELDOUT_MOST, WORSE, rival_finding
+from fraclink._identify.findings import (
+    HELDOUT_MOST,
+    WORSE,
+    likelihood_ratio,
+    rival_finding,
+)
 from fraclink._identify.problem import QUANTILE, RESOLUTION
 from fraclink._identify.structure_certainty import Certainty
 from fraclink._identify.structure_data import Lines, RecordStart
@@ -170,10 +175,9 @@ def _of_rivals(
     """
     least = fit.nmse
     for rival in rivals:
-        ratio = rival.cost / max(_cost(fit, data), 1e-300)
-        # n ln(cost/least) is the likelihood ratio for Gaussian noise, which also
-        # defines the intervals.
-        evidence = data.measured.size * math.log(max(ratio, 1.0))
+        ratio = likelihood_ratio(
+            rival.cost, _cost(fit, data), data.measured.size, certain.inflation
+        )
         apart = [
             name
             for name, interval in fit.intervals.items()
@@ -182,7 +186,7 @@ def _of_rivals(
         ]
         # If the fit is perfect, every rival is perfect too: these are two parameter
         # sets for the same function.
-        if evidence < QUANTILE**2 * certain.inflation and apart and least > RESOLUTION:
+        if ratio < QUANTILE**2 and apart and least > RESOLUTION:
             yield rival_finding({name: rival.values[name] for name in apart})
             return
 

@@ -19,6 +19,7 @@ __all__ = [
     "COEFFICIENT_LIMITS",
     "GENERAL_POINTS",
     "ORDER_LIMITS",
+    "POSITIVE_LIMITS",
     "StructureProblem",
 ]
 
@@ -29,8 +30,8 @@ Values = Mapping[str, float]
 # fractional model of a machine is known (`bounds` allows more). Coefficients of either
 # sign in any unit: 24 decades, since a wide range of the logarithm costs nothing.
 ORDER_LIMITS = (0.02, 4.0)
-COEFFICIENT_LIMITS = (-1e12, 1e12)
-_LEAST = 1e-12  # smallest magnitude of a coefficient of either sign
+POSITIVE_LIMITS = _LEAST, _MOST = (1e-12, 1e12)
+COEFFICIENT_LIMITS = (-_MOST, _MOST)
 STEP = 1e-6  # step of differences: exact responses are accurate to 1e-12 of their peak
 # Three points s in general position: two functions of the same form that agree there
 # agree everywhere.

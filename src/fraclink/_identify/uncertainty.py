@@ -181,7 +181,7 @@ def _diagonal(inverse: Real, meat: Real) -> Real:
 
 
 def link_intervals(
-    search: Search, solution: Solution, inflation: Mapping[str, float]
+    search: Search, solution: Solution, covariance: Covariance
 ) -> dict[str, Interval]:
     """The 95 % intervals of the link's parameters and the delay: n ln(cost/least cost)
     ≤ 1.96² times the factor by which the residual's colour widens a variance.
@@ -189,7 +189,9 @@ def link_intervals(
     α has one even if it ended at a limit.
     """
     problem = LinkProblem.of(search, solution, inside=False)
-    selection = {*inflation, "damping_order"}
+    if solution.cost <= RESOLUTION * problem.power:
+        return _straight_intervals(search, solution, covariance)
+    selection = {*covariance.names, "damping_order"}
     if solution.on_edge:
         selection.add("natural_frequency")
     names = tuple(name for name in problem.names if name in selection)
@@ -199,7 +201,7 @@ def link_intervals(
         solution.cost,
         # ω₀² is linear up to the edge ω₀ = 0, and ω₀ is not.
         partial(problem.parameters, names=names, squared=True),
-        np.array([inflation.get(name, 1.0) for name in names]),
+        np.array([covariance.inflation.get(name, 1.0) for name in names]),
     )
     intervals = dict(zip(names, ends, strict=True))
     if squares := intervals.get("natural_frequency"):
@@ -210,6 +212,19 @@ def link_intervals(
             low, high, low_open, squares.high_open
         )
     return intervals
+
+
+def _straight_intervals(
+    search: Search, solution: Solution, covariance: Covariance
+) -> dict[str, Interval]:
+    """Those of a perfect fit, whose likelihood is rounding noise."""
+    at = LinkProblem.of(search, solution, inside=True)
+    values = at.parameters(at.place[None, :], at.names)[0][0].tolist()
+    return {
+        name: Interval(value - reach, value + reach, False, False)
+        for name, value in zip(at.names, values, strict=True)
+        for reach in (QUANTILE * covariance.errors[name],)
+    }
 
 
 # --- criteria: which structure? --------------------------------------------------------------------------
