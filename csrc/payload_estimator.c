@@ -9,7 +9,8 @@
  *    samples per second, and the work of a sample is spread over the periods until the next.
  *  - Evidence fades only while the arm moves. It is halved in every sample in which the best model fails for the
  *    second time in a row, since the payload has then changed.
- *  - Memory is checked where it is used, by comparisons that NaN fails; implausible values restart the estimate.
+ *  - Bounds do not find damaged memory: a sum that is too large by what a move may bring takes many moves to fade. The
+ *    sums of all that outlasts a period are kept instead, and another one restarts the estimate; NaN is another one, too.
  */
 #include "payload_estimator.h"
 
@@ -24,8 +25,6 @@
 #define PAYLOAD_TWICE 2U /* consecutive samples: a single one may be a sensor fault */
 #define PAYLOAD_FADES 10U /* such samples that fade the evidence; with more, a wrong offset could never be learnt */
 #define PAYLOAD_DEVIATION ((law_real)1) /* largest relative standard deviation that is reported */
-#define PAYLOAD_AMPLIFIED ((law_real)4) /* larger than the power gain of every filter A/C, which is below 2 */
-#define PAYLOAD_ROUNDS ((law_real)1.01F) /* margin for rounding */
 #define PAYLOAD_NONE ((law_real)1e30F)  /* larger than any cost */
 
 /* Whether a value is a number within +-`limit`: NaN fails the comparison, and so does the square of infinity. */
@@ -34,9 +33,35 @@ static uint32_t sound(law_real value, law_real limit)
     return ((value * value) <= (limit * limit)) ? 1U : 0U;
 }
 
+/* Whether two sums are the same number. */
+static uint32_t same(law_real one, law_real other)
+{
+    return ((one <= other) && (one >= other)) ? 1U : 0U;
+}
+
 static uint32_t one_more(uint32_t count)
 {
     return (count < 0x7FFFFFFFU) ? (count + 1U) : count;
+}
+
+/* What outlasts a period beside the models and the means: the inputs of the models and what the estimate rests on. */
+static law_real lasting(const payload_state *s)
+{
+    return (((s->angle + s->change) + (s->torque + s->offset)) + ((s->offset_variance + s->shift) + (s->drift + s->samples))) +
+           (((s->keep + s->remaining) + (s->spread + s->white)) + (s->carried[0] + (s->carried[1] + s->carried[2])));
+}
+
+/* The same of a model. */
+static law_real remembered(const payload_memory *m)
+{
+    return (((m->torque[0] + m->torque[1]) + (m->torque[2] + m->angle[0])) + ((m->angle[1] + m->angle[2]) + (m->ee + m->ev))) +
+           ((m->vv + m->e) + m->v);
+}
+
+/* The same of the means that are being formed. */
+static law_real begun(const payload_state *s)
+{
+    return (s->angle_sum + s->torque_sum) + (law_real)s->count;
 }
 
 /* Clear all knowledge. */
@@ -91,17 +116,22 @@ static void know_nothing(payload_state *s)
     s->best_drift = zero;
     s->best_told = zero;
     s->best_error = zero;
-    for (i = 0U; i < 2U; i++) {
-        s->left[i] = zero;
-        s->gain[i] = zero;
-    }
+    s->gain[0] = zero;
+    s->gain[1] = zero;
     s->before_left = zero;
     s->before_gain = zero;
     for (i = 0U; i < 3U; i++) {
+        s->left[i] = zero;
         s->carried[i] = zero;
     }
+    s->remaining = zero;
     s->spread = zero;
     s->white = zero;
+    s->sum = zero;
+    s->means = zero;
+    s->models = zero;
+    s->models_found = zero;
+    s->models_left = zero;
     s->least = zero;
     s->deviation = PAYLOAD_DEVIATION;
     s->estimate = zero;
@@ -121,6 +151,7 @@ static void begin(payload_state *s, const payload_params *p, uint32_t tick, law_
         s->angle = angle;
         s->offset = torque;
         s->offset_variance = p->offset_variance;
+        s->sum = lasting(s);
     }
 }
 
@@ -160,6 +191,9 @@ static void sample(payload_state *s, const payload_params *p)
         s->keep = (((s->flags & PAYLOAD_CHANGED) != 0U) && (s->odd < PAYLOAD_FADES)) ? (law_real)0.5F : p->keep;
         s->samples = (s->keep * s->samples) + (law_real)1;
     }
+    s->sum = lasting(s);
+    s->models_found = (law_real)0;
+    s->models_left = (law_real)0;
     s->next = 0U;
     s->before[0] = PAYLOAD_NONE;
     s->before[1] = PAYLOAD_NONE;
@@ -173,7 +207,8 @@ static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift,
 {
     if (cost < s->cost[2]) {
         s->left[0] = s->before_left;
-        s->left[1] = left; /* until the next model */
+        s->left[1] = left;
+        s->left[2] = left; /* until the next model */
         s->gain[0] = s->before_gain;
         s->gain[1] = gain;
         s->cost[0] = s->before[1];
@@ -191,7 +226,7 @@ static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift,
         /* one of the others */
     }
     if ((i - s->best) == 1U) {
-        s->left[1] = left;
+        s->left[2] = left;
         s->gain[1] = gain;
     }
     s->before_left = left;
@@ -212,16 +247,12 @@ static void pass_on(const payload_state *s, const payload_model *c, payload_memo
 }
 
 /* Errors of a model in this sample, and its cost with the best gain and offset: the minimum of sum (e - x v - y
- * rest)^2 + gain_weight x^2 + offset_weight y^2. Returns whether everything was credible. */
-static uint32_t look(payload_state *s, const payload_params *p, uint32_t i, law_real offset_weight)
+ * rest)^2 + gain_weight x^2 + offset_weight y^2. */
+static void look(payload_state *s, const payload_params *p, uint32_t i, law_real e, law_real told, law_real offset_weight)
 {
     const payload_model *const c = &p->model[i];
     payload_memory *const m = &s->model[i];
-    const law_real seen = s->torque + m->torque[0];
-    const law_real told = (c->b0 * s->change) + m->angle[0];
-    const law_real e = seen - told;
     const law_real swing = s->torque - s->drift;
-    pass_on(s, c, m, seen, told);
     m->ee = (s->keep * m->ee) + (e * e);
     m->ev = (s->keep * m->ev) + (e * told);
     m->vv = (s->keep * m->vv) + (told * told);
@@ -242,22 +273,13 @@ static uint32_t look(payload_state *s, const payload_params *p, uint32_t i, law_
     const law_real excess = error - (p->contact * size);
     s->least = (excess < s->least) ? excess : s->least;
     compare(s, i, cost, y, told, error - (p->surprise * size), left, x);
-    /* no product of two signals exceeds the bound given by their squares */
-    return ((((m->ee <= p->sum_limit) && (m->vv <= p->sum_limit)) && ((m->ev * m->ev) <= (PAYLOAD_ROUNDS * (m->ee * m->vv)))) &&
-            ((cost >= -p->variance) && (cost <= p->sum_limit)))
-               ? 1U
-               : 0U;
 }
 
 /* A model while nothing moves: its filter goes on, its sums remain those from before, relative to the new offset. */
-static uint32_t stand(payload_state *s, const payload_params *p, uint32_t i)
+static void stand(payload_state *s, const payload_params *p, uint32_t i, law_real told)
 {
-    const payload_model *const c = &p->model[i];
     payload_memory *const m = &s->model[i];
-    const law_real seen = s->torque + m->torque[0];
-    const law_real told = (c->b0 * s->change) + m->angle[0];
-    const law_real step = s->shift * c->rest;
-    pass_on(s, c, m, seen, told);
+    const law_real step = s->shift * p->model[i].rest;
     if (sound(told, (law_real)1e-15F) != 0U) { /* they would remain as denormals for ever */
         m->angle[0] = (law_real)0;
         m->angle[1] = (law_real)0;
@@ -269,7 +291,6 @@ static uint32_t stand(payload_state *s, const payload_params *p, uint32_t i)
     m->ee = (m->ee - (((law_real)2 * step) * m->e)) + ((s->samples * step) * step);
     m->ev -= step * m->v;
     m->e -= s->samples * step;
-    return ((m->ee >= -p->variance) && (m->ee <= p->sum_limit)) ? 1U : 0U;
 }
 
 /* Whether the estimate is accurate enough for the law. */
@@ -292,10 +313,10 @@ static void judge(payload_state *s, const payload_params *p)
 /* The noise in the estimate, which is a sum of `slope` e over the samples, slope the change of the remaining error from
  * model to model: the noise of consecutive errors e is correlated by the filter of the model. Returns the variance of
  * that sum relative to one of independent errors, with the gauge's gain as one more of them. */
-static law_real spread(payload_state *s, const payload_params *p)
+static law_real spread(payload_state *s, const payload_params *p, uint32_t inside)
 {
     const payload_model *const c = &p->model[s->best];
-    const law_real slope = (law_real)0.5F * (s->left[1] - s->left[0]);
+    const law_real slope = (inside != 0U) ? ((law_real)0.5F * (s->left[2] - s->left[0])) : (law_real)0;
     const law_real gain = (law_real)0.5F * (s->gain[1] - s->gain[0]);
     const law_real first = s->keep * s->carried[0];
     s->spread = ((s->keep * s->keep) * s->spread) + (slope * (((law_real)2 * first) + (slope * c->power)));
@@ -303,89 +324,135 @@ static law_real spread(payload_state *s, const payload_params *p)
     s->carried[0] = ((s->keep * s->carried[1]) - (c->c1 * first)) + (slope * c->echo0);
     s->carried[1] = ((s->keep * s->carried[2]) - (c->c2 * first)) + (slope * c->echo1);
     s->carried[2] = (slope * c->echo2) - (c->c3 * first);
-    if (!((s->spread >= (law_real)0) && (s->spread <= (PAYLOAD_AMPLIFIED * s->white)))) { /* damaged memory */
-        s->carried[0] = (law_real)0;
-        s->carried[1] = (law_real)0;
-        s->carried[2] = (law_real)0;
-        s->spread = (law_real)0;
-        s->white = (law_real)0;
-    }
     return (s->spread + (p->gain_weight * (gain * gain))) / s->white;
 }
 
-/* The estimate: the minimum of the curve through the costs of the best model and the two on either side of it. */
+/* The minimum of the curve through the costs of the best model and those on either side of it, in models from the
+ * best one, and the curvature there. At the ends of the bank a parabola has to suffice. */
+static law_real lowest(const law_real *cost, uint32_t i, law_real *bend)
+{
+    const law_real tilt = cost[3] - cost[1];
+    const law_real bulge = (cost[3] - cost[2]) + (cost[1] - cost[2]);
+    law_real third = (law_real)0;
+    law_real fourth = (law_real)0;
+    if ((i > 1U) && (i < (PAYLOAD_MODELS - 2U))) {
+        third = ((cost[4] - cost[0]) - ((law_real)2 * tilt)) / (law_real)12;
+        fourth = (((cost[4] - cost[2]) + (cost[0] - cost[2])) - ((law_real)4 * bulge)) / (law_real)24;
+    }
+    const law_real first = ((law_real)0.5F * tilt) - third;
+    const law_real second = ((law_real)0.5F * bulge) - fourth;
+    law_real at = ((law_real)-0.5F * tilt) / bulge;
+    uint32_t round;
+    /*@ loop unroll 2; */
+    for (round = 0U; round < 2U; round++) { /* Newton's method, starting at the minimum of the parabola */
+        const law_real fall = first + (at * (((law_real)2 * second) + (at * (((law_real)3 * third) + (at * ((law_real)4 * fourth))))));
+        *bend = ((law_real)2 * second) + (at * (((law_real)6 * third) + (at * ((law_real)12 * fourth))));
+        at -= fall / *bend;
+    }
+    return at;
+}
+
+/* The square of what this sample had left to explain, by the model `at` between those of the bank. The error that remains
+ * is smaller than that of a prediction by the sample's own share in gain, offset and mass. */
+static law_real unexplained(payload_state *s, const payload_params *p, law_real at, law_real bend)
+{
+    const payload_memory *const m = &s->model[s->best];
+    const law_real rest = p->model[s->best].rest;
+    const law_real told = s->best_told;
+    const law_real step = (law_real)0.5F * (s->left[2] - s->left[0]);
+    const law_real bow = (s->left[2] - s->left[1]) - (s->left[1] - s->left[0]);
+    const law_real left = s->left[1] + (at * (step + ((law_real)0.5F * (at * bow))));
+    const law_real gain = m->vv + p->gain_weight;
+    const law_real both = m->v * rest;
+    const law_real still = ((s->samples * rest) * rest) + (p->variance / s->offset_variance);
+    const law_real known = (((told * told) * still) + (rest * ((rest * gain) - (((law_real)2 * told) * both)))) / ((gain * still) - (both * both));
+    const law_real mass = (bend > (law_real)0) ? ((((law_real)2 * step) * step) / bend) : (law_real)0;
+    const law_real new = (law_real)1 - (known + mass);
+    const law_real error = left * left;
+    s->least = (error < s->least) ? error : s->least;
+    return (new > (law_real)0) ? (error / new) : (law_real)0;
+}
+
+/* The estimate, between the best model and those on either side of it, and its interval. */
 static void conclude(payload_state *s, const payload_params *p)
 {
     const uint32_t i = s->best;
-    const law_real share = spread(s, p);
-    law_real deviation = s->deviation;
+    const uint32_t inside = ((i > 0U) && (i < (PAYLOAD_MODELS - 1U))) ? 1U : 0U;
+    const law_real share = spread(s, p, inside);
+    law_real bend = (law_real)0;
+    law_real at = (inside != 0U) ? lowest(s->cost, i, &bend) : (law_real)0;
+    uint32_t found = inside;
+    if ((sound(at, (law_real)1) == 0U) || !(bend > (law_real)0)) {
+        found = 0U;
+        at = (law_real)0;
+    }
+    s->remaining = (s->keep * s->remaining) + unexplained(s, p, at, bend);
     s->drift = s->best_drift;
     judge(s, p);
-    s->deviation = ((s->flags & PAYLOAD_CHANGED) == 0U) ? PAYLOAD_DEVIATION : deviation; /* beyond the bank */
-    if ((i > 0U) && (i < (PAYLOAD_MODELS - 1U)) && ((s->flags & PAYLOAD_CHANGED) == 0U)) {
-        const law_real *const cost = s->cost;
-        const law_real tilt = cost[3] - cost[1];
-        const law_real bulge = (cost[3] - cost[2]) + (cost[1] - cost[2]);
-        law_real third = (law_real)0;
-        law_real fourth = (law_real)0;
-        if ((i > 1U) && (i < (PAYLOAD_MODELS - 2U))) { /* at the ends of the bank a parabola has to suffice */
-            third = ((cost[4] - cost[0]) - ((law_real)2 * tilt)) / (law_real)12;
-            fourth = (((cost[4] - cost[2]) + (cost[0] - cost[2])) - ((law_real)4 * bulge)) / (law_real)24;
-        }
-        const law_real first = ((law_real)0.5F * tilt) - third;
-        const law_real second = ((law_real)0.5F * bulge) - fourth;
-        law_real at = ((law_real)-0.5F * tilt) / bulge;
-        law_real bend = bulge;
-        uint32_t round;
-        /*@ loop unroll 2; */
-        for (round = 0U; round < 2U; round++) { /* Newton's method, starting at the minimum of the parabola */
-            const law_real fall = first + (at * (((law_real)2 * second) + (at * (((law_real)3 * third) + (at * ((law_real)4 * fourth))))));
-            bend = ((law_real)2 * second) + (at * (((law_real)6 * third) + (at * ((law_real)12 * fourth))));
-            at -= fall / bend;
-        }
-        const law_real here = p->model[i].mass;
-        const law_real rise = (law_real)0.5F * (p->model[i + 1U].mass - p->model[i - 1U].mass);
-        const law_real curve = (law_real)0.5F * ((p->model[i + 1U].mass - here) - (here - p->model[i - 1U].mass));
-        const law_real mass = here + (at * (rise + (at * curve)));
-        const law_real slope = (rise + (((law_real)2 * at) * curve)) / mass;
-        const law_real least = (cost[2] + (at * (first + (at * (second + (at * (third + (at * fourth)))))))) / (s->samples * p->model[i].power);
-        /* that of the gauge and that of the errors seen, which are few, weigh alike */
-        const law_real noise = share * ((law_real)0.5F * (least + p->variance));
-        const law_real variance = ((((law_real)2 * noise) / bend) * (slope * slope)) + p->doubt;
-        if (((sound(at, (law_real)1) != 0U) && (bend > (law_real)0)) && (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION))) {
-            deviation = ((deviation > (law_real)0) && (deviation <= PAYLOAD_DEVIATION)) ? deviation : PAYLOAD_DEVIATION;
-            /* Newton's square root converges from above and is never too small; the next samples refine it. */
-            deviation = (law_real)0.5F * (deviation + (variance / deviation));
-            deviation = (law_real)0.5F * (deviation + (variance / deviation));
-            deviation = (law_real)0.5F * (deviation + (variance / deviation));
-            const law_real half = (p->width * deviation) * mass;
-            s->deviation = deviation;
-            s->estimate = mass - p->link;
-            s->low = s->estimate - half;
-            s->high = s->estimate + half;
+    if ((s->flags & PAYLOAD_CHANGED) == 0U) {
+        const law_real before = s->deviation;
+        s->deviation = PAYLOAD_DEVIATION; /* beyond the bank */
+        if (found != 0U) {
+            const law_real here = p->model[i].mass;
+            const law_real rise = (law_real)0.5F * (p->model[i + 1U].mass - p->model[i - 1U].mass);
+            const law_real curve = (law_real)0.5F * ((p->model[i + 1U].mass - here) - (here - p->model[i - 1U].mass));
+            const law_real mass = here + (at * (rise + (at * curve)));
+            const law_real slope = (rise + (((law_real)2 * at) * curve)) / mass;
+            /* one sample of the stated noise takes the place of the one that the mass uses up */
+            const law_real noise = ((s->remaining / p->model[i].power) + p->variance) / s->samples;
+            const law_real variance = ((((law_real)2 * share) * noise) / bend) * (slope * slope);
+            if (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION)) {
+                law_real deviation = ((before > (law_real)0) && (before <= PAYLOAD_DEVIATION)) ? before : PAYLOAD_DEVIATION;
+                /* Newton's square root converges from above and is never too small; the next samples refine it. */
+                deviation = (law_real)0.5F * (deviation + (variance / deviation));
+                deviation = (law_real)0.5F * (deviation + (variance / deviation));
+                deviation = (law_real)0.5F * (deviation + (variance / deviation));
+                const law_real half = (p->width * deviation) * mass;
+                s->deviation = deviation;
+                s->estimate = mass - p->link;
+                s->low = s->estimate - half;
+                s->high = s->estimate + half;
+            }
         }
     }
 }
 
-/* Update the next models; after the last one the result of the sample is complete. */
+/* Update the next models; after the last one the result of the sample is complete, unless memory was damaged in it:
+ * the estimator then restarts in the next period. */
 static void work(payload_state *s, const payload_params *p, uint32_t models)
 {
     const uint32_t frozen = s->flags & PAYLOAD_FROZEN;
     const law_real weight = p->variance / s->offset_variance;
-    uint32_t good = 1U;
     uint32_t i;
     /*@ loop unroll 14; */
     for (i = 0U; i < models; i++) {
         if (s->next < PAYLOAD_MODELS) {
-            const uint32_t fine = (frozen != 0U) ? stand(s, p, s->next) : look(s, p, s->next, weight);
-            good &= fine;
+            const payload_model *const c = &p->model[s->next];
+            payload_memory *const m = &s->model[s->next];
+            const law_real seen = s->torque + m->torque[0];
+            const law_real told = (c->b0 * s->change) + m->angle[0];
+            s->models_found += remembered(m);
+            pass_on(s, c, m, seen, told);
+            if (frozen != 0U) {
+                stand(s, p, s->next, told);
+            } else {
+                look(s, p, s->next, seen - told, told, weight);
+            }
+            s->models_left += remembered(m);
             s->next++;
-            if ((s->next == PAYLOAD_MODELS) && (frozen == 0U)) {
-                conclude(s, p);
+            if (s->next == PAYLOAD_MODELS) {
+                if ((same(s->models_found, s->models) == 0U) || (same(lasting(s), s->sum) == 0U)) {
+                    s->stamp = 0U;
+                } else if (frozen == 0U) {
+                    conclude(s, p);
+                    s->sum = lasting(s);
+                } else {
+                    /* the estimate is that of the last motion */
+                }
+                s->models = s->models_left;
             }
         }
     }
-    s->stamp = (good != 0U) ? s->stamp : 0U; /* damaged memory: the estimator restarts in the next period */
 }
 
 /* Output the estimate, within its limits whatever the memory contains. */
@@ -447,7 +514,8 @@ void payload_step(payload_state *s, const payload_params *p, uint32_t tick, law_
                   payload_output *output)
 {
     uint32_t periods = tick - s->tick;
-    if ((s->stamp != p->crc) || ((periods != 0U) && (periods > p->gap_limit)) || (s->gap > p->gap_limit)) {
+    if ((s->stamp != p->crc) || ((periods != 0U) && (periods > p->gap_limit)) || (s->gap > p->gap_limit) ||
+        (same(begun(s), s->means) == 0U)) {
         begin(s, p, tick, motor_angle, torque);
         periods = tick - s->tick;
     }
@@ -468,9 +536,11 @@ void payload_step(payload_state *s, const payload_params *p, uint32_t tick, law_
         s->count += periods;
         if (s->count >= p->together) {
             work(s, p, PAYLOAD_MODELS); /* part of the last sample left by missed periods */
+            s->stamp = (same(lasting(s), s->sum) != 0U) ? s->stamp : 0U;
             sample(s, p);
         }
         work(s, p, p->chunk);
+        s->means = begun(s);
     }
     show(s, p, output);
 }

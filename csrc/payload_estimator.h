@@ -18,7 +18,7 @@
 
 #include "law.h"
 
-#define PAYLOAD_VERSION 2U
+#define PAYLOAD_VERSION 3U
 #define PAYLOAD_MODELS 14U /* payloads of the bank */
 
 /* Flags of one period. */
@@ -67,11 +67,9 @@ typedef struct {
     law_real gain_weight;  /* `variance` over that of the gauge's gain */
     law_real offset_variance; /* variance of the gauge's offset before anything is known of it [(N m)^2] */
     law_real keep;         /* share of the evidence that is kept from sample to sample while the arm moves */
-    law_real sum_limit;    /* largest credible sum of squares [(N m)^2] */
     law_real surprise;     /* square of the relative torque error that a right model may have */
     law_real contact;      /* the same for a torque that no payload explains */
     law_real link;         /* equivalent mass of the link at its tip [kg] */
-    law_real doubt;        /* relative variance of the mass that no evidence reduces */
     law_real narrow;       /* largest relative standard deviation at which the law gets the estimate */
     law_real width;        /* half width of the interval in standard deviations */
     law_real payload_limit; /* largest payload [kg] */
@@ -121,13 +119,19 @@ typedef struct {
     law_real best_drift; /* for the best model: offset, predicted torque, and error relative to that of a right model */
     law_real best_told;
     law_real best_error;
-    law_real left[2];    /* remaining errors of the models on either side of the best one, and their gains of the gauge */
+    law_real left[3];    /* remaining errors of the best model and those on either side, and the gauge's gains of the latter */
     law_real gain[2];
     law_real before_left; /* the same of the previous model */
     law_real before_gain;
     law_real carried[3]; /* noise in the estimate: covariance with the filter, variance, and that of white errors */
     law_real spread;
+    law_real remaining; /* sum of the squares of the errors that remain [(N m)^2] */
     law_real white;
+    law_real sum;       /* of the values that outlast a period, of the means being formed, of the models: any other is damage */
+    law_real means;
+    law_real models;
+    law_real models_found; /* of the models updated in this sample, before and after */
+    law_real models_left;
     law_real least;     /* smallest excess of the error over the limit for a contact [(N m)^2] */
     law_real deviation; /* relative standard deviation of the mass */
     law_real estimate;

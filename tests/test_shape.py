@@ -446,3 +446,23 @@ def test_the_command_line_shapes_and_moves(
     assert "does not settle within 0.1 s" in capsys.readouterr().err
     assert main([*shaping, "--payloads", "0.02", "0.04", "--force"]) == 2
     assert "payload" in capsys.readouterr().err
+
+
+def test_the_command_line_shapes_for_an_estimate(
+    design: fl.Design,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    design.save("design.json")
+    shaping = ["shape", "design.json", "--payload", "0.03", "--estimate"]
+    assert main([*shaping, "--over", "model"]) == 0
+    wanted = fl.shape(
+        design, 1.0, payloads=(0.03, 0.03), told="estimated", over="model"
+    )
+    assert fl.load("move.json") == wanted
+    said = capsys.readouterr().out
+    assert "payload estimated" in said
+    assert main([*shaping, "--told", "--force"]) == 2
+    assert "told: given beside --estimate" in capsys.readouterr().err

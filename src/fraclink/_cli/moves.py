@@ -13,6 +13,7 @@ from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Amplitude,
     DesignFile,
+    Estimate,
     doubts_of_move,
     load_design,
     refuse_beside,
@@ -38,6 +39,7 @@ def shape(
         ranges.Payload | None, "Payload, where it is known; instead of --payloads"
     ] = None,
     told: Annotated[bool, "The law is given the payload"] = False,
+    estimate: Estimate = False,
     follow: Annotated[
         Path | None,
         "Table of times and angles that the tip shall follow, instead of --amplitude",
@@ -57,17 +59,18 @@ def shape(
         refuse_beside("--payload", "one payload", payloads=request["payloads"])
         # A range of one payload: the same shaping, without a compromise.
         request["payloads"] = (payload, payload)
+    refuse_beside("--estimate", "its estimate", told=(told and estimate) or None)
+    goal: float | FollowedPath = 1.0 if amplitude is None else amplitude
     if follow is not None:
         refuse_beside("--follow", "the angles of the file", amplitude=amplitude)
+        # A file contains one of these two: other references have no points to follow.
+        goal = cast(FollowedPath, read_reference(follow))
     subject = load_design(design_file)
     with steps(1) as begin:
         begin("shaping the move")
-        goal: float | FollowedPath = 1.0 if amplitude is None else amplitude
-        if follow is not None:
-            # A file contains one of these two: other references have no points to
-            # follow.
-            goal = cast(FollowedPath, read_reference(follow))
-        move = shape_move(subject, goal, told=told, **request)
+        move = shape_move(
+            subject, goal, told="estimated" if estimate else told, **request
+        )
     move.save(out)
     files: tuple[Path, ...] = (out,)
     if table is not None:
@@ -75,7 +78,7 @@ def shape(
             export_reference(move.reference, table, period=move.period, force=True),
         )
     # A move shaped for a known payload must be simulated with it.
-    option = " --told" if told else ""
+    option = " --estimate" if estimate else " --told" if told else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{option} --out moves"
     doubts = doubts_of_move(subject, *move.worst_case.payloads)
     return Answer(move, move.passed, doubts=doubts, written=files, following=following)

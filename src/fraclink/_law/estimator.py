@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +34,7 @@ from fraclink._law.block import Precision, real_type
 from fraclink._law.law import REASONS, Law
 from fraclink._law.tracking import at_mass, masses_of
 from fraclink.errors import FieldError
+from fracsys.checks import Between, Real, checked
 
 __all__ = [
     "COUNTS",
@@ -45,9 +46,7 @@ __all__ = [
     "payload_estimator",
 ]
 
-Real = NDArray[np.float64]
-
-VERSION, MODELS = 2, 14
+VERSION, MODELS = 3, 14
 # Names in the order of payload_estimator.h; a test compares them with that file.
 HEADER = ("version", "size", "precision", "crc")
 COUNTS = ("together", "chunk", "quiet_limit", "gap_limit")
@@ -59,11 +58,9 @@ REALS = (
     "gain_weight",
     "offset_variance",
     "keep",
-    "sum_limit",
     "surprise",
     "contact",
     "link",
-    "doubt",
     "narrow",
     "width",
     "payload_limit",
@@ -80,21 +77,14 @@ MODEL = (
 
 # Relative to the lightest payload of the design, and to the largest of the law.
 LIGHTEST, HEAVIEST = (0.25, 1.15)
-# phase of the lightest payload's vibration per sample [rad]: 12 samples per vibration
-TURN = 0.5
+# samples per vibration of the lightest payload
+PER_VIBRATION = 10
 # Damping ratio of C; 0.25 is hardly more accurate and takes longer to forget a start in
 # motion.
 FORGETTING = 0.35
-# Upper end of the fit relative to each model's own frequency: above it a move excites
-# the second mode.
-HIGHEST = 3.0
 # Weight of the encoder's quantisation in the fit of the models. Without it the third
 # pole of a viscous link, which two describe exactly, could lie anywhere.
 NOISE_GAIN = 0.003
-# [s] of motion used by the estimate: a few moves. An arm damped by another law than the
-# model's shifts the estimate during a move, and less the more moves it rests on; a
-# change that no surprise shows fades after two.
-MEMORY = 1.5
 # Least standard deviation of the gauge's gain: strain gauges and their bridges are not
 # known better over months, whatever the interval of one fit.
 GAIN_DOUBT = 0.03
@@ -106,11 +96,6 @@ MOVED = 4.0  # standard deviations of a sample: a larger torque counts as motion
 # Square of the relative error of the torque, a fifth: the right model never has a
 # larger error, one for half or twice the payload does.
 SURPRISE = 0.05
-# square of a tenth: the best of all models has a smaller error, whatever the payload
-CONTACT = 0.01
-# Relative error of a mass, root mean square, caused by the models of three poles and the
-# curve through their costs.
-DOUBT = 0.003
 # Largest relative standard deviation at which an estimate is better for the law than
 # none.
 NARROW = 0.09
@@ -270,13 +255,17 @@ class PayloadEstimator:
         return bytes(after), Estimates(out[0], out[1], out[2], out[3], flags)
 
 
+@checked
 def payload_estimator(
     link: LinkModel,
     rig: Rig,
     law: Law,
     payloads: tuple[float, float],
     *,
-    gain_doubt: float | None = None,
+    gain_doubt: Annotated[
+        float, Between(0.0, 1e3, low_open=True, remedy="0.03 is usual")
+    ]
+    | None = None,
 ) -> PayloadEstimator:
     """Return the payload estimator for a law and the link that it was designed for.
 
@@ -310,7 +299,7 @@ def payload_estimator(
     ...                    phase_margin=fl.deg(45))
     >>> bank = payload_estimator(rig.model, rig, design.law(), design.payloads)
     >>> len(bank.models), bank.together, bank.in_precision("single").state_size
-    (14, 4, 812)
+    (14, 5, 840)
     """
     if link.payload is None or law.limits.payload_limit <= 0.0:
         raise FieldError(
@@ -324,14 +313,6 @@ def payload_estimator(
         # A 95 % interval is 3.92 standard deviations wide.
         low, high = link.interval("gauge_gain") or (0.0, 0.0)
         gain_doubt = max(GAIN_DOUBT, (high - low) / 3.92 / abs(link.gauge_gain))
-    if not gain_doubt > 0.0:
-        raise FieldError(
-            "gain_doubt",
-            gain_doubt,
-            "not above 0",
-            allowed="> 0",
-            remedy="0.03 is usual",
-        )
     nominal, own = masses_of(link, rig)
     # Evenly spaced in ln m, since the frequency varies with m^(−1/2): the ratio between
     # neighbours is constant, and so is the relative error of the interpolation.
@@ -340,23 +321,31 @@ def payload_estimator(
     )
     # Shares of the first mode in the torque at the root. An identified gain of the gauge
     # includes that of its own payload; a computed link has no mass.
-    *shares, usual = (
-        modal_shares(Beam.from_rig(rig, payload=payload))[1][0]
+    *beams, usual = (
+        modal_shares(Beam.from_rig(rig, payload=payload))
         for payload in (*(masses - own).tolist(), link.payload)
     )
-    usual = rig.link.stiffness if nominal == link.payload else usual
+    known = rig.link.stiffness if nominal == link.payload else usual[1][0]
     links = [
         replace(
             at_mass(link, m / nominal),
-            gauge_gain=float(link.gauge_gain * share / usual),
+            gauge_gain=float(link.gauge_gain * shares[0] / known),
         )
-        for m, share in zip(masses, shares, strict=True)
+        for m, (_, shares) in zip(masses, beams, strict=True)
     ]
     # The lightest payload vibrates fastest; its vibration limits how many periods may
     # be combined into one sample.
-    together = max(1, int(TURN / (abs(links[0].pole) * law.period)))
+    corner = abs(links[0].pole)
+    together = max(1, int(2 * math.pi / (corner * PER_VIBRATION * law.period)))
     sample = together * law.period
-    values = _values(rig, law, together, gain_doubt, own, payloads)
+    # Over less than one vibration a swing cannot be told from an offset, and damping by
+    # another law than the model's shifts the estimate: evidence fades over two vibrations
+    # of the heaviest payload, one for each of two moves.
+    keep = math.exp(-sample * abs(links[-1].pole) / (4 * math.pi))
+    # The best model is half a step of the bank from the payload at most, and its torque
+    # errs by no more.
+    contact = (0.5 * math.log(masses[1] / masses[0])) ** 2
+    values = _values(rig, law, together, gain_doubt, keep, contact, own, payloads)
     return PayloadEstimator(
         period=law.period,
         precision=law.precision,
@@ -368,8 +357,8 @@ def payload_estimator(
         gap_limit=max(2 * together, 8),
         values=tuple(values[name] for name in REALS),
         models=tuple(
-            (*_model(one, sample), float(m))
-            for one, m in zip(links, masses, strict=True)
+            (*_model(one, *beam, corner, sample), float(m))
+            for one, beam, m in zip(links, beams, masses, strict=True)
         ),
     )
 
@@ -379,6 +368,8 @@ def _values(
     law: Law,
     together: int,
     gain_doubt: float,
+    keep: float,
+    contact: float,
     own: float,
     payloads: Sequence[float],
 ) -> dict[str, float]:
@@ -390,8 +381,6 @@ def _values(
         or NOT_STATED * limit
     )
     variance = noise**2 / together
-    # Past data fades at the same rate in time, however many periods make up a sample.
-    keep = math.exp(-together * law.period / MEMORY)
     return {
         "angle_limit": law.limits.angle_limit,
         "torque_limit": limit,
@@ -402,13 +391,9 @@ def _values(
         # must not be taken for a payload.
         "offset_variance": (OFFSET_DOUBT * limit) ** 2,
         "keep": keep,
-        # a filter that forgets within half a vibration has an output of at most twice
-        # its input
-        "sum_limit": (2 * limit) ** 2 / (1 - keep),
         "surprise": SURPRISE,
-        "contact": CONTACT,
+        "contact": contact,
         "link": own,
-        "doubt": DOUBT**2,
         "narrow": NARROW,
         # two-sided 95 % of a normal distribution
         "width": 1.96,
@@ -418,11 +403,15 @@ def _values(
     }
 
 
-def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
+def _model(
+    link: LinkModel, frequencies: Real, shares: Real, corner: float, sample: float
+) -> tuple[float, ...]:
     """One row of the bank without its mass: A, B and C at samples of `sample` [s], and
     A(1)/C(1).
 
-    A and B are the linear least squares solution of B/C = (A/C) Γ/θm at frequencies
+    frequencies, shares: of the modes of its beam (`modal_shares`). Those above the first
+    hardly vibrate in a move, but their inertia is in the torque. corner: of the spectrum
+    of a move [rad/s]. A and B are the linear least squares solution of B/C = (A/C) Γ/θm at frequencies
     weighted by the spectrum of a move.
     """
     pole = link.pole
@@ -435,20 +424,28 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     below = np.convolve(
         [1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -math.exp(-abs(pole) * sample)]
     )
-    # Beyond the Nyquist frequency of the samples the table would be fitted to an alias.
-    w = np.linspace(
-        0.05 * abs(pole), min(HIGHEST * abs(pole), 0.9 * math.pi / sample), 120
-    )
-    torque = link.torque()(1j * w)
+    higher, parts = frequencies[1:], shares[1:] / shares[0]
     if link.second_mode is not None:
-        torque = torque + link.stiffness * link.second_mode.response(1j * w)
-    torque = torque * link.gauge_gain * np.exp(-1j * w * max(link.gauge_delay, 0.0))
+        higher = np.array([link.second_mode.frequency])
+        parts = np.array([link.second_mode.gain])
+    # Beyond the Nyquist frequency of the samples the table would be fitted to an alias;
+    # from half its frequency on, a higher mode is more than its inertia.
+    top = min([0.9 * math.pi / sample, *(0.5 * higher[:1])])
+    w = np.geomspace(0.05 * abs(pole), top, 300)
+    inertia = parts * w[:, None] ** 2 / (w[:, None] ** 2 - higher**2)
+    torque = (
+        (link.torque()(1j * w) + link.stiffness * inertia.sum(axis=1))
+        * link.gauge_gain
+        * np.exp(-1j * w * max(link.gauge_delay, 0.0))
+    )
     back, high = (
         np.exp(-1j * w * sample),
         np.exp(-1j * np.linspace(0, math.pi, 100)[1:]),
     )
+    # Points whose distance grows with the frequency, weighted by the spectrum of a move,
+    # which is as fast as the lightest payload allows, whatever the arm carries.
     weight = (
-        abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
+        np.sqrt(corner / w) / (1 + (w / corner) ** 2) / np.polyval(below[::-1], back)
     )
     # B has a zero at z = 1: a motor at rest causes no torque, whatever its angle.
     noise = NOISE_GAIN * (1 - high) / np.polyval(below[::-1], high)

@@ -34,7 +34,8 @@ _ABSOLUTE = ("gauge_delay", "order")
 # Standard errors required in addition, since those of a short record exceed the limits
 # above.
 _SURE = 4.0
-_LEAST_MOTION = 4.0  # [s] of motion; less shows nothing
+# Vibrations of the link in motion: frequency and decay are those of several.
+_LEAST_VIBRATIONS = 5.0
 _MOVING = 0.02  # [rad/s]
 
 
@@ -157,7 +158,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     Raises
     ------
     FieldError
-        a tuning without a model, another period, less than 4 s of motion.
+        a tuning without a model, another period, less motion than five vibrations.
 
     Examples
     --------
@@ -182,18 +183,19 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     # The time in motion instead of the length: an arm at rest for a minute shows only
     # noise.
     moving = _moving_time(log)
-    if moving < _LEAST_MOTION:
+    least = _LEAST_VIBRATIONS * 2.0 * math.pi / abs(tuning.link.fit.model.pole)
+    if moving < least:
         raise FieldError(
             "log",
             f"{moving:.3g} s of motion",
             "too little to tell",
-            allowed=f">= {_LEAST_MOTION:g} s",
+            allowed=f">= {least:.3g} s, five vibrations of the link",
             remedy="give a longer record, of moves",
         )
     baseline = tuning.link.fit
     halves = [_part(log, rows) for rows in log.split(0.5)]
     within: tuple[Change, ...] = ()
-    if min(map(_moving_time, halves)) >= _LEAST_MOTION:
+    if min(map(_moving_time, halves)) >= least:
         former, latter = (_fitted(half, baseline) for half in halves)
         within = tuple(
             replace(change, name=f"{change.name} within the record")
@@ -341,8 +343,14 @@ def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, .
     except LogError:
         return ()
     motor = tuning.motor
-    errors = motor_fit.standard_errors["gain"], motor.fit.standard_errors["gain"]
-    gain = _change("motor_gain", motor.fit.gain, motor_fit.gain, math.hypot(*errors))
+    gain = _change(
+        "motor_gain",
+        motor.fit.gain,
+        motor_fit.gain,
+        math.hypot(
+            motor_fit.standard_errors["gain"], motor.fit.standard_errors["gain"]
+        ),
+    )
     # Converted to the voltage of the earlier motor: a weaker motor needs more voltage
     # for the same friction.
     friction = motor_fit.coulomb_voltage * motor_fit.gain / motor.fit.gain
