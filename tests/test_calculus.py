@@ -84,6 +84,11 @@ def test_bad_input_is_named() -> None:
         derivative(T**2, T, 0.5)
     with pytest.raises(FieldError, match="not one for each time"):
         integral(T, T[1:], 0.5)
+    # a cubic has four coefficients
+    with pytest.raises(FieldError, match="N >= 4"):
+        integral(T[:3], T[:3], 0.5)
+    cube = integral(T[:4], T[:4] ** 3, 1.0)
+    assert cube == pytest.approx(T[:4] ** 4 / 4, abs=1e-12)
     for operator, order in ((derivative, 2.5), (derivative, 0.0), (integral, 0.0)):
         with pytest.raises(FieldError, match="order"):
             operator(T, T, order)

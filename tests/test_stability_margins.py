@@ -353,6 +353,19 @@ def test_a_negative_phase_margin_needs_the_long_way_round_to_the_point() -> None
     assert found.phase_margin == crossing.phase_margin
 
 
+@pytest.mark.parametrize(
+    ("gain", "poles", "verdict"),
+    [(4.0, 0, "stable"), (7.0, 0, "not stable"), (4.0, None, "not decided")],
+)
+def test_printed_margins_end_with_their_verdict(
+    gain: float, poles: int | None, verdict: str
+) -> None:
+    found = margins(lambda s: gain / (s * (s + 1) * (s + 2)), unstable_poles=poles)
+    table, _, last = str(found).rpartition("closed loop")
+    assert last.strip().startswith(verdict)
+    assert len(table.splitlines()) == 3  # a crossing of either kind, and the distance
+
+
 def test_a_callable_that_gives_no_number_says_where() -> None:
     with pytest.raises(FieldError, match="not a number at") as refused:
         margins(lambda z: np.where(z.imag > 10.0, np.nan, 1 / (z + 1)))
