@@ -116,6 +116,24 @@ def found(stamps: object, *, resample: bool = False) -> tuple[Any, Finding | Non
 GRID = 5.0 + 0.01 * np.arange(101)
 
 
+def test_a_second_between_samples_is_milliseconds_called_seconds() -> None:
+    stamps = np.arange(200.0)
+    assert time_base(0.999 * stamps).period == pytest.approx(0.999)
+    with pytest.raises(LogError, match='unit = "ms"'):
+        time_base(stamps)
+
+
+def test_the_output_is_the_torque_or_else_the_deflection() -> None:
+    angle, output = Channel("theta", "rad"), Channel("gauge", "Nm")
+    torque = LogColumns(time=Channel("t", "s"), motor_angle=angle, torque=output)
+    assert (torque.output_kind, torque.output) == ("torque", output)
+    output = Channel("gauge", "rad")
+    deflection = LogColumns(
+        time=Channel("t", "s"), motor_angle=angle, deflection=output
+    )
+    assert (deflection.output_kind, deflection.output) == ("deflection", output)
+
+
 def test_jitter_is_told_and_beyond_a_quarter_refused() -> None:
     shaken = GRID.copy()
     shaken[30] += 0.002

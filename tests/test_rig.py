@@ -9,6 +9,7 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -311,3 +312,12 @@ def test_a_model_table_is_completed_from_link_and_payload() -> None:
     twice = text.replace("period_s = 0.004\n", "period_s = 0.004\nperiod_ms = 4.0\n")
     with pytest.raises(FieldError, match="given twice, as period_s and as period_ms"):
         Rig.from_toml(twice)
+
+
+def test_the_link_weighs_at_its_tip_what_its_bent_shape_moves() -> None:
+    """Rayleigh: the mass times the mean square of the shape (3x² − x³)/2."""
+    nodes, sizes = np.polynomial.legendre.leggauss(4)
+    x = 0.5 * (1.0 + nodes)
+    share = 0.5 * sizes @ (0.5 * (3 * x**2 - x**3)) ** 2
+    link = Link(length=0.65, flexural_rigidity=0.26, mass=0.04)
+    assert link.tip_mass == pytest.approx(share * 0.04, rel=1e-12)
