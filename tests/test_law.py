@@ -356,3 +356,19 @@ def test_a_controller_without_a_period_needs_one() -> None:
     ):
         fl.discretize(controller)
     assert fl.discretize(controller, 0.004, order=4).period == 0.004
+
+
+def test_higher_modes_are_damped_as_stated() -> None:
+    """A resonance without a law of its own rises with 1/ζ; a stated ζ is in its range."""
+    rig = fl.Rig.named("paper-2023-geared")
+    request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "law": False}
+    design = fl.design(rig.model, rig, payloads=(0.02, 0.04), **request)
+    light, heavy = (
+        [mode.achieved for mode in extend.mode_gains(design, damping_ratio=ratio)]
+        for ratio in (0.01, 0.02)
+    )
+    np.testing.assert_allclose(light, 2 * np.array(heavy), rtol=0.05)
+    assert extend.mode_gains(design, damping_ratio=0.999)
+    for ratio in (0.0, 1.0, -0.1):
+        with pytest.raises(FieldError, match="damping_ratio"):
+            extend.mode_gains(design, damping_ratio=ratio)

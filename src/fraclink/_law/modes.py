@@ -102,7 +102,7 @@ def higher_modes(
         return None
     if damping_ratio is not None:
         allowed = Between(0.0, 0.999, low_open=True)
-        damping_ratio = allowed.check("mode_damping", damping_ratio)
+        damping_ratio = allowed.check("damping_ratio", damping_ratio)
     else:
         # A fractional or viscous damping law damps the higher modes like the first.
         # Without one their peaks would be infinite, and no filter would suffice.
