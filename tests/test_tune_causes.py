@@ -121,3 +121,17 @@ def test_what_holds_a_motor_that_hunts_is_named() -> None:
         given = {"motor": replace(found, fit=fit)}
         assert named in said(vibration(), hunts=True, **given)
         assert said(vibration(), **given) == ""
+
+
+def test_a_second_mode_with_hardly_any_damping_is_seen() -> None:
+    model = fl.LinkModel(1.5, 10.0, 1.98)
+    mode = fl.LinkModel(1.5, 90.0, 2.0, damping=2.0 * 2e-4 * 90.0)
+    steps = np.random.default_rng(1).choice([-0.1, 0.1], 75)
+    angle = np.convolve(np.repeat(steps, 20), np.full(10, 0.1), "same")
+    noise = 0.01 * np.random.default_rng(2).standard_normal(angle.size)
+    torque = noise + fl.extend.simulated_torque(model, angle, PERIOD)
+    torque += fl.extend.simulated_torque(mode, angle, PERIOD)
+    log = fl.Experiment(period=PERIOD, motor_angle=angle, output=torque)
+    seen = fl.identify(log, "UD-FOM", heldout=0.0).model.second_mode
+    assert seen is not None
+    assert seen.frequency == pytest.approx(90.0, rel=0.01)

@@ -160,37 +160,36 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     # Before the first doublet: six standard deviations of a coarse encoder's speed
     # would end it.
     guard.allow(shake)
-    # The response must exceed the noise after smoothing over five samples.
-    answers = (
-        max(_ANSWER, _CLEAR * shake / math.sqrt(_SMOOTH)),
-        max(_FELT, _CLEAR * noise / math.sqrt(_SMOOTH)),
-    )
-    pulse = _grown(guard, answers)
+    # An answer must exceed the noise after smoothing over five samples.
+    goal = max(_ANSWER, _CLEAR * shake / math.sqrt(_SMOOTH))
+    pulse = _grown(guard, goal, still.torque)
     while True:
         record, earlier = _train(guard, pulse)
         guard.release()
         conclusion = _concluded(record, earlier, shake, noise, pulse, stated)
         if isinstance(conclusion, Wiring):
             return conclusion
-        travel = float(np.ptp(record.angle))
-        if not isinstance(conclusion, _Unsure) or travel > _MOST / _LARGER:
+        if not isinstance(conclusion, _Unsure) or goal >= _MOST / _LARGER:
             raise conclusion
-        # Continue from there: a motion too small for the noise is enlarged, up to 2.3°.
-        pulse = _grown(guard, (_LARGER * max(travel, answers[0]), answers[1]), pulse)
+        # Continue from there: a motion too small for the noise is enlarged, and may
+        # exceed its goal by one growth.
+        goal = min(_LARGER * goal, _MOST / _LARGER)
+        pulse = _grown(guard, goal, still.torque, pulse)
 
 
-def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> float:
-    """The voltage of a doublet that moves encoder [rad] or gauge [N·m] by the given
-    amount.
+def _grown(guard: Guard, goal: float, still: Real, pulse: float = 0.0) -> float:
+    """The voltage of a doublet that moves the encoder by `goal` [rad], or the gauge
+    visibly more than it moved at rest [N·m].
     """
-    most, (goal, least) = guard.limits.voltage, answers
+    most, swings = guard.limits.voltage, [float(np.var(still))]
     pulse = max(pulse, _FIRST * most / _GROWTH)
     # Signs alternate, so that each doublet cancels the remaining motion of the last
     # one.
-    sign, alone = 1.0, 0
+    sign = 1.0
     while pulse < most:
         pulse = min(_GROWTH * pulse, most)
-        before, (angle, torque) = guard.count, _settled(guard)
+        before = guard.count
+        angle = float(np.mean(guard.record(max(before - 2 * _SMOOTH, 0)).angle))
         _doublet(guard, sign * pulse)
         sign = -sign
         record = guard.record(before)
@@ -201,10 +200,12 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         counts = min(_COUNTS * _step(record.angle), _COUNTS * COUNT)
         if travel >= max(goal, counts):
             return pulse
-        # Twice, since a single swing of the gauge may be chance.
-        answer = float(np.max(np.abs(_smoothed(record.torque) - torque)))
-        alone = alone + 1 if answer > least and travel < _MISSING * goal else 0
-        if alone == 2:
+        # Over two doublets: the mean square of their 2n samples scatters by 1/√n.
+        swings.append(float(np.var(record.torque)))
+        noise = swings[0] * (1.0 + _SURE / math.sqrt(record.torque.size))
+        if travel < _MISSING * goal and 0.5 * sum(swings[-2:]) > max(
+            noise, 0.5 * _FELT**2
+        ):
             return pulse
     raise WiringFault(
         f"neither encoder nor gauge answers {most:g} V: drive not enabled, voltage not connected, brake "
@@ -217,11 +218,6 @@ _SMOOTH = 5
 
 def _smoothed(values: Real) -> Real:
     return np.convolve(values, np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-
-
-def _settled(guard: Guard) -> tuple[float, float]:
-    last = guard.record(max(guard.count - 2 * _SMOOTH, 0))
-    return float(np.mean(last.angle)), float(np.mean(last.torque))
 
 
 def _doublet(guard: Guard, voltage: float) -> None:

@@ -125,8 +125,8 @@ class TuningPlan:
                 f"limits: {math.degrees(limits.angle):.3g}° to each side of where the arm stands, "
                 f"{limits.speed:g} rad/s, {limits.torque:g} N·m at the gauge, {limits.voltage:g} V",
                 domain(self.period),
-                "1 wiring: short pulses that grow until the motor turns by 1°, "
-                f"{math.degrees(_MOST):.2g}° at most; nothing is closed; 8 s",
+                "1 wiring: short pulses that grow until the motor turns by 1°, over "
+                f"{math.degrees(2.0 * _MOST):.2g}° at most; nothing is closed; 8 s",
                 f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
                 f"growing to {part} % of the limits where that is needed; 5 to 15 s",
                 f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "
