@@ -82,6 +82,7 @@ def speed(rounds: int) -> None:
     timed("design, law=False", partial(call, law=False), rounds, 0.01)
     refused = partial(call, 30.0, phase_margin=fl.deg(75), law=False)
     timed("a refusal with its offer", refused, rounds, 0.3)
+    timed("a refusal without one", partial(refused, nearest=False), rounds, 0.02)
 
 
 def certificates(rounds: int) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,24 +47,24 @@ class Rows:
     gradient: Real
     soft: NDArray[np.bool_]
 
-    @property
+    @cached_property
     def easing(self) -> float:
         """By how much the soft rows have to be eased."""
         return -float(np.min(self.value[self.soft], initial=0.0))
 
-    @property
+    @cached_property
     def missed(self) -> float:
         """By how much a row is missed that may not be eased."""
         return max(-float(np.min(self.value[~self.soft], initial=0.0)) - KEPT, 0.0)
 
-    @property
+    @cached_property
     def slack(self) -> float:
         """Both as one number, zero where every row is kept; what may not be eased comes
         first.
         """
         return self.easing + _FIRST * self.missed
 
-    @property
+    @cached_property
     def near(self) -> float:
         """Both, as a step weighs them that is judged by them."""
         return self.easing + _NEAR * self.missed
