@@ -196,7 +196,7 @@ CEILINGS = {
     "_law": 964,
     "_reading": 1053,
     "_simulate": 1244,
-    "lab": 1951,
+    "lab": 1949,
     "logs": 676,
     "studio": 1180,
     "trials": 1473,
