@@ -311,15 +311,30 @@ class Judge:
         return self.damping(x) > 0.0622 and design.with_law().passed
 
     def modes(self, x: Real) -> Real:
-        """ln of a half over the loop gain at the modes that the model does not know."""
+        """ln of a half over what the circles of the modes that the model does not know
+        leave of the distance to -1.
+        """
         loop = Loop.around(self.model, self.inner, self.rig.motor, self.rig.period)
         light, heavy = self.options["payloads"]
         modes = higher_modes(self.model, self.rig, loop, np.geomspace(light, heavy, 3))
         assert modes is not None
         if self.model.second_mode is not None:
             modes = modes.above(2)  # the table of the loop contains the second one
-        gain = np.log(np.abs(self.outer(x, 1j * modes.frequency.ravel())))
-        return np.min(math.log(0.5) - gain - modes.level.ravel(), axis=1)
+        outer = self.outer(x, 1j * modes.frequency.ravel())
+        outer = outer.reshape(len(outer), *modes.frequency.shape)
+        gain = np.abs(outer) * np.exp(modes.level.real)
+        top = np.argmax(gain, axis=2)[..., None]
+        gain = np.take_along_axis(gain, top, 2)
+        phase = np.take_along_axis(np.angle(outer) + modes.level.imag, top, 2)
+        # circles through 0 and the peak, the peak turned by up to 29° either way
+        turned = phase + math.radians(29.0) * np.linspace(-1.0, 1.0, 9)
+        turned = np.where(np.isnan(turned), math.pi, turned)[..., None]
+        circle = 1.0 + np.exp(2j * math.pi * np.arange(60) / 60)
+        distance = np.abs(1.0 + 0.5 * gain[..., None] * np.exp(1j * turned) * circle)
+        least = np.min(distance, axis=(2, 3))
+        # inside the circle of a peak beyond -1
+        least = np.where(np.max(-gain * np.cos(turned[..., 0]), axis=2) < 1, least, -1)
+        return np.min(math.log(0.5) - np.log(1.0 - least + 1e-12), axis=1)
 
     def outer(self, x: Real, s: Complex) -> Complex:
         """Ĉ of each controller, (S, N)."""

@@ -207,7 +207,9 @@ def mode_gains(
 
     Below one a mode cannot be destabilised, whatever its phase. The modes are those of
     the rig's link mass (``[link] mass_kg``), with the model's damping unless
-    `damping_ratio` is given, and the second mode that was identified.
+    `damping_ratio` is given, and the second mode that was identified. Of a mode above
+    that one only what points to -1 counts, 1 + |L|/2 - |1 + L/2|, with a phase of L that
+    may be off by 29°.
 
     Examples
     --------

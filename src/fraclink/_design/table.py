@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.loop import Loop, noise_points
 from fraclink._design.outer import Outer
-from fraclink._law.modes import MODE_POINTS, HigherModes
+from fraclink._law.modes import MODE_POINTS, HigherModes, gain_towards
 from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["Figure", "Table", "Trial", "stacked", "tabulated"]
@@ -54,7 +54,7 @@ class Table:
     noise_rest: Complex
     voltage: Real
     modes_w: Real
-    modes_level: Real
+    modes_level: Complex
     modes_number: Index
     empty: Mask
     arm: Index
@@ -117,12 +117,11 @@ def tabulated(
         noise_w[k, : at.size], weight[k, : at.size] = at, share
     gain, decay = motor
     drive = np.abs(noise_w * (1j * noise_w + decay)) / gain
-    modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0))
+    modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0), dtype=complex)
     number = np.zeros((w0.size, 0), dtype=int)
     if modes is not None:  # the same modes for each link, one link after the other
-        modes_w, level = (
-            part.reshape(w0.size, -1) for part in (modes.frequency, modes.level)
-        )
+        modes_w = modes.frequency.reshape(w0.size, -1)
+        level = modes.level.reshape(w0.size, -1)
         number = np.repeat(modes.number, MODE_POINTS).reshape(modes_w.shape)
     return Table(
         w,
@@ -436,16 +435,22 @@ class Trial:
 
     @cached_property
     def modes(self) -> Figure:
-        """ln of the largest loop gain at each of the higher modes of each link."""
+        """ln of the loop gain towards -1 at each of the higher modes of each link."""
         shape = (len(self.table), -1, MODE_POINTS)
         w = self.table.modes_w.reshape(shape)
         each = np.broadcast_to(np.arange(len(w))[:, None, None], w.shape)
-        level = self.outer.log(w, each).real + self.table.modes_level.reshape(shape)
-        best = np.argmax(level, axis=2)[..., None]
-        at, value = (np.take_along_axis(part, best, 2).ravel() for part in (w, level))
+        log = self.outer.log(w, each) + self.table.modes_level.reshape(shape)
+        peak = np.argmax(log.real, axis=2)[..., None]
+        at, top = (np.take_along_axis(part, peak, 2).ravel() for part in (w, log))
         link = each[..., 0].ravel()
         number = self.table.modes_number.reshape(shape)[..., 0].ravel()
-        return Figure(value, self.outer.gradient(at, link).real, link, number)
+        gain, by_gain, by_phase = gain_towards(np.asarray(top))
+        gain, slope = (
+            np.maximum(gain, np.finfo(float).eps),
+            self.outer.gradient(at, link),
+        )
+        gradient = (by_gain * slope.real + by_phase * slope.imag) / gain
+        return Figure(np.log(gain), gradient, link, number)
 
     @cached_property
     def damping(self) -> Figure:

@@ -24,19 +24,24 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
 from fraclink._law.requirement import Requirement
-from fracsys.checks import Between, Real
+from fracsys.checks import Between, Complex, Real
 
 __all__ = [
     "MODE_LIMIT",
     "MODE_POINTS",
     "HigherModes",
+    "gain_towards",
     "higher_modes",
     "mode_requirements",
 ]
 
 
-# share of the loop gain: 6 dB below 1, beyond which only the phase would decide
+# of the loop gain towards -1: the rest of the distance to it is one over the customary
+# sensitivity peak of 2
 MODE_LIMIT = 0.5
+# The phase at a mode that was not identified may be off by what such a loop stands
+# elsewhere: its phase margin of 29°.
+_TURN = 2.0 * math.asin(0.5 * MODE_LIMIT)
 # so that the points of a strongly damped mode do not extend down to the first mode
 _WIDEST = 0.035
 # points in ln ω as multiples of the damping ratio, densest at the peak
@@ -49,14 +54,14 @@ class HigherModes:
     """Frequencies of modes 2 and 3 of a link, and the loop without Ĉ there.
 
     One row for each payload and mode: ``number`` (K,), ``payload`` (K,) [kg],
-    ``frequency`` (K, N) [rad/s] as the computer sees it, ``level`` (K, N), ln|hold · M
-    · Θ̂t/Θm|.
+    ``frequency`` (K, N) [rad/s] as the computer sees it, ``level`` (K, N), ln(hold · M
+    · Θ̂t/Θm), whose imaginary part is NaN where the phase does not count.
     """
 
     number: NDArray[np.int64]
     payload: Real
     frequency: Real
-    level: Real
+    level: Complex
 
     def above(self, number: int) -> HigherModes:
         """Return the modes above a given number."""
@@ -66,10 +71,28 @@ class HigherModes:
         )
 
     def gains(self, loop: Loop) -> Real:
-        """Return the largest loop gain of each row with the Ĉ of `loop`, shape (K,)."""
-        return np.asarray(
-            np.max(np.exp(loop.outer_log(self.frequency).real + self.level), axis=1)
-        )
+        """Return the loop gain of each row towards -1 with the Ĉ of `loop`, shape (K,)."""
+        log = loop.outer_log(self.frequency) + self.level
+        peak = np.argmax(log.real, axis=1)[:, np.newaxis]
+        return gain_towards(np.take_along_axis(log, peak, axis=1)[:, 0])[0]
+
+
+def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
+    """Return the part of a mode's loop gain that points to -1, from ln L at its peak,
+    and its derivatives by the real and the imaginary part.
+
+    About a lightly damped mode L runs round a circle through 0 and its peak L_p, whose
+    distance to -1 is |1 + L_p/2| - |L_p|/2. One minus that is |L_p| where it points to
+    -1, or where its phase does not count, and less elsewhere.
+    """
+    radius = 0.5 * np.exp(peak.real)
+    angle = np.remainder(peak.imag + math.pi, 2.0 * math.pi) - math.pi
+    known = np.abs(angle) + _TURN < math.pi
+    turned = np.where(known, np.abs(angle) + _TURN, math.pi)
+    apart = np.maximum(np.abs(1.0 + radius * np.exp(1j * turned)), np.finfo(float).eps)
+    by_gain = radius * (1.0 - (np.cos(turned) + radius) / apart)
+    by_phase = np.where(known, radius * np.sin(turned) / apart * np.sign(angle), 0.0)
+    return 1.0 + radius - apart, by_gain, by_phase
 
 
 def higher_modes(
@@ -107,7 +130,7 @@ def higher_modes(
         # A fractional or viscous damping law damps the higher modes like the first.
         # Without one their peaks would be infinite, and no filter would suffice.
         damping_ratio = assumed_ratio(model)
-    rows: list[tuple[int, float, Real, Real]] = []
+    rows: list[tuple[int, float, Real, Complex]] = []
     for payload in payloads:
         if model.second_mode is not None:
             width = min(model.second_mode.damping_ratio, _WIDEST)
@@ -117,19 +140,24 @@ def higher_modes(
                 if model.payload
                 else model.natural_frequency
             )
-            rows.append((2, payload, w, loop.link_log(w, link).real))
+            rows.append((2, payload, w, loop.link_log(w, link)))
         if rig.link.mass > 0.0:
             rows += _beam_modes(model, rig, payload, damping_ratio)
     number, masses, frequencies, answers = zip(*rows, strict=True)
     w = np.array(frequencies)
     level = _rest(loop, w, rig.period) + np.array(answers)
+    # The phase counts where the beam was measured, by its second mode, up to the Nyquist
+    # frequency; the bound on that mode itself is one on its gain, whatever its phase.
+    known = (np.array(number)[:, np.newaxis] > 2) & (w < math.pi / rig.period)
+    known &= model.second_mode is not None
+    level.imag[~known] = math.nan
     return HigherModes(np.array(number), np.array(masses), _seen(w, rig.period), level)
 
 
 def _beam_modes(
     model: LinkModel, rig: Rig, payload: float, ratio: float | None
-) -> list[tuple[int, float, Real, Real]]:
-    """(number, payload, ω, ln|Θ̂t/Θm|) of the modes of the beam that were not
+) -> list[tuple[int, float, Real, Complex]]:
+    """(number, payload, ω, ln Θ̂t/Θm) of the modes of the beam that were not
     identified.
     """
     frequencies, sizes = modal_shares(Beam.from_rig(rig, payload=payload))
@@ -149,7 +177,7 @@ def _beam_modes(
             )
         # The whole sum instead of the mode's own term: the gauge also shows the tails
         # of the neighbouring modes, which add to it or subtract from it.
-        modes.append((i + 1, payload, w, np.log(np.abs(answer))))
+        modes.append((i + 1, payload, w, np.log(answer) - s * model.gauge_delay))
     return modes
 
 
@@ -180,19 +208,21 @@ def _seen(w: Real, period: float) -> Real:
     )
 
 
-def _rest(loop: Loop, w: Real, period: float) -> Real:
-    """ln|hold · M|; beyond the Nyquist frequency M is taken at that frequency, where it
+def _rest(loop: Loop, w: Real, period: float) -> Complex:
+    """ln(hold · M); beyond the Nyquist frequency M is taken at that frequency, where it
     is larger.
     """
     half = 0.5 * period * w
-    motor = loop.motor_log(np.minimum(w, math.pi / period)).real
+    motor = loop.motor_log(np.minimum(w, math.pi / period))
     return np.asarray(np.log(np.abs(np.sin(half)) / half + 1e-300) + motor)
 
 
 def mode_requirements(
     modes: HigherModes, loop: Loop, limit: float
 ) -> tuple[tuple[int, Requirement], ...]:
-    """Return (number, the worst loop gain against `limit`) of each higher mode."""
+    """Return (number, the worst loop gain towards -1 against `limit`) of each higher
+    mode.
+    """
     gains = modes.gains(loop)
     result = []
     for number in map(int, np.unique(modes.number)):
