@@ -351,7 +351,9 @@ def together(rounds: int) -> None:
     for name, model, wanted in (("UD-FOM", link, 0.015), ("D-FOM", damped, 0.1)):
         logs = []
         for seed, mass in enumerate((0.02, 0.03, 0.04)):
-            log = noisy_log(seed, 0.05, model=model.at_payload(mass))
+            log = noisy_log(
+                seed, 0.05, model=replace(model.at_payload(mass), damping=model.damping)
+            )
             logs.append(replace(log, payload=mass))
         spent = interleaved(
             {"R": lambda logs=logs, name=name: identify_payloads(logs, name)}, rounds

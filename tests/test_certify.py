@@ -47,7 +47,9 @@ PRINTED = fl.Controller(  # (58)
 )
 # the parameters of an arm, in the order of the certificates
 AXES = ["frequency", "softness", "delay", "gauge_gain", "gauge_delay", "order"]
-AXES += ["damping", "motor", "mode_frequency", "mode_gain"]
+AXES += ["loss", "motor", "mode_frequency", "mode_gain"]
+# a box of the proof has the mode's detuning f/ω in place of its frequency
+MODE = AXES.index("mode_frequency")
 TEXTS = ("block", "digest", "precision", "hold", "motor_loop")
 CHECKER = Path(__file__).resolve().parents[1] / "tools" / "check_certificate.py"
 
@@ -208,6 +210,11 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     # where the aliases matter for L; Nyquist: 785 rad/s
     first[::3, 0] = rng.uniform(320, 780, len(first[::3]))
     second[:, 0] = np.minimum(first[:, 0] * (1 + width[:, 0]), high[0, 0])
+    first[:, MODE], second[:, MODE] = low[0, MODE], high[0, MODE]
+    least, most, _ = loop.possible(first, second)
+    room = 0.5 * (most - least)[:, MODE]
+    first[:, MODE] = least[:, MODE] + room * rng.random(count)
+    second[:, MODE] = first[:, MODE] + room * width[:, MODE]
     plain, inverse, _ = loop.forms(first, second)
     held = loop.held(first[:, 0])
     assert 27 <= np.count_nonzero(held) < 40
@@ -219,6 +226,7 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
         corner[::2] = np.round(corner[::2])
         x = (first + (second - first) * corner).reshape(-1, len(AXES))
         place = {name: x[:, k] for k, name in enumerate(AXES)}
+        place["mode_frequency"] = x[:, MODE] * x[:, 0]
         every = np.tile(held, steps)
         exact = loop_values(claim, law, x[:, 0], place, held=every)
         for value, true in ((plain, exact), (inverse, 1 / exact)):
@@ -227,7 +235,7 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
                 assert not np.any(np.abs(true - centre) > radius + 1e-6 * np.abs(true))
         at, at_inverse, _ = loop.forms(x, x, every)
         for name in loop.axes:
-            k = AXES.index(name)
+            k = MODE if name == "detuning" else AXES.index(name)
             near = x.copy()
             ends = np.tile(first[:, k], steps), np.tile(second[:, k], steps)
             near[:, k] = ends[0] + (ends[1] - ends[0]) * rng.random(len(x))
@@ -382,6 +390,7 @@ def test_what_the_gauge_shows_is_in_the_proof(
     )
     points = np.tile([place.get(name, 0.0) for name in AXES], (w.size, 1))
     points[:, 0] = w
+    points[:, MODE] /= w
     value, inverse, _ = BoxLoop(claim).forms(points, points, none)
     assert np.all(np.abs(value.c - expected) <= value.r + 1e-9 * np.abs(expected))
     assert np.all(np.abs(inverse.c * expected - 1) < 1e-7)
@@ -623,8 +632,8 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "stiffer links admitted": _number("softness_low", factor=0.1),
     "gauge of half the gain admitted": _number("gauge_gain_low", value=0.5),
     "gauge of twice the gain admitted": _number("gauge_gain_high", value=2.0),
-    "damping turned round": _number("damping_low", value=1.0),
-    "negative damping": _number("damping_low", value=-0.1),
+    "damping turned round": _number("loss_low", value=1.0),
+    "negative damping": _number("loss_low", value=-0.1),
     "second mode without a frequency": _number("mode_gain_high", value=0.1),
     "second mode without damping": _all_of(
         _interval("mode_frequency", value=90.0),
@@ -640,7 +649,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
         _interval("gain", value=3000.0),
         _number("decay", value=13.0),
     ),
-    "damping of 50": _interval("damping", value=50.0),
+    "damping of 50": _interval("loss", value=50.0),
     "softness times three": _interval("softness", factor=3.0),
     "order": _interval("order", value=1.8),
     "order of the damping": _number("damping_order", value=5.0),
@@ -1140,7 +1149,9 @@ def test_points_are_enclosed_as_the_loop_that_is_written_another_way(placement: 
     low, high = loop.root()
     points = low + (high - low) * np.random.default_rng(8).random((300, len(AXES)))
     points[:, 0] = np.geomspace(1.0, 780.0, 300)
+    points[:, MODE] = RICH.second_mode.frequency / points[:, 0]
     place = {name: points[:, k] for k, name in enumerate(AXES)}
+    place["mode_frequency"] = points[:, MODE] * points[:, 0]
     for held_ in (np.zeros(300, dtype=bool), np.ones(300, dtype=bool)):
         plain, inverse, _ = loop.forms(points, points, held_)
         exact = loop_values(claim, law, points[:, 0], place, held=held_)

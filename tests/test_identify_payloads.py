@@ -4,6 +4,7 @@ both.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ def payload_logs(
 ) -> list[Experiment]:
     logs = []
     for i, mass in enumerate((0.02, 0.03, 0.04)):
-        model = link.at_payload(mass)
+        # μ common to all payloads, as in the paper's Table 3
+        model = replace(link.at_payload(mass), damping=link.damping)
         if tweak:
             model = LinkModel(1.56, model.natural_frequency, model.order - i * tweak)
         logs.append(made_log(model, noise=noise, seed=i, payload=mass))

@@ -11,9 +11,9 @@ set to its worse end. Exponentials are mpmath's; discs are widened by U of each 
 import cmath, functools, hashlib, json, math, pathlib, re, struct, sys, zlib
 from mpmath import mp
 mp.prec, U, TEXT = 64, 2.0**-48, ("block", "digest", "precision", "hold", "motor_loop")
-SENTENCES = "09166052d1f26ee1e0d338cac10e363e8ac1ad15ec560362d33ef818c1fa5a43"  # SHA-256 of the claim's form and of what it assumes
-AXES = ["delay", "gauge_gain", "gauge_delay", "order", "damping", "motor", "mode_frequency", "mode_gain"]
-ALIASES, (W, Q, LATE, GAIN, GLATE, ORDER, DAMP, MOTOR, MODE, SHARE) = (-1, 1, -2, 2, -3), range(10)  # at ω + 2πn/T; ω, q = 1/ω0², and AXES; the motor's is p or A
+SENTENCES = "a2c19003e30fd5c7744f9d3af4ec58c0b887bac6e38f94b08538f124db37be04"  # SHA-256 of the claim's form and of what it assumes
+AXES = ["delay", "gauge_gain", "gauge_delay", "order", "loss", "motor", "mode_frequency", "mode_gain"]
+ALIASES, (W, Q, LATE, GAIN, GLATE, ORDER, LOSS, MOTOR, MODE, SHARE) = (-1, 1, -2, 2, -3), range(10)  # at ω + 2πn/T; ω, q = 1/ω0², and AXES; MODE is its detuning f/ω, the loss is μ/ω0², the motor's p or A
 COUNTS = ["options", "real_modes", "pair_modes", "forward_modes", "bad_limit", "missed_limit", "residual_limit", "stuck_limit", "frozen_limit", "block_limit"]
 NAMES = ["period", "compliance", "direct", "real", "pair", "forward_direct", "forward", "sum_limit", "correction_limit", "forward_limit", "angle_limit", "angle_step", "torque_limit", "torque_step", "torque_trip", "torque_block", "reference_step", "reference_rate", "acceleration_limit", "motor_limit", "motor_step", "fade_step", "residual_angle", "motor_now", "motor_next", "motor_keep", "swing_angle", "frozen_angle", "stuck_torque", "stiffness", "wiring_energy", "inner_direct", "inner_angle", "integral_now", "integral_before", "filter_now", "filter_before", "filter_angle_now", "filter_angle_before", "filter_decay", "wanted_limit", "voltage_limit", "torque_voltage", "coulomb_voltage", "coulomb_slope", "link_scale", "payload_scale", "gauge_now", "gauge_keep", "payload_limit", "scale_step"]
 ROOM = {"real": 16, "pair": 8, "forward": 16}
@@ -89,7 +89,7 @@ class Loop:
         need(all(0 <= x < 1e300 for x in numbers) and min(s[k] for k in least) > 0, "a number is negative, zero or not finite")
         need(not any(s[k] for k in (("decay", "gain_low", "gain_high") if self.ideal else ("pole_low", "pole_high"))), "a number of the other motor loop")
         need(all(s[k] <= s[k[:-3] + "high"] for k in s if k.endswith("_low")) and s["modulus"] < 1, "an empty range")
-        need(max(1, s["damping_order"]) < s["order_low"] and s["order_high"] <= 2 and max(2 - s["order_high"], s["damping_low"]) > 0, "orders or damping of the link")
+        need(max(1, s["damping_order"]) < s["order_low"] and s["order_high"] <= 2 and max(2 - s["order_high"], s["loss_low"]) > 0, "orders or damping of the link")
         need(not s["mode_gain_high"] or (0 < s["mode_damping"] < 1 and s["mode_frequency_low"] > 0), "the second mode")
         need(s["hold"] == "zero-order" and s["motor_loop"] in ("ideal", "sampled"), "another hold or motor loop")
         block, (width, kind) = bytes.fromhex(s["block"]), {"single": (4, "f"), "double": (8, "d")}[s["precision"]]
@@ -107,21 +107,25 @@ class Loop:
         self.guards(c, s)
         rest = [(s[k + "_low"], s[k + "_high"]) for k in (*AXES[:5], "pole" if self.ideal else "gain", *AXES[6:])]
         soft = math.nextafter(s["softness_low"] * s["payload_low"], 0), math.nextafter(s["softness_high"] * s["payload_high"], math.inf)
-        self.root = ((s["lowest"], math.nextafter(math.pi / T, math.inf) * (1 + U)), soft, *rest[:-2], *(rest[-2:] if s["mode_gain_high"] else [(0.0, 0.0)] * 2))
+        self.root = ((s["lowest"], math.nextafter(math.pi / T, math.inf) * (1 + U)), soft, *rest[:-2], *([(0.0, math.inf), rest[-1]] if s["mode_gain_high"] else [(0.0, 0.0)] * 2))
+        self.root = self.possible(self.root)
         self.start(math.pi / T, *zip(*self.root))
+    def possible(self, box):  # A box without the detunings f/ω that no second mode of the claim has; perhaps empty
+        ends = max(box[MODE][0], self.s["mode_frequency_low"] / box[W][1] * (1 - 4 * U)), min(box[MODE][1], self.s["mode_frequency_high"] / box[W][0] * (1 + 4 * U))
+        return (*box[:MODE], ends, *box[MODE + 1 :])
     def guards(self, c, s):  # The link is the one that the law was made for, and neither a guard nor a filter beside the loop stands in the moves' way
         T, v, a, stiff = self.T, s["velocity"], s["acceleration"], s["stiffness"]
-        order, damping, soft = ((s[k + "_low"] + s[k + "_high"]) / 2 for k in ("order", "damping", "softness"))
+        order, loss, soft = ((s[k + "_low"] + s[k + "_high"]) / 2 for k in ("order", "loss", "softness"))
         need(max(1 - 1e-9, 1 - c["motor_keep"], 1 - c["reference_rate"]) > 0 and s["velocity"] > 0 < s["acceleration"], "no move")
         q, near, read = soft * s["nominal_payload"], -3 * math.log1p(-c["reference_rate"]) / T, c["compliance"] * stiff
         gauge = s["gauge_gain_low"], s["gauge_gain_high"]
         need((abs(read - 1) <= 1e-6 or gauge[0] * (1 - 1e-6) <= 1 / read <= gauge[1] * (1 + 1e-6)) and abs(c["compliance"] * c["stiffness"] - 1) <= 1e-6, "the gauge's compliance is not 1/c of the link, or not of the law's own c")
-        terms = [(q * x**order, q * damping * x ** s["damping_order"]) for x in (cmath.rect(near, math.pi * (0.5 + k / 8000)) for k in range(4001))]
+        terms = [(q * x**order, loss * x ** s["damping_order"]) for x in (cmath.rect(near, math.pi * (0.5 + k / 8000)) for k in range(4001))]
         need(min(abs(1 + a1 + b1) / (1 + abs(a1) + abs(b1)) for a1, b1 in terms) < 1e-3, "the link is not the one that the law was made for")
         norms = [(1 + abs(1 - p) / (1 - abs(p)), abs(g)) for p, g in self.modes]  # limits of the sum, the command, its step; and of each mode
         reach = [min(c["sum_limit"], c["motor_limit"], c["motor_step"] / 2) / (2 * abs(self.direct) + sum(a1 * b1 for a1, b1 in norms)), *(c["correction_limit"] / a1 for a1, _ in norms)]
         need(1e-5 <= s["linear_range"] < min(reach) * (1 - 1e-9), "the limits are too narrow")
-        bend = lambda w: q * (1j * w) ** (order - 2) / (1 + q * damping * (1j * w) ** s["damping_order"])  # 1/G - 1 over s²
+        bend = lambda w: q * (1j * w) ** (order - 2) / (1 + loss * (1j * w) ** s["damping_order"])  # 1/G - 1 over s²
         most, held, step = abs(bend(near)) * a, 1.5 * math.pi / near, 3 * v * T
         h = lambda x: c["motor_now"] + c["motor_next"] * x / (1 - c["motor_keep"] * x)
         late, push, slow = 1 / h(1), 2 * stiff * most, abs(bend(near / 1.5))
@@ -185,30 +189,33 @@ class Loop:
         first, rest = self.tip(box, near, turn) / near**3 * (begin == 2), self.tip(box, 2 * w, late and math.pi) * terms / w**3
         return (m * m * (first / (1 + (m / near) ** 2) + rest) if self.ideal else m * (first + rest)) * (1 + 1e-9)
     def tip(self, box, w, turn):  # Bound of |H| from w on, where the gauge's delay turns by `turn` at most: |G|, |1 - E| and |E R|
-        gains, drag, ratio = [self.read * x for x in box[GAIN]], box[Q][0] * box[DAMP][1] * w ** self.s["damping_order"], box[MODE][1] / w
+        gains, drag, ratio = [self.read * x for x in box[GAIN]], box[LOSS][1] * w ** self.s["damping_order"], self.s["mode_frequency_high"] / w
         mode = box[SHARE][1] * (1 / (1 - ratio**2) if ratio < 0.7 else self.peak) + (1 + drag) / (box[Q][0] * w ** box[ORDER][0] - 1 - drag)
         return (math.sqrt(max((1 - g) ** 2 for g in gains) + 4 * gains[1] * math.sin(turn / 2) ** 2) + gains[1] * mode) * (1 + 1e-9)
     def form(self, box, plain, rest=()):  # L or 1/L with its slopes, the bound of the aliases, and from 0.2 of Nyquist on the middle of the small ones, of a point its box's
         count = 1 + 5 * (box[W][0] >= 0.2 * math.pi / self.T) if rest == () else 1 + (rest is not None)
         (fronts, alias), alpha, axes = self.front(box, count), self.s["damping_order"], list(map(real, box, range(10)))
         def seen(n):  # log(jv), E, R and what they are made of at v = ω + 2πn/T
-            w, q, _, gain, late, order, damping, _, mode, share = exact(n, *axes)
+            w, q, _, gain, late, order, loss, _, mode, share = exact(n, *axes)
             v, sign, ends = w + n * self.turn, -1 if n < 0 else 1, sorted(abs(end + n * self.turn) for end in box[W])
             span, (a, b), read, second = real(ends, W), map(math.log, ends), (v * late * -1j).exp() * gain * self.read, Disc(0)
             if self.peak:  # the second mode; over wide boxes it may seem to be infinite
-                second = (1 + mode * (v * 1j).over() * (mode * (v * 1j).over() + 2 * self.s["mode_damping"])).over()
+                ratio = mode * w * (v * 1j).over() if n else mode * -1j
+                second = (1 + ratio * (ratio + 2 * self.s["mode_damping"])).over()
                 second = (second if second.r < self.peak else Disc(0, self.peak, second.d)) * share
-            return Disc((a + b) / 2 + sign * 0.5j * math.pi, (b - a) / 2 + U * (1 + abs(a)), {k: span.plain().over() * sign for k in v.d}), read, second, q, order, damping
-        tip = lambda log, read, second, q, order, damping: 1 - read * ((q.over() * (log * order * -1).exp() + (damping * (log * (alpha - order)).exp() if self.root[DAMP][1] else 0) + 1).over() + second)
-        log, read, second, q, order, damping = here = seen(0)
+            return Disc((a + b) / 2 + sign * 0.5j * math.pi, (b - a) / 2 + U * (1 + abs(a)), {k: span.plain().over() * sign for k in v.d}), read, second, q, order, loss
+        material = lambda log, loss: 1 + loss * (log * alpha).exp() if self.root[LOSS][1] else Disc(1)
+        tip = lambda log, read, second, q, order, loss: 1 - read * ((q.over() * (log * order * -1).exp() * material(log, loss) + 1).over() + second)
+        log, read, second, q, order, loss = here = seen(0)
         near = [f * tip(*seen(n)) for f, n in zip(fronts[1:], ALIASES)]
         if rest == (): rest, alias = ((small := sum(near[1:], Disc(0))).c, alias + small.r) if near else (None, alias)
         near = near[0] + rest if near else Disc(0)
         if plain: return fronts[0] * tip(*here) + near, alias, rest
-        link = q * (log * order).exp() * ((1 + q * damping * (log * alpha).exp()).over() if self.root[DAMP][1] else 1)
+        link = q * (log * order).exp() * material(log, loss).over()
         inverse = fronts[0].over() * ((link + 1) * (read + (1 - read * (1 + second)) * (link + 1)).over())
         return inverse * (1 + near * inverse).over() if len(fronts) > 1 else inverse, alias, rest
     def leaf(self, box, plain):  # Whether |L| is small, or L (or 1/L) lies in a half plane that misses everything forbidden
+        if box[MODE][0] > box[MODE][1]: return True
         (value, alias, rest), at, loss, unit = self.form(box, plain), [middle(pair) for pair in box], 0.0, lambda v: v / max(abs(v), 1e-300)
         if not ((m := self.s["modulus"] + alias) < 0.99 and math.isfinite(value.r)): return False
         if plain and value.most < 1 - m: return True
@@ -224,8 +231,8 @@ class Loop:
     def start(self, w, low, high):  # Bound |L| from 0 to the lowest frequency, with all aliases; check the motor loop
         s, T, most, r, e = self.s, self.T, self.read * high[GAIN], self.pid[8], math.exp(-self.B * self.T)
         self.peak = (1 + 1e-9) / (2 * s["mode_damping"] * math.sqrt(1 - s["mode_damping"] ** 2)) if s["mode_gain_high"] else 0.0
-        stiff, w, x = low[Q] * (w ** low[ORDER] - high[DAMP] * w ** s["damping_order"]) - 1, s["lowest"], Disc(1, s["lowest"] * T)
-        ratio, soft, kernel = w / low[MODE] if self.peak else 0.0, high[Q] * (w ** low[ORDER] + high[DAMP] * w ** s["damping_order"]), sum((g * (x - p).over() for p, g in self.modes), Disc(self.direct))
+        stiff, w, x = low[Q] * w ** low[ORDER] - high[LOSS] * w ** s["damping_order"] - 1, s["lowest"], Disc(1, s["lowest"] * T)
+        ratio, soft, kernel = w / s["mode_frequency_low"] if self.peak else 0.0, high[Q] * w ** low[ORDER] + high[LOSS] * w ** s["damping_order"], sum((g * (x - p).over() for p, g in self.modes), Disc(self.direct))
         need(stiff > 0 and max(soft, ratio) < 0.5 and w < 1 < math.pi / T, "the resonance is not between the lowest and the Nyquist frequency")
         bound = kernel.most * w * T * (1 + most * (soft / (1 - soft) + high[SHARE] * ratio**2 / (1 - ratio**2)) + self.aliases(((0.0, self.root[W][1]), *self.root[1:])) * 2 / T)
         if not self.ideal:
@@ -243,7 +250,7 @@ def check(path, law=None):
     need(law is not None, "nothing is proved without the law on the board: give law_data.h or its SHA-256")
     data = json.loads(pathlib.Path(path).read_text("utf-8"), object_pairs_hook=lambda pairs: dict(pairs) if len(dict(pairs)) == len(pairs) else {})
     signed = sha(canonical({k: data[k] for k in ("assumed", "claim", "form", "statement", "tree")}))
-    need((data["fraclink"], data["format"], data["sha256"]) == ("certificate", 4, signed), "not a certificate of format 4, or its hash is wrong")
+    need((data["fraclink"], data["format"], data["sha256"]) == ("certificate", 5, signed), "not a certificate of format 5, or its hash is wrong")
     need(sha(canonical([data["form"], data["assumed"]])) == SENTENCES, "claim or assumptions of another form")
     s, tree = {k: v if k in TEXT else float.fromhex(v) for k, v in data["statement"].items()}, data["tree"]
     need(len(s) == 40 and tree.count(".") + tree.count(",") == data["leaves"], "another number of fields or of leaves")
@@ -252,6 +259,7 @@ def check(path, law=None):
     need(data["claim"] == data["form"].format(**loop.text), "the claim is not the statement")
     while stack:
         box, extra, plain = stack.pop()
+        box = loop.possible(box)
         axis, plain = (10, plain) if extra else ("wmtgdoupfa.,".find(letter := next(letters, "?")), letter == ".")
         need(axis >= 0, "the tree ends early or has another letter")
         if axis >= 10:

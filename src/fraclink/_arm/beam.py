@@ -344,9 +344,8 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     >>> round(model_at(model, heavy, 0.12).natural_frequency, 3)
     6.139
     """
-    variant = model.at_payload(payload)
     if rig.link.mass <= 0.0 or model.payload is None:
-        return variant
+        return model.at_payload(payload)
     here, there = (
         modal_shares(Beam.from_rig(rig, payload=mass))[0]
         for mass in (model.payload, payload)
@@ -355,8 +354,9 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     mode = model.second_mode
     if mode is not None:
         mode = replace(mode, frequency=mode.frequency * float(second))
-    frequency = model.natural_frequency * float(first)
-    return replace(variant, natural_frequency=frequency, second_mode=mode)
+    return replace(
+        model.with_mass(float(first) ** -2), payload=payload, second_mode=mode
+    )
 
 
 def assumed_ratio(model: LinkModel) -> float | None:
@@ -381,7 +381,7 @@ def material_law(
     if model.order < 2.0:
         return np.asarray(np.exp((2.0 - model.order) * np.log(s)))
     power = np.exp(model.damping_order * np.log(s))
-    return np.asarray(1.0 + model.damping / model.natural_frequency**2 * power)
+    return np.asarray(1.0 + model.loss * power)
 
 
 def unmodelled_modes(

@@ -32,8 +32,8 @@ class GaugedLink:
 
     Parameters
     ----------
-    link_order, damping, damping_order
-        λ, μ and α of the link.
+    link_order, loss, damping_order
+        λ, η = μ/ω₀² and α of the link; η is its material's, the same for every ω₀.
     gauge_delay, gauge_gain, second_mode
         τ_g [s], g, and the second mode, as in `LinkModel`.
 
@@ -45,7 +45,7 @@ class GaugedLink:
     """
 
     link_order: float = 2.0
-    damping: float = 0.0
+    loss: float = 0.0
     damping_order: float = 1.0
     gauge_delay: float = 0.0
     gauge_gain: float = 1.0
@@ -68,7 +68,7 @@ class GaugedLink:
             return self._gauge_log(np.exp(ln_w), natural_frequency)
         # log1p: far below the resonance ln G is s^λ/ω₀² alone, which 1 + s^λ/ω₀² would
         # round away.
-        if not self.damping:
+        if not self.loss:
             return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
         return np.asarray(
             np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128
@@ -83,16 +83,14 @@ class GaugedLink:
         inertia = np.exp(self.link_order * ln_w) * np.exp(
             0.5j * np.pi * self.link_order
         )
+        spring = np.square(np.asarray(natural_frequency, dtype=np.complex128))
         drag = (
-            self.damping
+            self.loss
+            * spring
             * np.exp(self.damping_order * ln_w)
             * np.exp(0.5j * np.pi * self.damping_order)
         )
-        return (
-            inertia,
-            drag,
-            np.square(np.asarray(natural_frequency, dtype=np.complex128)),
-        )
+        return inertia, drag, spring
 
     def parts(
         self, w: Real, natural_frequency: ArrayLike

@@ -358,6 +358,23 @@ class LinkModel:
         )
 
     @property
+    def loss(self) -> float:
+        """η = μ/ω₀² [s^α]: what the link's material is, at every payload.
+
+        >>> LinkModel(1.56, 10.0, damping=0.4).loss
+        0.004
+        """
+        if self.natural_frequency == 0:
+            raise FieldError(
+                "natural_frequency",
+                0.0,
+                "zero: the link is a springpot without a spring",
+                allowed="> 0",
+                remedy="state the same link by λ = 2 − α and ω₀ = √μ, without damping",
+            )
+        return self.damping / self.natural_frequency**2
+
+    @property
     def damping_ratio(self) -> float:
         """ζ = −Re(p)/|p| of the vibration pole [1]; for UD-FOM −cos(π/λ), the same for
         every payload.
@@ -399,28 +416,30 @@ class LinkModel:
     @checked
     def at_payload(self, payload: Mass) -> LinkModel:
         """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload),
-        eq. (5).
+        eq. (5), and μ by m/payload, since the link's material stays.
 
-        λ, μ and α are kept, as the paper keeps them in Table 3. Needs a known
-        `payload`.
+        The paper's Table 3 keeps μ as well: its damped structures would need a material
+        that damps more under a heavier payload. Needs a known `payload`.
 
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0
         """
-        own = self._known_payload()
-        scale = math.sqrt(own / payload)
+        return replace(self.with_mass(payload / self._known_payload()), payload=payload)
+
+    def with_mass(self, ratio: float) -> LinkModel:
+        """Return the link with `ratio` times its mass. The material damps: D(s) = 1 +
+        (μ/ω₀²) s^α is the same for every mass.
+
+        >>> LinkModel(1.56, 10.0, damping=0.4).with_mass(4.0).damping
+        0.1
+        """
+        scales = {_FREQUENCY: 1.0 / math.sqrt(ratio), "damping": 1.0 / ratio}
         intervals = tuple(
-            (name, low * scale, high * scale)
-            if name == _FREQUENCY
-            else (name, low, high)
+            (name, low * scales.get(name, 1.0), high * scales.get(name, 1.0))
             for name, low, high in self.intervals
         )
-        return replace(
-            self,
-            natural_frequency=self.natural_frequency * scale,
-            payload=payload,
-            intervals=intervals,
-        )
+        own = {name: scale * getattr(self, name) for name, scale in scales.items()}
+        return replace(self, intervals=intervals, **own)
 
     def payload_at(self, natural_frequency: float) -> float:
         """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse

@@ -116,7 +116,7 @@ class Loop(GaugedLink):
     gain, order, filter_time, filter_order, notch
         k_d, β, δ [s], n and the notch of the controller; with gain 1 and order 0 the loop is all
         that stands beside Ĉ.
-    link_order, damping, damping_order, gauge_delay, gauge_gain, second_mode
+    link_order, loss, damping_order, gauge_delay, gauge_gain, second_mode
         the link and its gauge, as in `GaugedLink`.
     lag
         ε = 1/p of the motor loop M(s) [s], zero for an ideal motor.
@@ -163,7 +163,7 @@ class Loop(GaugedLink):
         """Return G alone, the paper's reading: no motor loop, no delay, an exact gauge."""
         return Loop(
             link_order=model.order,
-            damping=model.damping,
+            loss=model.loss,
             damping_order=model.damping_order,
         )
 
@@ -281,7 +281,7 @@ class Loop(GaugedLink):
             low = min(
                 0.25, math.exp(min(max(first, -300.0), 300.0)) / float(mode.max())
             )
-        if self.order < self.link_order and not self.damping:
+        if self.order < self.link_order and not self.loss:
             reach = (math.log(self.gain) + 2.0 * np.log(w0)) / (
                 self.link_order - self.order
             )

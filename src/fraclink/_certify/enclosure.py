@@ -10,8 +10,9 @@ loop,
 
 with C = y Cm1 and Z = y² (Cm1 + Cm2) P_τ/A, P_τ the held motor, late by τ: 1/F is
 affine in 1/A. H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E
-(S/(1 + S) + R)``, with the link's ``S = q s^λ/(1 + q μ s^α)``, the reading of the
-torque ``E = κ c g e^{-jωτ_g}``, and the second mode R.
+(S/(1 + S) + R)``, with the link's ``S = q s^λ/(1 + η s^α)``, the reading of the
+torque ``E = κ c g e^{-jωτ_g}``, and the second mode R. η = μ/ω₀² is of the link's
+material, the same for every payload; q is not.
 
 Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L,
 nearly affine in q. One form alone needs a thousand times as many boxes.
@@ -29,11 +30,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from fraclink._certify.discs import ROUNDING, Disc, Span
-from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
+from fraclink._certify.statement import (
+    ALIASES,
+    ALIASES_FROM,
+    PARAMETERS,
+    Statement,
+)
 from fraclink._law import block as layout
 from fraclink._law.block import inside_circle, modes_of
 from fracsys.checks import Mask, Real
 
+# The axes of a box, and the letter of the tree that cuts each. The second mode is given
+# by its detuning f/ω: R depends on nothing else, and all the rest of the loop varies
+# slowly over the width of the mode.
+AXES = (
+    "frequency",
+    *("detuning" if name == "mode_frequency" else name for name in PARAMETERS),
+)
+LETTERS = "wmtgdoupfa"
+LEAVES = ".,"  # proved by L, proved by 1/L
+_DETUNING = AXES.index("detuning")
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
 _HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest ones included in L
@@ -71,6 +87,9 @@ class BoxLoop:
         self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (
             1 + ROUNDING
         )
+        self.second = self.low["mode_frequency"], self.high["mode_frequency"]
+        self.low["detuning"] = self.second[0] / self.high["frequency"]
+        self.high["detuning"] = self.second[1] / self.low["frequency"]
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
         # Bound of all aliases of L below the lowest frequency, divided by |K| |y|. Only
         # leaves include some of them in L.
@@ -86,6 +105,26 @@ class BoxLoop:
     def box(self, low: Real, high: Real) -> dict[str, Span]:
         """The columns of many boxes by name."""
         return {name: Span(low[:, i], high[:, i]) for i, name in enumerate(AXES)}
+
+    def possible(self, low: Real, high: Real) -> tuple[Real, Real, Mask]:
+        """(lower ends, upper ends, whether anything is left) of boxes without detunings
+        that put the second mode outside its interval.
+        """
+        low, high = low.copy(), high.copy()
+        first, last = self.second
+        k = _DETUNING
+        least = first / high[:, 0] * (1 - 4 * ROUNDING)
+        most = last / low[:, 0] * (1 + 4 * ROUNDING)
+        low[:, k], high[:, k] = (
+            np.maximum(low[:, k], least),
+            np.minimum(high[:, k], most),
+        )
+        return low, high, np.asarray(low[:, k] <= high[:, k])
+
+    def place(self, point: Real) -> dict[str, float]:
+        """The frequency and the parameters at a point of a box, by name."""
+        at = dict(zip(AXES, map(float, point), strict=True))
+        return at | {"mode_frequency": at.pop("detuning") * at["frequency"]}
 
     def _variable(self, name: str, span: Span) -> Disc:
         """A parameter over boxes, as a disc with its slope; an exact parameter has
@@ -261,7 +300,7 @@ class BoxLoop:
             self._variable("frequency", box["frequency"]),
             self._log(box["frequency"], 1.0),
         )
-        gauge, mode = self._read(box, w), self._mode(box, w)
+        gauge, mode = self._read(box, w), self._mode(box)
         plain = front * (1 - gauge * ((self._compliant(box, log) + 1).inverse() + mode))
         x = self._soft(box, log) + 1
         inverse = front.inverse() * (
@@ -290,7 +329,7 @@ class BoxLoop:
             self._compliant(box, self._log(Span.around(*ends), sign)) + 1
         ).inverse()
         w = self._variable("frequency", frequency) + shift * self.turn
-        return 1 - self._read(box, w) * (share + self._mode(box, w))
+        return 1 - self._read(box, w) * (share + self._mode(box, shift))
 
     def _log(self, frequency: Span, sign: float) -> Disc:
         """ln(±jω) with its slope along ω, which is negative where the frequency of the
@@ -312,23 +351,22 @@ class BoxLoop:
             self._variable("softness", box["softness"]).inverse()
             * (-(log * order)).exp()
         )
-        if not self.high["damping"]:
-            return compliance
-        drag = (log * (self.statement.damping_order - order)).exp()
-        return compliance + self._variable("damping", box["damping"]) * drag
+        return (
+            compliance * self._material(box, log) if self.high["loss"] else compliance
+        )
 
     def _soft(self, box: dict[str, Span], log: Disc) -> Disc:
         """S."""
         order = self._variable("order", box["order"])
-        q = self._variable("softness", box["softness"])
-        softness = q * (log * order).exp()
-        if not self.high["damping"]:
+        softness = self._variable("softness", box["softness"]) * (log * order).exp()
+        if not self.high["loss"]:
             return softness
-        drag = (log * self.statement.damping_order).exp()
-        return (
-            softness
-            * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
-        )
+        return softness * self._material(box, log).inverse()
+
+    def _material(self, box: dict[str, Span], log: Disc) -> Disc:
+        """D = 1 + η s^α."""
+        power = (log * self.statement.damping_order).exp()
+        return 1 + self._variable("loss", box["loss"]) * power
 
     def _read(self, box: dict[str, Span], w: Disc) -> Disc:
         """E."""
@@ -338,13 +376,15 @@ class BoxLoop:
             * self.read
         )
 
-    def _mode(self, box: dict[str, Span], w: Disc) -> Disc:
-        """R = a/(1 + 2ζ f/s + (f/s)²)."""
+    def _mode(self, box: dict[str, Span], shift: int = 0) -> Disc:
+        """R = a/(1 + 2ζ f/s + (f/s)²) at s = j(ω + 2πn/Ts)."""
         zero = np.zeros(box["frequency"].low.shape)
         if not self.high["mode_gain"]:
             return Disc(zero, zero)
-        s = w * 1j
-        ratio = self._variable("mode_frequency", box["mode_frequency"]) * s.inverse()
+        ratio = self._variable("detuning", box["detuning"]) * -1j
+        if shift:
+            own = self._variable("frequency", box["frequency"])
+            ratio = ratio * own * (own + shift * self.turn).inverse()
         share = (1 + ratio * (ratio + 2 * self.statement.mode_damping)).inverse()
         # Over wide boxes the bound of the denominator may include zero; R itself never
         # exceeds its peak.
@@ -358,7 +398,9 @@ class BoxLoop:
 
     def alias_at(self, place: dict[str, float]) -> float:
         """Bound at one point of the aliases not included in L."""
-        point = np.array([[place[name] for name in AXES]])
+        detuning = place["mode_frequency"] / place["frequency"]
+        at = place | {"detuning": detuning}
+        point = np.array([[at[name] for name in AXES]])
         return float(self.fronts(self.box(point, point))[1][0])
 
     # ---- bounds outside the tree --------------------------------------------------------------------------
@@ -402,12 +444,8 @@ class BoxLoop:
         gains = [
             self.read * end for end in (box["gauge_gain"].low, box["gauge_gain"].high)
         ]
-        drag = (
-            box["softness"].low
-            * box["damping"].high
-            * low**self.statement.damping_order
-        )
-        # |G| = |1 + q μ s^α|/|1 + q s^λ + q μ s^α| is at most (1 + drag)/(|q s^λ| - 1 -
+        drag = box["loss"].high * low**self.statement.damping_order
+        # |G| = |1 + η s^α|/|1 + q s^λ + η s^α| is at most (1 + drag)/(|q s^λ| - 1 -
         # drag) where that is positive.
         stiff = box["softness"].low * low ** box["order"].low - 1 - drag
         tip = np.where(
@@ -419,7 +457,7 @@ class BoxLoop:
         )
         off = np.maximum(np.abs(1 - gains[0]), np.abs(1 - gains[1]))
         unread = np.sqrt(off**2 + 4 * gains[1] * np.sin(0.5 * turn) ** 2)
-        ratio = box["mode_frequency"].high / low
+        ratio = self.second[1] / low
         # Near the mode |R| never exceeds its gain times 1/(2ζ sqrt(1 − ζ²)).
         peak = np.where(ratio < 0.7, 1 / np.maximum(1 - ratio**2, 0.5), self.mode_peak)
         return np.asarray(
@@ -441,8 +479,8 @@ class BoxLoop:
         # resonance the tip follows the motor up to small terms x, and 1/(1 - x) bounds
         # the quotients.
         soft = self.high["softness"] * w ** self.low["order"]
-        drag = self.high["softness"] * self.high["damping"] * w**s.damping_order
-        ratio = w / self.low["mode_frequency"] if self.high["mode_gain"] else 0.0
+        drag = self.high["loss"] * w**s.damping_order
+        ratio = w / self.second[0] if self.high["mode_gain"] else 0.0
         if not (soft + drag < 0.5 and w < 1 < math.pi / self.period and ratio < 0.5):
             return math.inf
         mode = self.high["mode_gain"] * ratio**2 / (1 - ratio**2)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
+from fraclink._certify.statement import ALIASES, ALIASES_FROM, PARAMETERS, Statement
 from fracsys.checks import Complex, Mask, Real
 
 if TYPE_CHECKING:
@@ -33,12 +33,12 @@ def loop_values(
     *,
     held: Mask | None = None,
 ) -> Complex:
-    """Return L at `frequency` [rad/s], up to Nyquist; `place` contains all other axes
+    """Return L at `frequency` [rad/s], up to Nyquist; `place` contains the parameters
     of the statement.
 
     It includes the same aliases as the proof: `ALIASES` from `ALIASES_FROM` on, or
-    where `held` is set. "softness" is q = 1/ω₀², "motor" p or A. All arguments are
-    broadcast.
+    where `held` is set. "softness" is q = 1/ω₀², "loss" η = μ/ω₀², "motor" p or A. All
+    arguments are broadcast.
     """
     w, at = (
         np.asarray(frequency, dtype=float),
@@ -68,7 +68,7 @@ def _continuous(
     held command.
     """
     s = 1j * frequency
-    drag = at["softness"] * at["damping"] * s**statement.damping_order
+    drag = at["loss"] * s**statement.damping_order
     tip = (1.0 + drag) / (1.0 + at["softness"] * s ** at["order"] + drag)
     mode = 0.0 * s
     if np.any(at["mode_gain"]):
@@ -147,7 +147,7 @@ def _corners(statement: Statement) -> dict[str, Real]:
     columns for broadcasting.
     """
     low, high = statement.box
-    names = [name for name in AXES[1:] if low[name] < high[name]]
+    names = [name for name in PARAMETERS if low[name] < high[name]]
     ends = np.array(list(itertools.product((0.0, 1.0), repeat=len(names))))
     if len(ends) > _CORNERS:
         ends = ends[np.random.default_rng(0).choice(len(ends), _CORNERS, replace=False)]
@@ -162,7 +162,7 @@ def _corners(statement: Statement) -> dict[str, Real]:
         if names
         else np.zeros((1, 0))
     )
-    place = {name: np.full((len(ends), 1), low[name]) for name in AXES[1:]}
+    place = {name: np.full((len(ends), 1), low[name]) for name in PARAMETERS}
     for k, name in enumerate(names):
         place[name] = (low[name] + (high[name] - low[name]) * ends[:, k])[:, None]
     return place
@@ -194,7 +194,7 @@ def _downhill(
     low, high = statement.box
     low["frequency"] = 0.5 * start["frequency"]
     high["frequency"] = min(2.0 * start["frequency"], math.pi / law.period)
-    names = [name for name in AXES if low[name] < high[name]]
+    names = [name for name in ("frequency", *PARAMETERS) if low[name] < high[name]]
     width = {name: high[name] - low[name] for name in names}
 
     def place(shares: Real) -> dict[str, float]:

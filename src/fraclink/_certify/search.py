@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._certify.discs import ROUNDING, Disc
-from fraclink._certify.enclosure import BoxLoop
-from fraclink._certify.statement import AXES, LEAVES, LETTERS
+from fraclink._certify.enclosure import AXES, LEAVES, LETTERS, BoxLoop
 from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["MarginFailure", "MarginProof", "prove"]
@@ -231,7 +230,7 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     the end.
     """
     s = loop.statement
-    corner = {name: loop.low[name] for name in AXES}
+    corner = loop.place(np.array([loop.low[name] for name in AXES]))
     if not all(abs(pole) < 1.0 for pole, _ in loop.modes):
         # The tree proves that the curve keeps away from −1; that no pole lies outside
         # the unit circle also requires the poles of the law itself to lie inside.
@@ -250,26 +249,25 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     generations: list[NDArray[np.int64]] = []
     nodes = 0
     while low.size:
+        low, high, possible = loop.possible(low, high)
         verdict = _judge(loop, low, high)
         nodes += low.shape[0]
         # A point of the box whose value violates the claim ends the search: further
         # cuts cannot help.
-        wrong = np.abs(1.0 + verdict.value) < s.modulus
+        wrong = possible & (np.abs(1.0 + verdict.value) < s.modulus)
+        wrong &= loop.possible(verdict.point, verdict.point)[2]
         if wrong.any():
             k = int(np.argmin(np.where(wrong, np.abs(1.0 + verdict.value), np.inf)))
-            place = dict(zip(AXES, map(float, verdict.point[k]), strict=True))
-            return MarginFailure(
-                "the loop is too close", place, float(abs(1.0 + verdict.value[k]))
-            )
-        rest = ~verdict.proved
+            distance = float(abs(1.0 + verdict.value[k]))
+            place = loop.place(verdict.point[k])
+            return MarginFailure("the loop is too close", place, distance)
+        rest = possible & ~verdict.proved
         leaves = np.where(verdict.loud, len(AXES) + 1, len(AXES))
         generations.append(np.where(rest, verdict.axis, leaves))
         if rest.any() and (nodes > most or len(generations) > _DEPTH):
             k = int(np.argmax(rest))
-            middle = 0.5 * (low[k] + high[k])
-            return MarginFailure(
-                "the bound is not met", dict(zip(AXES, map(float, middle), strict=True))
-            )
+            place = loop.place(0.5 * (low[k] + high[k]))
+            return MarginFailure("the bound is not met", place)
         low, high = cut(low[rest], high[rest], verdict.axis[rest])
     letters = _preorder(generations)
     return MarginProof(letters, sum(map(letters.count, LEAVES)), nodes)

@@ -32,9 +32,7 @@ from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
 
 __all__ = [
     "ASSUMPTIONS",
-    "AXES",
-    "LEAVES",
-    "LETTERS",
+    "PARAMETERS",
     "Certificate",
     "Statement",
     "linear_range",
@@ -42,22 +40,20 @@ __all__ = [
     "state",
 ]
 
-KIND, FORMAT = "certificate", 4
-# The axes of a box, and the letter of the tree that cuts each. "softness" is q = 1/ω₀²,
+KIND, FORMAT = "certificate", 5
+# The parameters of an arm: "softness" is q = 1/ω₀², "loss" is η = μ/ω₀² of the material,
 # "motor" is p or A.
-AXES = (
-    "frequency",
+PARAMETERS = (
     "softness",
     "delay",
     "gauge_gain",
     "gauge_delay",
     "order",
-    "damping",
+    "loss",
     "motor",
     "mode_frequency",
     "mode_gain",
 )
-LETTERS = "wmtgdoupfa"
 # Aliases included in L with their phase, at ω + 2πn/Ts, from this fraction of the
 # Nyquist frequency on. Without a filter |L| near the Nyquist frequency is arbitrarily
 # large; there the moduli of all aliases add up to 0.4 of it, and those of the remaining
@@ -65,11 +61,10 @@ LETTERS = "wmtgdoupfa"
 # of the moduli suffice.
 ALIASES = (-1, 1, -2, 2, -3)
 ALIASES_FROM = 0.2
-LEAVES = ".,"  # proved by L, proved by 1/L
 # The checker contains the same sentences: they are part of the hash, and a file with
 # other sentences is rejected.
 ASSUMPTIONS = (
-    "the link is G(s) = (1 + q μ s^α)/(1 + q s^λ + q μ s^α), q proportional to the payload",
+    "the link is G(s) = (1 + η s^α)/(1 + q s^λ + η s^α), q proportional to the payload and η the same for all",
     "gauge and encoder are linear, and gauge, second mode and motor lie within the intervals of the claim",
     "no sample is rejected, nothing trips and nothing saturates; there is no friction",
     "the coupling torque is compensated exactly",
@@ -81,7 +76,7 @@ ASSUMPTIONS = (
 CLAIM = (
     "For every payload from {payload_low} to {payload_high} kg and every computation delay from {delay_low} "
     "to {delay_high} s, every link with 1/ω₀² from {softness_low} to {softness_high} times the payload, "
-    "order from {order_low} to {order_high}, damping from {damping_low} to {damping_high} of order "
+    "order from {order_low} to {order_high}, damping μ/ω₀² from {loss_low} to {loss_high} of order "
     "{damping_order} and stiffness {stiffness} N m/rad (the law was made for {nominal_payload} kg), every "
     "gauge of gain from {gauge_gain_low} to {gauge_gain_high} and delay from {gauge_delay_low} to "
     "{gauge_delay_high} s, every "
@@ -137,8 +132,8 @@ class Statement:
     softness_high: float
     order_low: float  # λ
     order_high: float
-    damping_low: float  # μ
-    damping_high: float
+    loss_low: float  # η = μ/ω₀² [s^α]
+    loss_high: float
     # gain of measured over true torque, including the error of the stiffness
     gauge_gain_low: float
     gauge_gain_high: float
@@ -205,7 +200,7 @@ class Statement:
             ("delay", "computation delay", "ms"),
             ("order", "order λ", ""),
             ("softness", "1/ω₀² over the payload", "1/(kg·s^−λ)"),
-            ("damping", "damping μ", ""),
+            ("loss", "damping μ/ω₀²", "s^α"),
             ("gauge_gain", "gain of the gauge", ""),
             ("gauge_delay", "delay of the gauge", "ms"),
             ("mode_frequency", "second mode", "rad/s"),
@@ -255,11 +250,12 @@ class Statement:
     @property
     def link(self) -> LinkModel:
         """The link in the middle of the box, with the nominal payload."""
+        spring = 1.0 / (self.softness * self.nominal_payload)
         return LinkModel(
             stiffness=self.stiffness,
-            natural_frequency=(self.softness * self.nominal_payload) ** -0.5,
+            natural_frequency=math.sqrt(spring),
             order=0.5 * (self.order_low + self.order_high),
-            damping=0.5 * (self.damping_low + self.damping_high),
+            damping=0.5 * (self.loss_low + self.loss_high) * spring,
             damping_order=self.damping_order,
             payload=self.nominal_payload,
             gauge_delay=self.gauge_delay_low,
@@ -267,14 +263,14 @@ class Statement:
 
     @property
     def box(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Lower and upper ends of every axis but the frequency; q takes what its
+        """Lower and upper ends of every parameter; q takes what its
         product rounds away.
         """
         motor = "pole" if self.motor_loop == "ideal" else "gain"
         low, high = (
             {
                 name: getattr(self, f"{motor if name == 'motor' else name}_{end}")
-                for name in AXES[1:]
+                for name in PARAMETERS
             }
             for end in ("low", "high")
         )
@@ -535,12 +531,14 @@ def state(
         "payload": (float(payloads[0]), float(payloads[1])),
         "delay": (float(delay[0]), float(delay[1])),
         "softness": outward(*soft),
+        "loss": outward(
+            *(x * model.payload * k for x, k in zip(box.damping, soft, strict=True))
+        ),
         "pole": motor,
         "gain": gain,
     }
     fields = (
         "order",
-        "damping",
         "gauge_gain",
         "gauge_delay",
         "mode_frequency",

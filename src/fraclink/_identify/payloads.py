@@ -159,7 +159,8 @@ def identify_payloads(
         support.
     common
         of "order", "damping", "damping_order", "delay"; all of the structure's own by
-        default.
+        default. A common "damping" is the paper's common μ; of one material
+        μ/ω₀² is common instead (`LinkModel.at_payload`).
     tied
         several logs: ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of
         an own ω₀ for each.

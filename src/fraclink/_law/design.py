@@ -335,9 +335,8 @@ class Design(Saved):
         """
         # ω₀ alone: the plant has no payload, and a design for a given ω₀ has none to be
         # converted.
-        link = replace(
-            self.model, natural_frequency=_checked_frequency(natural_frequency)
-        )
+        ratio = self.model.natural_frequency / _checked_frequency(natural_frequency)
+        link = self.model.with_mass(ratio**2)
         return sampled_plant(link, self.motor_loop, self.rig.motor, self.rig.period)
 
     def sampled_at(

@@ -32,7 +32,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._law.block import Precision, real_type
 from fraclink._law.law import REASONS, Law
-from fraclink._law.tracking import at_mass, masses_of
+from fraclink._law.tracking import masses_of
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, checked
 
@@ -328,7 +328,7 @@ def payload_estimator(
     known = rig.link.stiffness if nominal == link.payload else usual[1][0]
     links = [
         replace(
-            at_mass(link, m / nominal),
+            link.with_mass(m / nominal),
             gauge_gain=float(link.gauge_gain * shares[0] / known),
         )
         for m, (_, shares) in zip(masses, beams, strict=True)

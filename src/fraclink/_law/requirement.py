@@ -234,7 +234,8 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
         for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS):
             payload = design.payload(float(w0))
             mode = model_at(model, design.rig, payload).second_mode
-            link = replace(model, natural_frequency=float(w0), second_mode=mode)
+            link = model.with_mass((model.natural_frequency / float(w0)) ** 2)
+            link = replace(link, second_mode=mode)
             yield Arm(link), payload
         return
     for arm in arms_of(design.box, model):
@@ -246,7 +247,8 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
                 * design.box.natural_frequency[end]
                 / model.natural_frequency
             )
-            yield replace(arm, model=replace(arm.model, natural_frequency=w0)), payload
+            ratio = (arm.model.natural_frequency / w0) ** 2
+            yield replace(arm, model=arm.model.with_mass(ratio)), payload
 
 
 def least_modulus(phase_margin: float) -> float:

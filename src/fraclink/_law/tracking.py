@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -27,7 +27,6 @@ from fracsys.checks import Complex, Real
 
 __all__ = [
     "Following",
-    "at_mass",
     "equivalent_payload",
     "following",
     "forward_fit",
@@ -161,17 +160,6 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
     return (link.payload if computed else link.payload + own), own
 
 
-def at_mass(link: LinkModel, ratio: float) -> LinkModel:
-    """Return the link with `ratio` times its mass. The material damps: D(s) = 1 +
-    (μ/ω₀²) s^α is the same for every mass.
-    """
-    return replace(
-        link,
-        natural_frequency=link.natural_frequency / math.sqrt(ratio),
-        damping=link.damping / ratio,
-    )
-
-
 def equivalent_payload(
     model: LinkModel, arm: LinkModel, rig: Rig, payload: float
 ) -> float:
@@ -179,7 +167,7 @@ def equivalent_payload(
     has with `payload`: what an estimator finds by the model on that arm.
     """
     nominal, own = masses_of(model, rig)
-    pole = at_mass(arm, (payload + own) / nominal).pole
+    pole = arm.with_mass((payload + own) / nominal).pole
     return float(nominal * abs(model.pole / pole) ** model.order - own)
 
 

@@ -69,17 +69,14 @@ def damping_of(model: LinkModel) -> Damping:
     >>> damping_of(LinkModel(stiffness=1.56, natural_frequency=10.0, order=1.92))
     PowerLaw(order=1.92, higher=None, dashpot=0.0)
     """
-    # (15) and (16) have μ s^α next to ω₀²; divided by ω₀² it is D − 1 for every
-    # payload.
-    factor = model.damping / model.natural_frequency**2
     if model.order < 2.0:
         # Newton's s² in place of s^λ multiplies μ s^α by s^(2−λ).
         power = model.damping_order + 2.0 - model.order
         loss = math.sin(0.5 * math.pi * power) * abs(model.pole) ** (power - 1.0)
-        return PowerLaw(model.order, dashpot=factor * loss)
+        return PowerLaw(model.order, dashpot=model.loss * loss)
     if model.damping == 0.0 or model.damping_order == 1.0:
-        return KelvinVoigt(factor)
-    return FractionalKelvinVoigt(factor, model.damping_order)
+        return KelvinVoigt(model.loss)
+    return FractionalKelvinVoigt(model.loss, model.damping_order)
 
 
 def _agree(rig: Rig, model: LinkModel) -> None:

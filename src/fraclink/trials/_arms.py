@@ -97,10 +97,10 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
     rig, period = campaign.rig, campaign.law.period
     own = {name: column[at : at + BLOCK] for name, column in values.items()}
     # Equation (5) for each arm: the link is massless, so stiffness and payload
-    # determine its frequency. μ is the same for every payload, as in
+    # determine its frequency. η = μ/ω₀² is the same for every payload, as in
     # `LinkModel.at_payload`.
     stiff = own["stiffness"] / (own["payload"] * rig.link.length**2)
-    order, damping = own["order"], campaign.model.damping * own["damping"]
+    order, damping = own["order"], campaign.model.loss * own["damping"] * stiff
     # The pole Ω e^(iπ/λ) oscillates at Ω sin(π/λ). With Ω alone, the windows in which
     # growth and residual vibration are measured would be 0.3 % short for λ = 1.9, and
     # 13 % for λ = 1.5.
@@ -223,11 +223,12 @@ def arm_of(campaign: Campaign, run: int) -> tuple[Rig, LinkModel, dict[str, floa
             coulomb_torque=motor.coulomb_torque * own["coulomb_torque"],
         ),
     )
+    stiff = own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)
     link = LinkModel(
         own["stiffness"],
-        (own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)) ** 0.5,
+        stiff**0.5,
         order=own["order"],
-        damping=campaign.model.damping * own["damping"],
+        damping=campaign.model.loss * own["damping"] * stiff,
         damping_order=campaign.model.damping_order,
         payload=own["payload"],
         gauge_delay=own["gauge_delay"],
