@@ -43,7 +43,7 @@ from fracsys.checks import Mask, Real
 # The axes of a box, and the letter of the tree that cuts each. The second mode is given
 # by its detuning f/ω: R depends on nothing else, and all the rest of the loop varies
 # slowly over the width of the mode.
-AXES = (
+AXES: tuple[str, ...] = (
     "frequency",
     *("detuning" if name == "mode_frequency" else name for name in PARAMETERS),
 )

@@ -532,7 +532,12 @@ def state(
         "delay": (float(delay[0]), float(delay[1])),
         "softness": outward(*soft),
         "loss": outward(
-            *(x * model.payload * k for x, k in zip(box.damping, soft, strict=True))
+            *(
+                mu / w0**2
+                for mu, w0 in zip(
+                    box.damping, reversed(box.natural_frequency), strict=True
+                )
+            )
         ),
         "pole": motor,
         "gain": gain,

@@ -234,9 +234,8 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
         for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS):
             payload = design.payload(float(w0))
             mode = model_at(model, design.rig, payload).second_mode
-            link = model.with_mass((model.natural_frequency / float(w0)) ** 2)
-            link = replace(link, second_mode=mode)
-            yield Arm(link), payload
+            ratio = (model.natural_frequency / float(w0)) ** 2
+            yield Arm(replace(model.with_mass(ratio), second_mode=mode)), payload
         return
     for arm in arms_of(design.box, model):
         # The heaviest payload has the lowest ω₀: both ranges ascend, so one of them is
