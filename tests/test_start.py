@@ -510,13 +510,12 @@ def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
 
     def answer(question: Question) -> str:
         seen.append(question)
-        return {"motor_angle": "enc1 [deg]", "output": "bridge [mNm]"}[question.role]
+        return "deg"
 
     found = fl.logs.start(shape.write(tmp_path / "log.csv"), ask=answer, payload=0.03)
-    # The bridge is recognised by its name, and its unit is assumed; that it is a torque
-    # is stated.
-    assert [question.part for question in seen] == ["column"]
-    assert seen[0].choices[:2] == ("enc1", "enc2")
+    # The bridge is recognised by its name, and its unit is assumed; the encoder is the
+    # one behind which the bridge vibrates.
+    assert [(each.role, each.part) for each in seen] == [("motor_angle", "unit")]
     assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
         "enc1",
         "deg",
@@ -546,11 +545,9 @@ def test_three_answers_are_enough_where_nothing_is_named(tmp_path: Path) -> None
 
     found = fl.logs.start(Shape(UNNAMED).write(tmp_path / "log.csv"), ask=answer)
     assert [question.role for question in seen] == ["time", "motor_angle", "output"]
-    # One of two identical columns, no constant one, none taken twice.
-    assert [question.choices for question in seen[1:]] == [
-        ("x1", "x2", "x4"),
-        ("x1", "x4"),
-    ]
+    # One of two identical columns, no constant one, none taken twice; no steps for the
+    # angle of a motor, and the signal that vibrates behind it first.
+    assert [question.choices for question in seen[1:]] == [("x2", "x4"), ("x4", "x1")]
     assert found.fit.passed
     assert found.fit.gain == pytest.approx(1.5, rel=0.03)
 

@@ -104,7 +104,7 @@ def read_table(path: Path) -> LogTable:
     """
     kind = sniffed_kind(path)
     if kind == "text":
-        return read_text_table(path)
+        return read_text_table(path).continued()
     if path.is_dir():
         # Recorders split a bag into files, each of which may be small.
         files = [file for file in path.iterdir() if file.is_file()]
@@ -118,7 +118,7 @@ def read_table(path: Path) -> LogTable:
             allowed="arrays of real numbers",
             remedy="export plain arrays; in MATLAB save log.mat t theta torque -v7",
         )
-    return table
+    return table.continued()
 
 
 _WALL_SECONDS = 60  # wall time of the child for one file: the disk may be slow

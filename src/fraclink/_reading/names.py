@@ -75,7 +75,7 @@ _SPELLINGS = {
     **dict.fromkeys(("rad", "radian", "radians"), "rad"),
     **dict.fromkeys(("turns", "revolutions", "umdrehungen"), "rev"),
     **dict.fromkeys(("nm",), "Nm"),
-    **dict.fromkeys(("mnm",), "mNm"),
+    **dict.fromkeys(("mnm", "nmm"), "mNm"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("millivolt", "millivolts"), "mV"),
     **dict.fromkeys(("hz", "hertz"), "Hz"),
@@ -156,8 +156,8 @@ def _endings(name: str) -> list[str]:
 
 def _spelled(text: str, spellings: Collection[str]) -> str:
     """A unit in its spelling among `spellings`, or ""."""
-    # N m, N.m, N·m and N*m are one unit.
-    plain = re.sub(r"[ .·*⋅]", "", text)
+    # N m, N.m, N·m, N-m and N*m are one unit.
+    plain = re.sub(r"[ .·*⋅]|(?<=N)-", "", text)
     own = _SPELLINGS.get(plain.lower(), "")
     return next((unit for unit in (text, plain, own) if unit in spellings), "")
 
@@ -199,12 +199,13 @@ def role_of_name(name: str) -> tuple[str, str]:
     >>> role_of_name("theta_ref"), role_of_name("Motorwinkel"), role_of_name("x7")
     (('a commanded value', 'ref'), ('motor_angle', 'winkel'), ('', ''))
     """
-    words, unit = words_of(name), unit_of_name(name)
+    unit, ending = unit_of_name(name), next(filter(_is_unit, _endings(name)), "")
+    words = words_of(name[: name.rfind(ending)] if ending in name else name)
     by_words = _by_words(words)
     # Potentiometers and strain gauges are also read in volts; only a column that is no
     # sensor is the voltage of the motor.
     if by_words[0] in ("", "voltage") and unit in UNITS["voltage"]:
-        return "voltage", unit
+        return "voltage", by_words[1] or unit
     if by_words == ("voltage", "command"):
         return by_words
     for meaning, hints in _OTHER.items():

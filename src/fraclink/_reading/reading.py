@@ -255,6 +255,8 @@ def _channels(
             raw = np.arange(table.values[angle].size, dtype=np.float64)
         else:
             place = table.place(channel.column, role)
+            if role == "time":
+                table.check_one_recording(place)
             raw, repairs = table.clean(place, interpolate=interpolate)
             findings += [*repairs, *_contradicted(table, place, role, channel)]
         data[role] = channel.in_si(raw, role)

@@ -8,6 +8,7 @@ is allocated.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -127,6 +128,8 @@ class LogTable:
     hints
         names that the file has, but not as many as columns; () where `names` are its
         own. They suggest and state nothing.
+    first_line
+        number of the first row in a text, counted from 1; 0 for other files.
     """
 
     names: tuple[str, ...]
@@ -139,6 +142,7 @@ class LogTable:
     units: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
+    first_line: int = 0
 
     def place(
         self, name: str, role: str, remedy: str = "correct [log] of the rig file"
@@ -314,6 +318,58 @@ class LogTable:
             )
         ]
 
+    def is_switched(self, place: int) -> bool:
+        """Whether a column moves by more than half of its range within one sample, as
+        commands do and nothing that has inertia.
+        """
+        values = self.values[place]
+        return bool(np.abs(np.diff(values)).max() > 0.5 * np.ptp(values))
+
+    def repeats(self, place: int, other: int) -> bool:
+        """Whether two columns hold one signal, maybe in two units."""
+        pair = self.values[place], self.values[other]
+        if pair[0].size != pair[1].size or not all(map(moves, pair)):
+            return False
+        # Up to the rounding to four digits.
+        return bool(np.corrcoef(*pair)[0, 1] ** 2 > 1 - 1e-6)
+
+    def check_one_recording(self, place: int) -> None:
+        """Raise LogError where the clock of a text falls back: another recording begins."""
+        values = self.values[place]
+        begins = [0, *(np.flatnonzero(np.diff(values) < 0) + 1), values.size]
+        lengths = np.diff(begins)
+        longest = int(np.argmax(lengths))
+        # Stamps that are out of order do not begin where the first recording began; they
+        # are left to the reader's other checks.
+        anew = lengths.size > 1 and (values[begins[1:-1]] <= values[1]).all()
+        if not anew or not self.first_line:
+            return
+        first, last = (begins[longest + k] + self.first_line for k in (0, 1))
+        names = f"{self.first_line - 1}p;" if self.first_line > 1 else ""
+        raise LogError(
+            "time",
+            f"{values[begins[1]]:.9g} at sample {begins[1]}, line {begins[1] + self.first_line}",
+            f"decreasing (after {values[begins[1] - 1]:.9g}): {lengths.size} recordings, one behind the other",
+            allowed="increasing stamps",
+            remedy=f"keep one; the longest by sed -n '{names}{first},{last - 1}p' LOG > run.csv",
+        )
+
+    def continued(self) -> LogTable:
+        """Return the table with counters and angles that begin again after a whole turn
+        continued, and a remark on each.
+        """
+        whole = {k: _unwrapped(values) for k, values in enumerate(self.values)}
+        values = tuple(
+            own if (new := whole[k]) is None else new
+            for k, own in enumerate(self.values)
+        )
+        remarks = [
+            f"{self.label(k)} begins again after a turn: continued"
+            for k, new in whole.items()
+            if new is not None
+        ]
+        return replace(self, values=values, remarks=(*self.remarks, *remarks))
+
     def _cell_remedy(self, place: int, line: int, cell: str) -> str:
         again = cell == self.names[place]
         return _AGAIN.format(line=line) if again else cell_remedy(cell)
@@ -342,6 +398,30 @@ def clock_step(values: Real) -> float | None:
         return None
     step = float(np.median(steps))
     return step if step > 0 else None
+
+
+def _unwrapped(values: Real) -> Real | None:
+    """The values of a counter, or of an angle within one turn, continued; None for
+    others.
+    """
+    # Differences of values near the largest double overflow: such a column does not
+    # count, nor does one beyond the whole numbers that a double holds.
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps, reach = np.abs(np.diff(values)), float(np.ptp(values))
+    if not 0.0 < reach < 2.0**53:
+        return None
+    # A word of a counter, or a turn in rad or in degrees.
+    for turn in (2.0 ** math.ceil(math.log2(reach + 1)), 2 * math.pi, 360.0):
+        jumps = np.flatnonzero(steps > 0.5 * turn)
+        # A single sample that is far off is an outlier.
+        if not jumps.size or reach > turn or (np.diff(jumps) < 4).any():
+            continue
+        whole = np.unwrap(values, period=turn)
+        fastest = float(np.abs(np.diff(whole)).max())
+        # A command that toggles between the ends does not pass through what lies between.
+        if fastest < 0.25 * turn and np.ptp(whole) > 2 * fastest:
+            return np.asarray(whole, dtype=np.float64)
+    return None
 
 
 def moves(values: Real) -> bool:

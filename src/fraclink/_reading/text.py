@@ -51,6 +51,8 @@ _CLOCK = re.compile(
     r"(?:([0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4})[T ] *)?"
     r"([0-9]{1,2}):([0-9]{2}):([0-9]{2}(?:[.,][0-9]+)?)(Z|[+-][0-9]{2}:?[0-9]{2})?"
 )
+# A number or a time of day in a line of text, and no digit of a name.
+_FIELD = re.compile(rf"(?<![\w.])(?:{_CLOCK.pattern}|{NUMBER.pattern})(?![\d.])")
 _MISSING = frozenset(
     ("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-")
 ) | {"inf", "+inf", "-inf"}
@@ -103,7 +105,9 @@ def read_text_table(path: Path) -> LogTable:
     or SizeError (over the limits of `fraclink._reading.table`).
     """
     check_file(path)
-    text, remarks = _upright(_utf8(path.read_bytes(), path))
+    text, form = _unlabelled(_utf8(path.read_bytes(), path))
+    text, turned = _upright(text)
+    remarks = (*form, *turned)
     _check_lines(text)
     raw = text.split(b"\n", _HEAD)
     lines = [line.decode() for line in raw[:_HEAD]]
@@ -146,6 +150,7 @@ def read_text_table(path: Path) -> LogTable:
         tuple(layout.units.get(name, "") for name in names) if layout.units else (),
         (*remarks, *layout.remarks),
         layout.hints,
+        layout.first_line,
     )
 
 
@@ -256,6 +261,29 @@ def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
     return text, ()
 
 
+def _unlabelled(text: bytes) -> tuple[bytes, tuple[str, ...]]:
+    """Lines such as ``[12:00:00.5] angle: 1.2, torque: 0.3``, which differ in nothing but
+    their numbers, as a table, with a remark.
+    """
+    middle = text.rfind(b"\n", 0, len(text) // 2) + 1
+    form = _FIELD.sub("\0", text[middle:].split(b"\n", 1)[0].decode())
+    if not re.search(r"[:=(\[]", form):
+        return text, ()
+    lines = text.rstrip().decode().split("\n")
+    forms = [_FIELD.sub("\0", line) for line in lines]
+    begin = forms.index(form)
+    if forms.count(form) < len(forms) - begin:
+        return text, ()
+    words = [re.findall(r"[^\W\d]\w*", part)[-1:] for part in form.split("\0")[:-1]]
+    rows = [[match[0] for match in _FIELD.finditer(line)] for line in lines[begin:]]
+    names = [word for places in words for word in places]
+    head = [names] if len({*names}) == len(words) else []
+    table = [*lines[:begin], *map("\t".join, [*head, *rows])]
+    return "\n".join(table).encode(), (
+        f"lines of one form, {form.replace(chr(0), '…')[:60]!r}",
+    )
+
+
 def _first_row(lines: list[str]) -> tuple[str, int]:
     """The separator of the cells, and the index in `lines` of the first row of the
     table.
@@ -291,6 +319,11 @@ def _header(
     above: list[str], comments: list[str], separator: str, first_line: int, body: bytes
 ) -> Layout:
     """The layout of a table from the lines above its first row."""
+    end = len(body.rstrip())
+    # Comments behind the last row; the first row is none.
+    while _is_comment(body[body.rfind(b"\n", 0, end) + 1 : end].decode()):
+        end = len(body[: body.rfind(b"\n", 0, end)].rstrip())
+    body = body[: body.find(b"\n", end)] if b"\n" in body[end:] else body
     # Blank lines at the end come from the editor. In a tab-separated table a trailing
     # tab is an empty last cell.
     body = body.rstrip(b" \n" if separator == "\t" else b" \t\n") + b"\n"
@@ -363,14 +396,14 @@ def _is_fragment(cells: Sequence[str], width: int) -> bool:
 
 
 def _units(cells: Sequence[str], width: int) -> list[str]:
-    """The units in a row that holds only units, "" for those that no reader converts;
-    [] for any other line.
+    """The units in a row that holds only units, most of them known, "" for those that no
+    reader converts; [] for any other line.
     """
     inside = [cell.strip("()[] -") for cell in cells]
     units = [unit_of_name(f"x [{cell}]") for cell in inside]
     pairs = list(zip(cells, inside, units, strict=True))
     bracketed = all(not plain or cell[0] in "([" for cell, plain, _ in pairs)
-    valid = all(unit or not plain for _, plain, unit in pairs)
+    valid = 2 * sum(bool(unit) for *_, unit in pairs) > sum(map(bool, inside))
     return units if len(cells) == width and (bracketed or valid) else []
 
 

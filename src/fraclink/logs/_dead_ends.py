@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from fraclink._arm.log_columns import Channel
 from fraclink._reading.names import words_of
-from fraclink._reading.table import LogTable
+from fraclink._reading.table import LogTable, moves
 from fraclink.errors import LogError
 
 if TYPE_CHECKING:
     from fraclink.logs._match import _Matching
 
-__all__ = ["check_no_response", "dead_end"]
+__all__ = ["check_signals_in", "dead_end"]
 
 _FREQUENCY = frozenset(("freq", "frequency", "frequenz", "omega", "hz", "f", "w"))
 _RESPONSE = frozenset(("gain", "mag", "magnitude", "amplitude", "phase", "real"))
@@ -23,8 +23,18 @@ _RESPONSE |= {"imag", "coherence", "db"}
 _RINGS = ("torque", "deflection", "the tip", "an acceleration", "")
 
 
-def check_no_response(table: LogTable, source: str) -> None:
-    """Raise LogError for a table of a frequency response, which has no time column."""
+def check_signals_in(table: LogTable, source: str) -> None:
+    """Raise LogError for a table of a frequency response, which has no time column, and
+    for one without two columns of numbers.
+    """
+    if sum(map(moves, table.values)) < 2 and (faults := table.bad_cells()):
+        raise LogError(
+            "log",
+            source,
+            f"not two columns of numbers: {'. '.join(faults)}",
+            allowed="a motor angle and an output that move",
+            remedy="export the log as a table of numbers",
+        )
     words = [set(words_of(name)) for name in table.names]
     matches = [each for each in words if each & _RESPONSE]
     # Two columns of a response in addition to one of frequencies: "phase" alone may be
@@ -51,8 +61,7 @@ def dead_end(
     the link; with the command for its actual content.
     """
     table, file = matching.table, shlex.quote(matching.source)
-    stamps = matching.stamps(time, max(values.size for values in table.values))
-    period = float(stamps[-1] - stamps[0]) / max(1, stamps.size - 1)
+    period = matching.period
     names = {place: shlex.quote(matching.label(place)) for place in free}
     sensors = [place for place in free if roles[place][0] == "an acceleration"]
     voltages = [place for place in free if roles[place][0] == "voltage"]
@@ -90,7 +99,10 @@ def dead_end(
         # Any structure can be fitted to two related signals, whatever they are; the
         # user decides which one is the input.
         channels = f"--input {names[free[0]]} --output {names[free[1]]}"
+        steps = [matching.label(k) for k in free if table.is_switched(k)]
         problem = "without the motor angle, from which a link is identified"
+        if steps:
+            problem += f" ({', '.join(steps)}: half its range or more in one sample, a command)"
         remedy = "if one of its signals drives the other, run"
     if channels:
         command = (

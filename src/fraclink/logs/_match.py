@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 
-from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import (
     ROW_NUMBER,
     UNITS,
@@ -35,10 +34,15 @@ from fraclink._reading.names import (
     names_time,
     words_of,
 )
-from fraclink._reading.table import LogTable, clock_step, moves
-from fraclink.errors import FieldError, LogError
-from fraclink.logs._dead_ends import check_no_response, dead_end
-from fraclink.logs._diagnosis import share_of, vibration_of
+from fraclink._reading.table import (
+    LogTable,
+    clock_step,
+    moves,
+)
+from fraclink.errors import LogError
+from fraclink.logs._dead_ends import check_signals_in, dead_end
+from fraclink.logs._diagnosis import share_of
+from fraclink.logs._pairs import CLEARER, LATE, SHOWN, Candidate, Pairs, phase
 from fraclink.logs._questions import (
     ABSENT,
     Certainty,
@@ -56,13 +60,6 @@ _FASTEST, _SLOWEST = 2e-4, 0.1
 # Rank of a name for a role: it matches (0 or 1), has no meaning, or means something
 # else.
 _UNNAMED, _UNLIKELY = 2, 3
-# More than half of the variance of an output: a single vibration cannot explain that
-# much of two signals.
-_SHOWN = 0.5
-# An output may be delayed by half a period of the vibration before it looks like an
-# early one of the other sign. With unknown sign the limit is a quarter in either
-# direction; half of that is allowed.
-_LATE = 1 / 8
 # A deflection θm − θt has a gain of 1 on the motor angle, and of 57 if degrees are
 # taken for radians: the limit is halfway between the two on a logarithmic scale.
 _OTHER_UNIT = math.sqrt(180 / math.pi)
@@ -123,7 +120,7 @@ def match_table(
     error messages.
     """
     # Faults that no answer could remedy first, then those that a question may settle.
-    check_no_response(table, source)
+    check_signals_in(table, source)
     check_count(max((values.size for values in table.values), default=0))
     columns = [each.column for each in stated.values() if each.column]
     matching = _Matching(table.with_combined(columns), stated, source, interpolate)
@@ -149,6 +146,9 @@ class _Matching:
     interpolate: bool
     guesses: list[Guess] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
+    # The share that a link explains depends on no unit: any period serves until one is
+    # known.
+    period: float = 0.01
 
     def conclude(
         self, part: str, value: str, certainty: Certainty, evidence: str
@@ -158,8 +158,10 @@ class _Matching:
     def ask(
         self, role: str, part: str, text: str, choices: Iterable[str], example: str
     ) -> None:
-        option = f'--column "{example}"'
-        self.questions.append(Question(role, part, text, tuple(choices), option))
+        option, columns = f'--column "{example}"', self.table.names
+        others = (*map(self.label, range(len(columns))),) if part == "column" else ()
+        question = Question(role, part, text, tuple(choices), option, others)
+        self.questions.append(question)
 
     def statement(self, role: str) -> ColumnStatement:
         return self.stated.get(role, ColumnStatement(role))
@@ -202,32 +204,31 @@ class _Matching:
         self.table = replace(table, units=tuple(units))
         return table.names.index(name)
 
+    @property
+    def pairs(self) -> Pairs:
+        """The columns in pairs, in the unit that is stated for the motor angle."""
+        unit = self.statement("motor_angle").unit
+        return Pairs(self.table, self.period, unit or "")
+
     def columns(self) -> LogColumns | None:
         time = self.time()
+        if time is not None:
+            stamps = self.stamps(time, 2)
+            self.period = float(np.median(np.abs(np.diff(stamps))))
         places = self.signals(time)
         angle, output = places.get("motor_angle"), places.get("output")
         channel = None if angle is None else self.motor_angle(angle)
         if time is None or angle is None or output is None or channel is None:
             return None
         motor_angle = channel.in_si(self.cells(angle), "motor_angle")
-        # The median: gaps or stamps that jump back are left to the reader.
-        steps = np.abs(np.diff(self.stamps(time, motor_angle.size)))
-        period = float(np.median(steps))
-        if not period > 0:
-            raise LogError(
-                "column of time",
-                time.column,
-                "the same in most samples",
-                allowed="stamps that rise",
-                remedy="state another column, or --period-ms 4",
-            )
         if motor_angle.size != self.table.values[output].size:
             return None
-        source = self.from_the_hub(channel, motor_angle, output, period)
+        source = self.from_the_hub(channel, angle, output)
         if source is None:
             return None
-        mode = _vibration(motor_angle, self.cells(source), period)
-        mode = mode if share_of(mode) > _SHOWN else None
+        mode = self.pairs.vibration(motor_angle, self.cells(source))
+        self.pairs.check_no_rate(source, motor_angle, mode)
+        mode = mode if share_of(mode) > SHOWN else None
         measured = self.output(source, mode)
         if measured is None:
             return None
@@ -260,8 +261,18 @@ class _Matching:
             place = (
                 self.add(column, "s") if combined else self.table.place(column, "time")
             )
+        self.table.check_one_recording(place)
         is_time = names_time(self.table.name(place))
+        # The median: gaps or stamps that jump back are left to the reader.
         step = float(np.median(np.abs(np.diff(self.cells(place)))))
+        if not step > 0:
+            raise LogError(
+                "column of time",
+                self.label(place),
+                "the same in most samples",
+                allowed="stamps that rise",
+                remedy="state another column, or --period-ms 4",
+            )
         rate = f"a sample every {step * scale:.6g}"
         sure: Certainty = "certain" if is_time else "likely"
         name = self.label(place)
@@ -307,27 +318,38 @@ class _Matching:
         match; otherwise a question is added.
         """
         parts = {"motor_angle": "motor angle", "output": "output"}
-        own = {r: k for r in parts if (k := self.place(r)) is not None}
-        free = self.free(time, next(iter(own.values()), None))
-        places: dict[str, int] = {}
-        open_roles: dict[str, list[int]] = {}
+        places = {r: k for r in parts if (k := self.place(r)) is not None}
+        free = self.free(time, next(iter(places.values()), None))
+        open_roles: dict[str, list[Candidate]] = {}
         for role, part in parts.items():
-            remainder = {*free} - {*places.values(), *own.values()}
-            ranks = {k: self.rank(role, k) for k in sorted(remainder)}
-            best = min(ranks.values(), default=_UNLIKELY)
-            group = [k for k, rank in ranks.items() if rank == best < _UNLIKELY]
-            if role in own:
-                places[role] = own[role]
-                self.conclude(part, self.label(own[role]), "stated", "as stated")
-            elif best < _UNNAMED and len(group) == 1 and not self.is_absent(role):
-                places[role] = group[0]
-                name, label = self.table.name(group[0]), self.label(group[0])
-                evidence = f"its name says {self.table.roles[group[0]][1]!r}"
+            if role in places:
+                self.conclude(part, self.label(places[role]), "stated", "as stated")
+                continue
+            others = [k for k in free if k not in places.values()]
+            partners = [k for k in free if k in places.values()]
+            if role == "motor_angle":
+                partners = partners or self.candidates("output", free, _UNNAMED)
+            named = self.candidates(role, others, _UNNAMED)
+            group = self.pairs.by_vibration(role, named, partners)
+            if role == "output" and named and group[0].rest > CLEARER:
+                # Its name may say so, but another column may be the link's.
+                rivals = self.candidates(role, {*others} - {*named}, _UNLIKELY)
+                clearer = self.pairs.by_vibration(role, rivals, partners)[:1]
+                if clearer and clearer[0].rest < CLEARER * group[0].rest:
+                    named, group = [], [*clearer, *group]
+            if self.is_absent(role) or not named:
+                unnamed = self.candidates(role, others, _UNLIKELY)
+                group = group or self.pairs.by_vibration(role, unnamed, partners)
+                open_roles[role] = [] if self.is_absent(role) else group
+            elif len(group) > 1 and group[0].rest > CLEARER * group[1].rest:
+                open_roles[role] = group
+            else:
+                place = places[role] = group[0].place
+                name, label = self.table.name(place), self.label(place)
+                evidence = f"its name says {self.table.roles[place][1]!r}"
                 evidence += f": {name}" if name != label else ""
                 sure: Certainty = "stated" if stated_by(name)[0] else "likely"
                 self.conclude(part, label, sure, evidence)
-            else:
-                open_roles[role] = [] if self.is_absent(role) else group
         if time is not None and not all(open_roles.values()):
             missing = next(role for role, choices in open_roles.items() if not choices)
             angle = places.get("motor_angle")
@@ -335,7 +357,8 @@ class _Matching:
         first = ""
         for role, choices in open_roles.items():
             # A column suggested by one question must not be suggested by another.
-            labels = sorted(map(self.label, choices), key=lambda name: name == first)
+            labels = [choice.text for choice in choices]
+            labels.sort(key=lambda name: name == first)
             first = next(iter(labels), "NAME")
             text = "Which column is the motor angle, and in which unit?"
             example = f"motor_angle={first} [deg]"
@@ -345,9 +368,18 @@ class _Matching:
             self.ask(role, "column", text, labels, example)
         return places
 
+    def candidates(self, role: str, free: Iterable[int], most: int) -> list[int]:
+        """The places among `free` whose names match a role best, with a rank below
+        `most`.
+        """
+        ranks = {place: self.rank(role, place) for place in sorted(free)}
+        best = min(ranks.values(), default=most)
+        return [place for place, rank in ranks.items() if rank == best < most]
+
     def rank(self, role: str, place: int) -> int:
         """The rank of a name for a role: below `_UNNAMED` it matches."""
-        meaning, name = self.table.roles[place][0], self.table.name(place)
+        meaning, word = self.table.roles[place]
+        name = self.table.name(place)
         # Of two angles the one at the motor's side is needed.
         hub = {"motor", "hub", "m", "joint"} & set(words_of(name))
         ranks = {"motor_angle": 0 if hub else 1, "the tip": _UNNAMED}
@@ -358,9 +390,13 @@ class _Matching:
                 "the tip": 1,
                 "motor_angle": _UNNAMED,
             }
+        # What turns by its whole range within one sample has no inertia: it is a command.
+        elif self.table.is_switched(place):
+            return _UNLIKELY
         # Never a commanded value, nor a measurement of something else. Names of one
-        # letter are conventions with little meaning: u may be any input.
-        habit = not meaning or len(name) == 1
+        # letter are conventions with little meaning: u may be any input. Volts are the
+        # unit of sensors, too.
+        habit = not meaning or len(name) == 1 or word in UNITS["voltage"]
         return ranks.get(meaning, _UNNAMED if habit else _UNLIKELY)
 
     def free(self, time: Channel | None, stated: int | None) -> list[int]:
@@ -383,7 +419,7 @@ class _Matching:
             # quantity other than time.
             has_role = self.table.roles[place][0] and not names_time(table.name(place))
             rises = clock_step(values) is not None and not has_role
-            again = any(np.array_equal(values, table.values[k]) for k in places)
+            again = any(table.repeats(place, k) for k in places)
             signal = values.size == length and moves(values)
             if place != clock and signal and not rises and not again:
                 places.append(place)
@@ -424,47 +460,28 @@ class _Matching:
         self.ask("motor_angle", "unit", text, choices, example)
         return None
 
-    # --- the output ---
-
-    def from_the_hub(
-        self, channel: Channel, turned: Real, output: int, period: float
-    ) -> int | None:
+    def from_the_hub(self, channel: Channel, angle: int, output: int) -> int | None:
         """The place of the output, or of the deflection computed from it if it is the
         tip's angle in space; None if that is a question (the tip's position).
-
-        A deflection δ = θm − θt responds to an acceleration with a positive gain, a tip
-        angle with a negative one, and rings like a deflection of the other sign; but
-        its difference from θm is then a vibration, and a clearer one.
         """
-        own, name = self.unit(output), self.label(output)
-        change = self.cells(output) - self.cells(output)[0]
-        # Without a unit it is assumed to have that of the motor angle.
-        size = UNITS["angle"].get(own or channel.unit, 0.0)
-        if length := length_of_name(self.table.name(output)):
-            slope = float(change @ turned) / (float(turned @ turned) or math.inf)
-            size = 1 / slope if slope else 0.0
+        rest, difference = self.pairs.shared(angle, output)
+        name = self.label(output)
         explicit = self.statement("output").column is not None
         # A difference of raw numbers would not be an angle.
-        if explicit or channel.scale != 1 or channel.sign != 1 or not size:
+        if explicit or channel.scale != 1 or channel.sign != 1 or difference == name:
             return output
-        itself = _vibration(turned, change, period)
-        rest = _vibration(turned, turned - size * change, period)
-        clearer = share_of(rest) > max(share_of(itself), _SHOWN)
-        if not (itself and rest and clearer and itself.gain < 0 < rest.gain):
-            return output
-        if length:
+        if length := length_of_name(self.table.name(output)):
             text = f"{name} moves with the motor, so it sees the tip in space: "
             text += f"how far does 1 {length} of it turn the arm?"
             example = f"deflection={channel.column} - K * {name} [{channel.unit}]"
             self.ask("output", "column", text, (name,), example)
             return None
-        ratio = size / UNITS["angle"][channel.unit]
-        factor = "" if abs(ratio - 1) < 1e-9 else f"{ratio:.9g} * "
-        difference = f"{channel.column} - {factor}{name}"
-        why = f"the motor angle less {name} is one vibration ({100 * share_of(rest):.3g} %): the tip in space"
+        why = f"the motor angle less {name} is one vibration ({100 - 100 * rest:.3g} %): the tip in space"
         self.guesses = [each for each in self.guesses if each.part != "output"]
         self.conclude("output", difference, "likely", why)
         return self.add(difference, channel.unit)
+
+    # --- the output ---
 
     def output(
         self, place: int, mode: Fit | None
@@ -542,14 +559,13 @@ class _Matching:
         way = "with" if sign > 0 else "against"
         sure: Certainty = "certain"
         why = f"it goes {way} the motor's acceleration"
-        late = 2 * math.pi * _LATE
         if mode is not None:
             frequency = mode.model.natural_frequency
             explained = f"explains {100 * share_of(mode):.3g} % of the output"
             self.conclude("vibration", f"{frequency:.3g} rad/s", "certain", explained)
         if explicit := self.statement("output").sign:
             sign, sure, why = explicit, "stated", "as stated"
-        elif mode is None or mode.delay * mode.model.natural_frequency > late:
+        elif mode is None or phase(mode) > LATE:
             sure = "assumed"
             why = "no vibration that tells" if mode is None else "it answers late"
             why += ": state a minus, as in torque=-bridge [mNm], where it is turned"
@@ -575,19 +591,8 @@ class _Matching:
         # A motor usually turns in the direction of its voltage, although a servo brakes
         # just as often.
         relation = float(np.corrcoef(raw, np.gradient(angle))[0, 1])
-        sign: Literal[1, -1] = statement.sign or (-1 if relation < -_SHOWN else 1)
+        sign: Literal[1, -1] = statement.sign or (-1 if relation < -SHOWN else 1)
         evidence = f"correlation {relation:.2g} with the motor's speed"
         value = f"{'-' if sign < 0 else ''}{name} [{unit or 'V'}]"
         self.conclude("voltage", value, "stated" if unit else "likely", evidence)
         return Channel(name, unit or "V", sign=sign, scale=statement.scale or 1.0)
-
-
-def _vibration(angle: Real, output: Real, period: float) -> Fit | None:
-    """The single mode from `angle` to `output`; None if there is none."""
-    try:
-        log = Experiment(
-            period=period, motor_angle=angle, output=output, output_kind="deflection"
-        )
-    except FieldError:
-        return None
-    return vibration_of(log)

@@ -61,6 +61,8 @@ class Question:
         ``#3 + #4 [rad]``.
     option
         the option of the command line that states it.
+    others
+        columns that are unlikely, and may be the answer all the same.
     """
 
     role: str
@@ -68,6 +70,7 @@ class Question:
     text: str
     choices: tuple[str, ...]
     option: str
+    others: tuple[str, ...] = ()
 
     def statement(
         self, text: str, known: ColumnStatement | None = None
@@ -102,7 +105,8 @@ class Question:
         if of_column and self.role == "motor_angle" and each.unit is None:
             # This extends the existing question instead of adding a second one.
             each = replace(each, unit=own if own in units else "")
-        complete = not of_column or any(name in text for name in self.choices)
+        columns = (*self.choices, *self.others)
+        complete = not of_column or any(name in text for name in columns)
         optional = of_column and self.role == "output" and each.unit is None
         if not complete or (each.unit not in units and not optional):
             problem = "not understood" if each.unit else "without a unit"
