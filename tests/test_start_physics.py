@@ -144,6 +144,7 @@ def test_an_angle_within_one_turn_is_continued_and_a_command_is_not(
     assert np.ptp(angle) > 350
     result, _ = started(path)
     assert np.ptp(result.experiment.motor_angle) == pytest.approx(np.ptp(MOTOR))
+    assert any("continued" in item.message for item in result.experiment.findings)
     assert np.ptp(fl.extend.read_columns(path)["u_V"]) == 360
     assert finds_the_link(result)
 

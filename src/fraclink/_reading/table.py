@@ -130,6 +130,8 @@ class LogTable:
         own. They suggest and state nothing.
     first_line
         number of the first row in a text, counted from 1; 0 for other files.
+    turned
+        numbers of the columns that were continued over whole turns.
     """
 
     names: tuple[str, ...]
@@ -143,6 +145,7 @@ class LogTable:
     remarks: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
     first_line: int = 0
+    turned: frozenset[int] = frozenset()
 
     def place(
         self, name: str, role: str, remedy: str = "correct [log] of the rig file"
@@ -282,7 +285,7 @@ class LogTable:
         faults = self.faults.get(place)
         missing = np.flatnonzero(~np.isfinite(values))
         if not missing.size:
-            return values, []
+            return values, self._turned(place)
         share = missing.size / values.size
         where, cell = f"sample {missing[0]}", repr(float(values[missing[0]]))
         problem, allowed = f"missing ({missing.size} of {values.size} cells)", "numbers"
@@ -315,6 +318,19 @@ class LogTable:
                 f"{missing.size} missing cells of column {name!r} were interpolated",
                 {"missing": missing.size, "share": share},
                 "check whether they lie where the arm moves",
+            )
+        ]
+
+    def _turned(self, place: int) -> list[Finding]:
+        if place not in self.turned:
+            return []
+        return [
+            Finding(
+                "W205",
+                "info",
+                f"column {self.names[place]!r} begins again after a turn, and was continued",
+                {},
+                "check that the signal is one that turns",
             )
         ]
 
@@ -363,12 +379,14 @@ class LogTable:
             own if (new := whole[k]) is None else new
             for k, own in enumerate(self.values)
         )
+        turned = frozenset(k for k, new in whole.items() if new is not None)
         remarks = [
             f"{self.label(k)} begins again after a turn: continued"
-            for k, new in whole.items()
-            if new is not None
+            for k in sorted(turned)
         ]
-        return replace(self, values=values, remarks=(*self.remarks, *remarks))
+        return replace(
+            self, values=values, remarks=(*self.remarks, *remarks), turned=turned
+        )
 
     def _cell_remedy(self, place: int, line: int, cell: str) -> str:
         again = cell == self.names[place]
@@ -417,9 +435,17 @@ def _unwrapped(values: Real) -> Real | None:
         if not jumps.size or reach > turn or (np.diff(jumps) < 4).any():
             continue
         whole = np.unwrap(values, period=turn)
-        fastest = float(np.abs(np.diff(whole)).max())
+        speed = np.abs(np.diff(whole))
+        fastest = float(speed.max())
+        # Nor does a motion that is sampled double its speed from one sample to the next,
+        # as it would behind a turn of the wrong size: nanoseconds begin again at 1e9.
+        beside = np.maximum(np.roll(speed, 1), np.roll(speed, -1))[jumps]
         # A command that toggles between the ends does not pass through what lies between.
-        if fastest < 0.25 * turn and np.ptp(whole) > 2 * fastest:
+        if (
+            fastest < 0.25 * turn
+            and np.ptp(whole) > 2 * fastest
+            and (speed[jumps] <= 2 * beside).all()
+        ):
             return np.asarray(whole, dtype=np.float64)
     return None
 
