@@ -21,6 +21,7 @@ from fraclink.errors import FraclinkError, InfeasibleError
 from fraclink.studio._session import opened
 from fraclink.trials import load_study
 from test_studio import connected, talked
+from tuned_arms import LIMITS, PERIOD, RIG, arm
 
 REQUESTS = 50
 # Every so many are kept and reported: a report draws eight figures, which takes a second.
@@ -161,6 +162,41 @@ def test_a_request_has_one_table(
         report = tmp_path / "report.html"
         main(["report", str(page.folder), "--out", str(report)])
         assert table_of(report.read_text("utf-8")) == texts(design)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("crossover", "margin_deg"), [(11.4, 45.0), (10.8, 48.0)])
+def test_what_tuning_leaves_has_the_table_of_its_request(
+    crossover: float, margin_deg: float, tmp_path: Path
+) -> None:
+    """The request of the rig, over the box of what was measured."""
+    folder = tmp_path / "tuned"
+    assert RIG.design is not None
+    wanted = replace(RIG.design, gain_crossover=crossover, phase_margin_deg=margin_deg)
+    rig = replace(RIG, design=wanted)
+    plan = fl.TuningPlan(LIMITS, 0.030, (0.020, 0.040), PERIOD, rig)
+    tuning = fl.tune(arm(seed=1).callback, plan, out=folder, clock="none")
+    design = load_study(folder).design
+    assert tuning.has_law and design is not None
+    assert design.passed and fl.Design.load(folder / "design.json") == design
+
+    again = fl.design(
+        design.model,
+        design.rig,
+        payloads=plan.payloads,
+        box=design.box,
+        gain_crossover=crossover,
+        phase_margin=fl.deg(margin_deg),
+    )
+    assert texts(again) == texts(design)
+
+    with connected(opened(folder)) as talk:
+        shown, *_ = talked(talk, seq=1, verb="hello")
+    assert shown["design"]["passed"]
+    assert shown["design"]["requirements"]["lines"] == texts(design)
+    report = tmp_path / "report.html"
+    assert main(["report", str(folder), "--out", str(report)]) == 0
+    assert table_of(report.read_text("utf-8")) == texts(design)
 
 
 def table_of(report: str) -> list[list[str]]:
