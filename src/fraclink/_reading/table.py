@@ -342,7 +342,12 @@ class LogTable:
         return bool(np.abs(np.diff(values)).max() > 0.5 * np.ptp(values))
 
     def repeats(self, place: int, other: int) -> bool:
-        """Whether two columns hold one signal, maybe in two units."""
+        """Whether two columns hold one signal, maybe in two units; names of two quantities
+        say that they do not.
+        """
+        roles = {self.roles[place][0], self.roles[other][0]}
+        if len(roles) == 2 and all(roles):
+            return False
         pair = self.values[place], self.values[other]
         if pair[0].size != pair[1].size or not all(map(moves, pair)):
             return False
