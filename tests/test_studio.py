@@ -322,7 +322,7 @@ def test_the_map_about_minus_one_is_the_true_sampled_loops(made):
         ).stable
         for m in head["payloads"]
     )
-    assert curves["sweep_x"].shape == curves["sweep_y"].shape == (6, 400)
+    assert curves["sweep_x"].shape == curves["sweep_y"].shape == (6, 1200)
 
 
 def _plant_of(design: fl.Design, payload: float):
