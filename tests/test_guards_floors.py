@@ -194,7 +194,7 @@ CEILINGS = {
     "_files": 581,
     "_identify": 3036,
     "_law": 979,
-    "_reading": 1126,
+    "_reading": 1129,
     "_simulate": 1244,
     "lab": 1949,
     "logs": 754,

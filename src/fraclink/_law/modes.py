@@ -90,11 +90,13 @@ def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
     known = np.abs(angle) + _TURN < math.pi
     turned = np.where(known, np.abs(angle) + _TURN, math.pi)
     apart = np.maximum(np.abs(1.0 + radius * np.exp(1j * turned)), np.finfo(float).eps)
-    towards = 1.0 + radius - apart
     by_gain = radius * (1.0 - (np.cos(turned) + radius) / apart)
     by_phase = np.where(known, radius * np.sin(turned) / apart * np.sign(angle), 0.0)
-    whole = 2.0 * radius
-    return np.where(known, towards, whole), np.where(known, by_gain, whole), by_phase
+    return (
+        np.where(known, 1.0 + radius - apart, 2.0 * radius),
+        np.where(known, by_gain, 2.0 * radius),
+        by_phase,
+    )
 
 
 def higher_modes(
