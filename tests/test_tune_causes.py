@@ -95,6 +95,8 @@ def test_what_no_linear_link_explains_is_named(quantum: float) -> None:
     for left, named in ((1.0, ""), (3.0, ""), (6.0, "6 times the gauge's noise")):
         assert named in (words := said(torque, link=fit(link, left * noise)))
         assert bool(words) is bool(named)
+    silent = replace(WIRING, gauge_noise=0.0)
+    assert said(torque, link=fit(link, 1e-6), wiring=silent) == ""
 
 
 @pytest.mark.slow

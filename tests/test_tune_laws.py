@@ -80,4 +80,21 @@ def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     assert known.motor == rig.motor and known.link == rig.link
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("decay", [0.0, 20.0, 200.0])
+def test_the_moves_of_a_law_are_those_that_the_motor_can_make(
+    stages: Stages, decay: float
+) -> None:
+    *rest, link = stages
+    fit = replace(link.motor.fit, decay=decay)
+    changed = replace(link, motor=replace(link.motor, fit=fit))
+    rig = rig_of((*rest, changed))
+    moves = rig.moves
+    assert moves.velocity <= LIMITS.speed
+    assert (moves.velocity == LIMITS.speed) is (decay < 200.0)
+    # full speed and full acceleration at once, against friction
+    voltage = (moves.acceleration + decay * moves.velocity) / rig.motor.gain
+    assert voltage + fit.coulomb_voltage <= LIMITS.voltage
+
+
 # --- the first moves -------------------------------------------------------------------------------------

@@ -518,6 +518,17 @@ def outside_arm(**changes: Any) -> Any:
     return module.Arm(**changes)
 
 
+def tuned_outside(
+    own: Any, place: Path, *, moves: bool, **limits: float
+) -> fl.lab.Tuning:
+    given = {"angle": 0.698, "speed": 4.0, "torque": 1.5, "voltage": 10.0} | limits
+    plan = fl.TuningPlan(
+        fl.MotionLimits(**given), payload=own.p["payload"], period=own.p["T"]
+    )
+    board = Callback(own.read, own.write)
+    return fl.tune(board, plan, out=place, moves=moves, clock="none")
+
+
 def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     # Its wiring check shows little but the second mode, 15 times as high: a model of
     # that one fits these doublets better, and does not predict the moves behind them.
@@ -542,17 +553,7 @@ def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
         goffset=0.0076,
         counts=8192,
     )
-    tuned = fl.tune(
-        Callback(slow.read, slow.write),
-        fl.TuningPlan(
-            fl.MotionLimits(angle=0.698, speed=4.0, torque=1.0, voltage=10.0),
-            payload=0.0248,
-            period=0.002,
-        ),
-        out=tmp_path / "tuned",
-        moves=False,
-        clock="none",
-    )
+    tuned = tuned_outside(slow, tmp_path / "tuned", moves=False, torque=1.0)
     assert tuned.link is not None and tuned.has_law, tuned
     assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)
 
@@ -575,34 +576,15 @@ def test_a_link_that_still_swings_does_not_hide_the_motors_sign(tmp_path: Path) 
         gdelay=0.015,
         gnoise=0.0179,
     )
-    tuned = fl.tune(
-        Callback(swinging.read, swinging.write),
-        fl.TuningPlan(
-            fl.MotionLimits(angle=0.475, speed=4.1, torque=5.95, voltage=10.0),
-            payload=0.0626,
-            period=0.004,
-        ),
-        out=tmp_path / "tuned",
-        moves=False,
-        clock="none",
-    )
+    limits = {"angle": 0.475, "speed": 4.1, "torque": 5.95}
+    tuned = tuned_outside(swinging, tmp_path / "tuned", moves=False, **limits)
     assert tuned.wiring is not None, tuned
     assert tuned.wiring.gain > 0.0 and tuned.link is not None
 
 
 def test_a_weak_motor_gets_moves_that_its_voltage_can_make(tmp_path: Path) -> None:
     weak = {"K": 0.06, "visc": 0.08, "Fc": 0.03, "Fs": 0.04}
-    own = outside_arm(**weak)
-    tuned = fl.tune(
-        Callback(own.read, own.write),
-        fl.TuningPlan(
-            fl.MotionLimits(angle=0.698, speed=4.0, torque=1.5, voltage=10.0),
-            payload=0.030,
-            period=0.004,
-        ),
-        out=tmp_path / "tuned",
-        clock="none",
-    )
+    tuned = tuned_outside(outside_arm(**weak), tmp_path / "tuned", moves=True)
     assert tuned.passed, tuned
     move = tuned.moves[-1]
     design = fl.load(tmp_path / "tuned" / "design.json")

@@ -169,13 +169,14 @@ def _moves(motor: MotorFit, limits: MotionLimits, centre: float) -> Moves:
     it less to accelerate with.
     """
     volts = limits.voltage - motor.coulomb_voltage
-    pull = (1.0 - _DRIFT.motor_pole) * motor.gain * volts
-    speed = min(limits.speed, 0.5 * pull / motor.decay)
+    half = 0.5 * (1.0 - _DRIFT.motor_pole) * motor.gain * volts
+    # a drive without damping has no no-load speed
+    speed = limits.speed * half / max(motor.decay * limits.speed, half)
     ratio = Moves.acceleration / Moves.velocity
     return Moves(
         angle=limits.angle,
         velocity=speed,
-        acceleration=min(ratio * speed, pull - motor.decay * speed),
+        acceleration=min(ratio * speed, 2.0 * half - motor.decay * speed),
         torque=limits.torque,
         centre=centre,
     )

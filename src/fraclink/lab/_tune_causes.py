@@ -156,7 +156,8 @@ def _not_linear(fit: Fit, torque: Real, noise: float) -> tuple[str, ...]:
     # At rest, the reading of a coarse gauge does not change.
     step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
     left = math.sqrt(fit.mse) / math.hypot(noise, step / math.sqrt(12.0))
-    if left <= UNEXPLAINED:
+    # A reading without any noise is a simulation's, whose residual is no cause.
+    if noise == 0.0 or left <= UNEXPLAINED:
         return ()
     return (
         f"a linear link leaves {left:.0f} times the gauge's noise of what was recorded, as with play in the "
