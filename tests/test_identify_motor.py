@@ -1,18 +1,16 @@
-"""The motor from voltage and angle, and the design of experiments."""
+"""The motor from voltage and angle."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from fraclink import Experiment, LinkModel, Rig, identify, identify_motor
-from fraclink.errors import FieldError, InfeasibleError, LogError
-from fraclink.extend import design_experiment, simulated_torque
+from fraclink import identify_motor
+from fraclink.errors import FieldError, LogError
 from identify_cases import PERIOD
 from made_logs import example_motor_log
 
 GAIN, DECAY, INERTIA = 3056.77, 15.153, 6.87e-5
-LINK = LinkModel(1.56, 10.0, order=1.92)
 
 
 @pytest.mark.slow
@@ -115,61 +113,6 @@ def test_bad_motor_logs() -> None:
         identify_motor(voltage, angle, period=0.0)
     with pytest.raises(FieldError, match="inertia"):
         identify_motor(voltage, angle, period=PERIOD, inertia=-1.0)
-
-
-@pytest.mark.slow
-def test_designed_experiment_reaches_its_standard_error() -> None:
-    plan = design_experiment(LINK, standard_error=0.001, noise=0.05, period=PERIOD)
-    torque = simulated_torque(LINK, plan.motor_angle, PERIOD)
-    orders = []
-    for seed in range(40):
-        noise = np.random.default_rng(seed).normal(0, 0.05, torque.size)
-        log = Experiment(
-            period=PERIOD, motor_angle=plan.motor_angle, output=torque + noise
-        )
-        orders.append(identify(log, "UD-FOM", heldout=0, details=False).model.order)
-    # The standard deviation of 40 values is known to 11 %; the tolerance is three times
-    # that.
-    assert np.std(orders) == pytest.approx(0.001, rel=0.35)
-    assert plan.peak_deflection > 0
-
-
-def test_limits_bind_and_the_nearest_request_is_feasible() -> None:
-    motor = Rig.named("paper-2023").motor
-    with pytest.raises(InfeasibleError) as caught:
-        design_experiment(
-            LINK,
-            standard_error=1e-5,
-            noise=0.05,
-            period=PERIOD,
-            motor=motor,
-            deflection_limit=0.2,
-        )
-    nearest = caught.value.nearest
-    plan = design_experiment(
-        LINK,
-        standard_error=nearest["standard_error"],
-        noise=0.05,
-        period=PERIOD,
-        motor=motor,
-        deflection_limit=0.2,
-    )
-    assert plan.peak_deflection <= 0.2 * (1 + 1e-9)
-    assert plan.peak_voltage is not None
-    assert plan.peak_voltage <= motor.voltage_limit
-
-
-@pytest.mark.parametrize("field", ["standard_error", "noise", "period", "duration"])
-def test_bad_design_requests(field: str) -> None:
-    options = {
-        "standard_error": 0.001,
-        "noise": 0.05,
-        "period": PERIOD,
-        "duration": 10.0,
-    } | {field: -1.0}
-    with pytest.raises(FieldError) as caught:
-        design_experiment(LINK, **options)
-    assert caught.value.field == field
 
 
 # --- the pieces against closed forms ------------------------------------------------------------------------

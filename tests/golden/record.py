@@ -59,7 +59,6 @@ from fraclink.extend import (  # noqa: E402
     Restart,
     SensorFault,
     TipPulse,
-    design_experiment,
     equip,
     geared,
 )
@@ -753,16 +752,6 @@ MOTOR_NUMBERS = (
     "delay",
     "nmse",
 )
-EXPERIMENT_NUMBERS = (
-    "amplitude",
-    "bit",
-    "band",
-    "duration",
-    "standard_error",
-    "peak_deflection",
-    "peak_voltage",
-    "limit",
-)
 
 
 def motor_figures() -> Plain:
@@ -774,23 +763,12 @@ def motor_figures() -> Plain:
     )
 
 
-def experiment_figures() -> Plain:
-    """An experiment planned for a standard error."""
-    wanted = design_experiment(
-        LINK, standard_error=0.001, noise=0.04, period=0.004, motor=RIG.motor
-    )
-    return plain({name: getattr(wanted, name) for name in EXPERIMENT_NUMBERS})
-
-
 def identification() -> Entries:
-    """Fits of the bundled logs, several payloads together, the motor, a spectrum, an
-    experiment's design.
-    """
+    """Fits of the bundled logs, several payloads together, the motor, a spectrum."""
     return {name: partial(structure_figures, name) for name in LOGS} | {
         "payloads": partial(payload_figures, False),
         "payloads tied": partial(payload_figures, True),
         "motor": motor_figures,
-        "experiment": experiment_figures,
     }
 
 

@@ -7,7 +7,6 @@ them.
 from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._identify.compare import Comparison, compare_structures, identify
 from fraclink._identify.driven import DrivenLinkFit, identify_driven_link
-from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
     SYMBOLS,
     Fit,
@@ -20,7 +19,6 @@ from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
-from fraclink._identify.spectrum import frequency_response
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import identify_structure
 from fraclink._identify.validation import LogValidation, Validation
@@ -29,7 +27,6 @@ __all__ = [
     "SYMBOLS",
     "Comparison",
     "DrivenLinkFit",
-    "ExperimentDesign",
     "Fit",
     "FrequencyResponse",
     "Interval",
@@ -45,8 +42,6 @@ __all__ = [
     "bic",
     "coincidence",
     "compare_structures",
-    "design_experiment",
-    "frequency_response",
     "identify",
     "identify_driven_link",
     "identify_motor",

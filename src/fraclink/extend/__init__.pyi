@@ -32,9 +32,7 @@ from fraclink._export.board import export_reference as export_reference
 from fraclink._export.replay import replay_log as replay_log
 from fraclink._files import kind_of as kind_of
 from fraclink._identify.driven import identify_driven_link as identify_driven_link
-from fraclink._identify.excitation import design_experiment as design_experiment
 from fraclink._identify.fitting import simulated_torque as simulated_torque
-from fraclink._identify.spectrum import frequency_response as frequency_response
 from fraclink._identify.structure_fit import StructureFit as StructureFit
 from fraclink._law.discretization import equip as equip
 from fraclink._law.estimator import PayloadEstimator as PayloadEstimator
