@@ -199,7 +199,7 @@ CEILINGS = {
     "lab": 1949,
     "logs": 754,
     "studio": 1180,
-    "trials": 1473,
+    "trials": 1424,
     "view": 1676,
 }
 

@@ -7,7 +7,6 @@ the case.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -17,16 +16,14 @@ import numpy as np
 from fraclink._arm.motor import place_pid
 from fraclink._arm.rig import Encoder
 from fraclink._law import MODES, Modes
+from fraclink._law import block as layout
 from fraclink._simulate import events as columns
 from fraclink._simulate.events import Obstacle
 from fraclink._simulate.kernel import ArmState
-from fraclink.trials._fault_trial import MODES_HELD, MOVE_BEGINS, WORDS, Trial
+from fraclink.trials._fault_trial import MEMORY_WORDS, Case, Trial
 
-__all__ = ["INJECTIONS", "JITTER", "inject"]
+__all__ = ["INJECTIONS", "at_severity", "inject"]
 
-HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
-JITTER = 1e-3  # [s] by which a sampling instant is early or late
-WATCHDOG = 5  # periods after which a board's watchdog switches the drive off
 COLUMNS = {
     "reference": columns.REFERENCE,
     "reference acceleration": columns.ACCELERATION,
@@ -41,11 +38,20 @@ COLUMNS = {
 def inject(trial: Trial, steps: Sequence[Mapping[str, Any]]) -> None:
     """Apply the steps of a fault to a trial, at the severity of its case."""
     for step in steps:
-        options = {
-            name: value[trial.case.severity - 1] if isinstance(value, list) else value
-            for name, value in step.items()
-        }
-        INJECTIONS[options.pop("do")](trial, **options)
+        INJECTIONS[step["do"]](trial, **at_severity(step, trial.case, but=("do",)))
+
+
+def at_severity(
+    row: Mapping[str, Any], case: Case, *, but: Sequence[str]
+) -> dict[str, Any]:
+    """Return a row of the catalogue at the severity of a case, of which a list holds
+    one value for each; without the names in `but`.
+    """
+    return {
+        name: value[case.severity - 1] if isinstance(value, list) else value
+        for name, value in row.items()
+        if name not in but
+    }
 
 
 # ── sensors, clock, reference
@@ -147,7 +153,7 @@ def swap(trial: Trial, seconds: float) -> None:
     trial.detail = "for ever" if lasting else "for a while"
     if whole:
         # until then both readings are zero
-        trial.row = round(MOVE_BEGINS / trial.period)
+        trial.row = int(np.flatnonzero(np.diff(trial.wanted))[0])
 
 
 def scale_encoder(trial: Trial, factor: float) -> None:
@@ -166,7 +172,7 @@ def scale_encoder(trial: Trial, factor: float) -> None:
 
 
 def jitter(trial: Trial, kind: str) -> None:
-    """Shift the sampling instants by up to one step of the twin, 1 ms, without changing
+    """Shift the sampling instants by up to one step of the twin, without changing
     their mean.
     """
     shifts = trial.chance.integers(-1, 2, trial.count)
@@ -179,18 +185,18 @@ def jitter(trial: Trial, kind: str) -> None:
     trial.shifts = shifts
     # The reference is a table over the periods of the task; only the sampling instant
     # is late.
-    time = trial.period * np.arange(trial.count)
-    trial.wanted = trial.reference.angle(time + JITTER * shifts)
+    time = trial.period * np.arange(trial.count) + trial.twin.step * shifts
+    trial.wanted = trial.reference.angle(time)
 
 
-def miss(trial: Trial, periods: int, *, watchdog: bool = False) -> None:
+def miss(trial: Trial, periods: int, *, watchdog: int = 0) -> None:
     """Do not run the task; the next period is marked, in which the law can first detect
-    it.
+    it. A board's watchdog switches the drive off after some periods.
     """
     trial.set_bits(slice(trial.row, trial.row + periods), "tick missed")
     trial.marks[trial.row + periods] = True
     if watchdog:
-        trial.at(trial.row + WATCHDOG, lambda arm: arm.voltage.fill(0.0))
+        trial.at(trial.row + watchdog, lambda arm: arm.voltage.fill(0.0))
 
 
 def repeat(trial: Trial, times: int) -> None:
@@ -227,20 +233,16 @@ def slow_motor_loop(trial: Trial, share: float) -> None:
     """
     pole = share * trial.law.motor_loop_pole
     pid = place_pid(trial.bench.rig.motor, pole).discretize(trial.period)
-    # the bench gives every law a motor loop
-    assert trial.law.motor_loop is not None  # noqa: S101
-    trial.use(replace(trial.law, motor_loop=replace(trial.law.motor_loop, pid=pid)))
+    trial.use(replace(trial.law, motor_loop=replace(trial.motor_loop, pid=pid)))
 
 
 def self_test(trial: Trial) -> None:
     """The commissioning move: motor loop alone, without correction and compensation by
     the gauge.
     """
-    loop = trial.law.motor_loop
-    assert loop is not None  # the bench gives every law a motor loop  # noqa: S101
     # With a gauge wired backwards, compensation and correction would be positive
     # feedback; the test of its sign must not depend on them.
-    alone = replace(loop, torque_voltage=0.0)
+    alone = replace(trial.motor_loop, torque_voltage=0.0)
     none = Modes(0.0)
     trial.use(replace(trial.law, correction=none, feedforward=none, motor_loop=alone))
 
@@ -264,18 +266,20 @@ def asked_for_less(trial: Trial) -> None:
 
 def flip(trial: Trial, bit_from_top: int, *, of: str = "a mode") -> None:
     """Flip the sign or the highest bit of the exponent of a real of the law's memory."""
-    width = 4 if trial.law.precision == "single" else 8
-    # A law with pairs only stores them after the sixteen real modes. A mode that the
-    # law does not have is unused memory; flipping it would test nothing.
+    width = trial.real.itemsize
+    # A law with pairs only stores them after the real modes. A mode that the law does
+    # not have is unused memory; flipping it would test nothing.
+    modes = layout.REAL_MODES + layout.FORWARD_MODES
     own = len(trial.law.correction.poles)
-    place = int(trial.chance.integers(own)) if own else 16
+    place = int(trial.chance.integers(own)) if own else modes
     if of == "any":
-        others = (len(trial.state) - 4 * WORDS) // width - MODES_HELD
+        modes += 2 * layout.PAIR_MODES
+        others = (len(trial.state) - MEMORY_WORDS) // width - modes
         index = int(trial.chance.integers(others + 1))
-        place = place if index == others else MODES_HELD + index
+        place = place if index == others else modes + index
     # Little-endian: the sign is the highest bit of the last byte.
     bit = 8 * width - 1 - bit_from_top
-    byte = 4 * WORDS + width * place + bit // 8
+    byte = MEMORY_WORDS + width * place + bit // 8
     trial.detail = f"real {place}, {'exponent' if bit_from_top else 'sign'}"
 
     def action(arm: ArmState) -> None:
@@ -293,8 +297,7 @@ def wipe(trial: Trial, byte: int) -> None:
         else:
             # Only the reals: with the words cleared as well, it would be the case of
             # severity 2.
-            reals = np.float32 if trial.law.precision == "single" else np.float64
-            arm.law[4 * WORDS :].view(reals)[:] = math.nan
+            arm.law[MEMORY_WORDS:].view(trial.real)[:] = math.nan
 
     trial.at(trial.row, action)
 
@@ -309,24 +312,20 @@ def restart(trial: Trial, *, after: int = 0, missed: int = 0) -> None:
     trial.marks[row] = True
 
 
-def corrupt_header(trial: Trial, word: int, change: int) -> None:
-    """Change a word of the block's header: version 0, size 1, CRC 3."""
-    block = bytearray(trial.block)
-    (own,) = struct.unpack_from("<I", block, 4 * word)
-    struct.pack_into("<I", block, 4 * word, (own + change) % 2**32)
-    trial.block = bytes(block)
-
-
-def corrupt_body(trial: Trial, place: str) -> None:
-    """Flip the lowest bit of a byte of the block: of a coefficient, the last, or any."""
-    width = 4 if trial.law.precision == "single" else 8
+def corrupt(trial: Trial, place: str) -> None:
+    """Flip the lowest bit of a byte of the block: of a word of its header, of a
+    coefficient, the last, or any.
+    """
+    words = {name: 4 * index for index, name in enumerate(layout.HEADER)}
+    reals = 4 * (len(layout.HEADER) + len(layout.COUNTS))
     block = bytearray(trial.block)
     byte = {
+        **words,
         # The third real is the direct gain of Ĉ; a law without a check would multiply
         # every command by it.
-        "a coefficient": HEADER + COUNTS + 2 * width,
+        "a coefficient": reals + 2 * trial.real.itemsize,
         "the last byte": len(block) - 1,
-        "any byte": HEADER + int(trial.chance.integers(len(block) - HEADER)),
+        "any byte": int(trial.chance.integers(4 * len(words), len(block))),
     }[place]
     block[byte] ^= 1
     trial.block, trial.detail = bytes(block), f"byte {byte}"
@@ -389,7 +388,7 @@ INJECTIONS: dict[str, Callable[..., None]] = {
     for function in (
         *(reading, stick, drop, add, put, noise, spikes, swap, scale_encoder, jitter),
         *(miss, repeat, limit, slow_motor_loop, self_test, without_gauge),
-        *(asked_for_less, flip, wipe, restart, corrupt_header, corrupt_body),
+        *(asked_for_less, flip, wipe, restart, corrupt),
         *(arm, change_payload, stand, wall, quiet),
     )
 }

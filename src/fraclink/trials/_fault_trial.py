@@ -10,10 +10,12 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink import _kernels
 from fraclink._arm.reference import Reference, hold, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._law import MODES, REASONS, Law
+from fraclink._law import block as layout
 from fraclink._simulate import Twin, kernel
 from fraclink._simulate import events as columns
 from fraclink._simulate.events import FAULTS, healthy_inputs
@@ -30,26 +32,22 @@ Action = Callable[[ArmState], None]
 Phase = Literal["whole", "start", "mid", "rest"]
 
 # The move of the catalogue: 1 rad, from 1.0 to 2.2 s; times of its phases [s].
-MOVE_BEGINS = 1.0
-MOVE = smooth_step(1.0, duration=1.2, start=MOVE_BEGINS)
+MOVE = smooth_step(1.0, duration=1.2, start=1.0)
 TIMES: dict[Phase, float] = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2}
 PHASES = tuple(TIMES)
-# [s] start of a second move, ten seconds after the first, which a wound-up loop would
-# spoil
-BACK_AT = MOVE.duration + 10.0
 MOVES: dict[str, Reference] = {
     "move": MOVE,
-    "there and back": MOVE.then(hold(0.0, BACK_AT - MOVE.duration)).then(
-        smooth_step(-0.75, duration=1.2)
-    ),
+    # Ten seconds after the first move, which a wound-up loop would spoil.
+    "there and back": MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2)),
     # The paper's gauge, with a noise of 0.01 N·m, needs 0.24 rad in this time
     # (`Law.wiring_angle`).
     "self-test": smooth_step(0.35, duration=0.12, start=0.1),
 }
 RUN = MODES.index("run")
-# Words of the law's memory (law.h), followed by its reals: the modes first, of these
-# the real ones first.
-WORDS, MODES_HELD = 14, 20
+# The law's memory (law.h) begins with words, and its reals follow: of the bytes of both
+# precisions, those that do not double are words.
+SINGLE, DOUBLE = _kernels.law_sizes(True)[1], _kernels.law_sizes(False)[1]
+MEMORY_WORDS = 2 * SINGLE - DOUBLE
 
 
 # ── before the run
@@ -166,6 +164,22 @@ class Trial:
         """Run another law from the first period on."""
         self.law, self.block = law, law.block
         self.state = law.initial_state()
+        self.real: np.dtype[np.float32] | np.dtype[np.float64] = (
+            np.dtype(np.float32) if law.precision == "single" else np.dtype(np.float64)
+        )
+
+    @property
+    def motor_loop(self) -> layout.DiscreteMotorLoop:
+        """The law's motor loop, which the bench gives it."""
+        assert self.law.motor_loop is not None  # noqa: S101
+        return self.law.motor_loop
+
+    @property
+    def designed_for(self) -> bool:
+        """Whether the arm's payload is one of the design, up to rounding."""
+        low, _, high = self.bench.payloads
+        payload = self.twin.beam.payload
+        return low * (1 - 1e-9) <= payload <= high
 
     def rows(self, seconds: float) -> slice:
         """Return the periods from the fault on for `seconds`; a slice of at least one."""
@@ -210,7 +224,6 @@ def execute(trial: Trial) -> tuple[Run, bytes]:
     fault, and the law's memory at its end.
     """
     arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
-    single = trial.law.precision == "single"
     actions: Mapping[int, Sequence[Action]] = trial.actions
     steps = None
     if trial.shifts is not None:
@@ -223,7 +236,9 @@ def execute(trial: Trial) -> tuple[Run, bytes]:
     def part(first: int, last: int) -> Real:
         if steps is not None:
             arm.rig[0] = steps[first]
-        return arm.run(trial.block, trial.inputs[first:last], single=single)
+        return arm.run(
+            trial.block, trial.inputs[first:last], single=trial.real.itemsize == 4
+        )
 
     record, payloads = acted(arm, trial.count, actions, part)
     count = len(record)

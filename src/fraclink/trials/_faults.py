@@ -19,14 +19,13 @@ from fraclink._law import Law
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fraclink.trials._fault_checks import (
+    CHECKS,
     OTHER_MODE,
-    SAFE,
     Check,
     Evidence,
-    check_named,
     shared_checks,
 )
-from fraclink.trials._fault_injections import inject
+from fraclink.trials._fault_injections import at_severity, inject
 from fraclink.trials._fault_trial import (
     MOVES,
     PHASES,
@@ -58,6 +57,11 @@ CleanRuns = dict[tuple[object, ...], Run]
 Steps = tuple[Mapping[str, Any], ...]
 # in ascending order of severity
 GROUPS = ("met", "slower than promised", "trips without need", "unsafe")
+# [rad] between tip and reference: an arm farther away with its drive on is dangerous,
+# whatever requirement it misses. It is the requirement on a flipped bit (F29).
+SAFE = 0.3
+# The mode that a reaction ends in: no other one beside run is a reaction to the fault.
+REACTIONS = {"A": "run", "B": "degraded", "C": "hold", "D": "off", "-": "run"}
 
 
 # ── the catalogue
@@ -69,7 +73,9 @@ class Fault:
     """A row of the catalogue, as faults.toml explains it.
 
     reaction: A ride through, B degrade, C hold, D off, "-" for another requirement.
-    inject: the steps that break a trial; require: what its run must have shown.
+    inject: the steps that break a trial; require: what its run must have shown, beside
+    what is required of every run; also: modes that are allowed beside run and that of
+    the reaction.
     prepare: steps for the faulty and the clean run alike. best: steps after the fault's
     own that show what a law would do that knows of the fault at once. move: the
     reference's name. duration of the run [s]. cause: why the shipped law misses the
@@ -83,7 +89,8 @@ class Fault:
     required: str
     reaction: Literal["A", "B", "C", "D", "-"]
     inject: Steps
-    require: tuple[str, ...]
+    require: Steps
+    also: tuple[str, ...] = ()
     phases: tuple[str, ...] = ("start", "mid", "rest")
     prepare: Steps = ()
     best: Steps = ()
@@ -102,8 +109,14 @@ class Fault:
 
     def checks(self, evidence: Evidence) -> tuple[Check, ...]:
         """Return what is required of every run, and of this fault's."""
-        own = (check_named(words)(evidence) for words in self.require)
-        return (*shared_checks(evidence), *own)
+        case = evidence.trial.case
+        checks = [*shared_checks(evidence, "run", REACTIONS[self.reaction], *self.also)]
+        for row in self.require:
+            of_phase = case.phase in row.get("phases", PHASES)
+            if of_phase and case.severity in row.get("severities", (1, 2, 3)):
+                options = at_severity(row, case, but=("check", "phases", "severities"))
+                checks.append(CHECKS[row["check"]](evidence, **options))
+        return tuple(checks)
 
 
 def _catalogue() -> tuple[Fault, ...]:
@@ -448,18 +461,7 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
         inject(knowing, (*fault.inject, *fault.best))
         best, _ = execute(knowing)
     run, memory = execute(trial)
-    return Evidence(
-        bench,
-        case,
-        trial.law,
-        trial.row,
-        trial.marks,
-        run,
-        cache[key],
-        memory,
-        trial.detail,
-        best,
-    )
+    return Evidence(trial, run, cache[key], memory, best)
 
 
 def _check_clean(run: Run, payload: float) -> None:
@@ -502,7 +504,7 @@ def run_case(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Out
         e.final,
         *end_of(e.faulty),
         e.reacted,
-        e.detail,
+        e.trial.detail,
     )
 
 

@@ -123,7 +123,7 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
     e = observe(bench, outcome.case)
     title = f"{outcome.name}: {fault_named(outcome.case.fault).title}"
     verdict = str(outcome.failed[0]) if outcome.failed else "passed"
-    event = float(e.row * e.law.period)
+    event = e.trial.row * e.trial.period
     gauge: list[Mark] = [
         Curve(*envelope(e.faulty.time, e.faulty.torque_measured), 2, "gauge", "thin"),
         Curve(*envelope(e.faulty.time, e.faulty.torque), 0, "true"),
