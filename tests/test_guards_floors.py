@@ -192,7 +192,7 @@ CEILINGS = {
     "_design": 1585,
     "_export": 543,
     "_files": 581,
-    "_identify": 2963,
+    "_identify": 2935,
     "_law": 979,
     "_reading": 1129,
     "_simulate": 1244,

@@ -107,7 +107,7 @@ def test_nothing_common_is_every_log_for_itself() -> None:
 def test_known_delay_and_stiffness() -> None:
     fit = identify_payloads(payload_logs(LINK), stiffness=1.56, delay=0.0)
     assert fit.gains == (1.56, 1.56, 1.56)
-    assert fit.delays == (0.0, 0.0, 0.0)
+    assert [model.gauge_delay for model in fit.models] == [0.0, 0.0, 0.0]
 
 
 def test_bad_joint_requests() -> None:

@@ -1,10 +1,8 @@
-"""The least-squares problem of several payloads: its coordinates and its minimisation.
+"""The least-squares problem of several payloads.
 
-The vector θ holds the common parameters first, then for every log its own ones. A shape
-(see `shape`) follows from (ln Ω, λ, ln μ, α, delay) of a log:
-
-    ζ = μ sin(απ/2) Ω^(α−λ) / 2                       (a common μ is not a common damping ratio)
-    Ω^λ = κ/m + μ Ω^α cos(απ/2), κ = c/L²              (ω₀ tied to the payload m by eq. (5))
+The parameters of a log are (ln Ω, λ, ln μ, α, τ), or with ln c/L² = ln(ω₀² m) in place
+of ln Ω, which eq. (5) makes common. The vector θ holds the common ones first, then for
+every log its own.
 """
 
 from __future__ import annotations
@@ -15,115 +13,26 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink._identify.link_problem import quadratic_of
-from fraclink._identify.problem import Problem, Quadratic, descend
+from fraclink._identify.problem import Problem, Quadratic
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
+    NAMES,
     ORDER_LIMITS,
     largest_ratio,
     link_parameters,
-    log_resonance,
-    ratio_of,
+    shapes_at,
+    shapes_of,
 )
 from fraclink._identify.uncertainty import link_covariance
-from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
 
-# The parameters of θ in the order of `link_parameters`.
-_PLACES = ("frequency", "order", "damping", "damping_order", "delay")
-
-
-@dataclass(frozen=True)
-class Coordinates:
-    """The place of each parameter of each log in θ.
-
-    `names` are the parameters of one log ("frequency", "order", "damping",
-    "damping_order", "delay"), `common` those that all logs share; `payloads` [kg] is
-    given where "frequency" is κ, common to all.
-    """
-
-    names: tuple[str, ...]
-    common: tuple[str, ...]
-    logs: int
-    fixed_delay: float | None
-    payloads: tuple[float, ...] | None
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Parameters that are separate for each log."""
-        return tuple(name for name in self.names if name not in self.common)
-
-    @property
-    def size(self) -> int:
-        """Length of θ."""
-        return len(self.common) + self.logs * len(self.own)
-
-    def index(self, name: str, log: int) -> int:
-        """Place of a parameter of a log in θ."""
-        if name in self.common:
-            return self.common.index(name)
-        return len(self.common) + log * len(self.own) + self.own.index(name)
-
-    def shape(self, theta: Real, log: int) -> tuple[Real, Real]:
-        """The shape of a log and its derivative with respect to θ, shapes (5,) and (5,
-        size).
-        """
-        at = {name: self.index(name, log) for name in self.names}
-        own = {name: float(theta[k]) for name, k in at.items()}
-        order, other = own.get("order", 2.0), own.get("damping_order", 1.0)
-        damping = math.exp(own["damping"]) if "damping" in own else 0.0
-        delay = own.get("delay", self.fixed_delay or 0.0)
-        place = own["frequency"]
-        if self.payloads is not None:
-            square = math.exp(place) / self.payloads[log]
-            place = log_resonance(square, order, damping, other)
-        ratio = ratio_of(place, order, damping, other)
-        shape = np.array([order, place, ratio, other, delay])
-        values, slopes = (part[0] for part in link_parameters(shape[None]))
-        # The derivatives of the parameters with respect to the shape, in logarithms
-        # where θ uses them; their inverse is needed.
-        slopes[2] /= damping or 1.0
-        slopes[0] = slopes[0] / values[0] if self.payloads else np.eye(5)[1]
-        columns = [_PLACES.index(name) for name in self.names]
-        rates = np.zeros((5, self.size))
-        rates[:, list(at.values())] = np.linalg.inv(slopes)[:, columns]
-        return shape, rates
-
-
-def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Real:
-    """Every parameter from the separate fit of its log; the mean for common ones."""
-    theta, count = np.zeros(coordinates.size), np.zeros(coordinates.size)
-    for i, solution in enumerate(alone):
-        shape = solution.shape.copy()
-        if solution.on_edge:
-            shape[3] = (
-                # ω₀ = 0 holds for one μ only; from the middle of the valley a common μ
-                # converges
-                1.0
-            )
-        square, _, damping, *_ = link_parameters(shape[None, :])[0][0].tolist()
-        frequency = float(shape[1])
-        if coordinates.payloads is not None:
-            # ω₀² m = c/L² by eq. (5): each log's own estimate of the common value.
-            frequency = math.log(max(square, 1e-12) * coordinates.payloads[i])
-        values = {
-            "frequency": frequency,
-            "order": float(shape[0]),
-            # A logarithm needs a start above zero; an undamped fit starts where damping
-            # is no longer visible.
-            "damping": math.log(max(damping, 1e-6)),
-            "damping_order": float(shape[3]),
-            "delay": float(shape[4]),
-        }
-        for name in coordinates.names:
-            theta[coordinates.index(name, i)] += values[name]
-            count[coordinates.index(name, i)] += 1
-    return theta / count
-
-
-# --- the problem: the Gram matrices of all logs -----------------------------------------------------------
+# The columns of which θ holds the logarithm.
+_LOGARITHMS = [0, 2]
+_LIMITS = {"order": ORDER_LIMITS, "damping_order": ALPHA_LIMITS}
 
 
 def weight_of(search: Search, solution: Solution) -> float:
@@ -141,38 +50,105 @@ def weight_of(search: Search, solution: Solution) -> float:
 
 @dataclass(frozen=True, eq=False)
 class JointProblem(Problem):
-    """The least-squares problem of all logs, in θ."""
+    """The least-squares problem of all logs, in θ.
 
-    coordinates: Coordinates
+    `names` are the free parameters of a log, `common` those that all logs share;
+    `masses` (one for each log) [kg] are given where they tie ω₀.
+    """
+
     searches: Sequence[Search]
     weights: Sequence[float]
+    names: tuple[str, ...]
+    common: tuple[str, ...]
+    delay: float
+    masses: Real | None
+
+    @cached_property
+    def index(self) -> NDArray[np.int_]:
+        """Places in θ of the free parameters of every log, (logs, names)."""
+        own = [name for name in self.names if name not in self.common]
+        return np.array(
+            [
+                [
+                    self.common.index(name)
+                    if name in self.common
+                    else len(self.common) + log * len(own) + own.index(name)
+                    for name in self.names
+                ]
+                for log in range(len(self.searches))
+            ]
+        )
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of the free parameters among all five."""
+        return [NAMES.index(name) for name in self.names]
+
+    def rows(self, places: Real, log: int) -> Real:
+        """Parameters (M, 5) of a log: (Ω or c/L², λ, μ, α, τ)."""
+        rows = np.tile([0.0, 2.0, -math.inf, 1.0, self.delay], (len(places), 1))
+        rows[:, self.columns] = places[:, self.index[log]]
+        rows[:, _LOGARITHMS] = np.exp(rows[:, _LOGARITHMS])
+        return rows
+
+    def shapes(self, places: Real, log: int) -> tuple[Real, Real]:
+        """Shapes (M, 5) of a log, and their derivatives with respect to its free
+        parameters (M, 5, p).
+        """
+        rows = self.rows(places, log)
+        if self.masses is None:
+            shapes = shapes_at(np.log(rows[:, 0]), rows)
+            slopes = link_parameters(shapes)[1]
+            slopes[:, 0] = np.eye(5)[1]
+        else:
+            rows[:, 0] /= self.masses[log]
+            shapes = shapes_of(rows)
+            slopes = link_parameters(shapes)[1]
+            slopes[:, 0] /= rows[:, :1]
+        # Without damping its column is not among the free ones.
+        slopes[:, 2] /= np.where(rows[:, 2:3] > 0, rows[:, 2:3], 1.0)
+        return shapes, np.asarray(np.linalg.inv(slopes)[:, :, self.columns])
+
+    def start(self, alone: Sequence[Solution]) -> Real:
+        """Every parameter from the separate fit of its log; the mean for common ones."""
+        shapes = np.array([solution.shape for solution in alone])
+        # ω₀ = 0 holds for one μ only; from the middle of the valley a common μ
+        # converges.
+        shapes[[solution.on_edge for solution in alone], 3] = 1.0
+        rows = link_parameters(shapes)[0]
+        if self.masses is None:
+            rows[:, 0] = np.exp(shapes[:, 1])
+        else:
+            rows[:, 0] *= self.masses
+        # An undamped fit starts where damping is no longer visible.
+        rows[:, _LOGARITHMS] = np.log(np.maximum(rows[:, _LOGARITHMS], 1e-6))
+        place, values = self.index.ravel(), rows[:, self.columns].ravel()
+        return np.asarray(np.bincount(place, values) / np.bincount(place))
+
+    def _of_each(self, values: Sequence[float]) -> Real:
+        """A value for every parameter of θ, from one for every name."""
+        result = np.empty(self.index.max() + 1)
+        result[self.index] = values
+        return result
 
     @cached_property
     def low(self) -> Real:
         """See `Problem`."""
-        return self._limits(0)
+        free = (-math.inf, math.inf)
+        return self._of_each([_LIMITS.get(name, free)[0] for name in self.names])
 
     @cached_property
     def high(self) -> Real:
         """See `Problem`."""
-        return self._limits(1)
-
-    def _limits(self, end: int) -> Real:
-        result = np.full(self.coordinates.size, (-math.inf, math.inf)[end])
-        for name, limits in (("order", ORDER_LIMITS), ("damping_order", ALPHA_LIMITS)):
-            if name in self.coordinates.names:
-                rows = range(self.coordinates.logs)
-                result[[self.coordinates.index(name, i) for i in rows]] = limits[end]
-        return result
+        free = (-math.inf, math.inf)
+        return self._of_each([_LIMITS.get(name, free)[1] for name in self.names])
 
     @cached_property
     def reach(self) -> Real:
         """See `Problem`: Ω is already well known."""
-        own = self.coordinates
-        result = np.full(own.size, math.inf)
-        if "damping" in own.names:
-            result[[own.index("damping", i) for i in range(own.logs)]] = 1.0
-        return result
+        return self._of_each(
+            [1.0 if column == 2 else math.inf for column in self.columns]
+        )
 
     @property
     def samples(self) -> int:
@@ -190,31 +166,18 @@ class JointProblem(Problem):
         """See `Problem`: the weighted sum over all logs; the cost is infinite for
         impossible links.
         """
-        parts = []
-        for i, (search, weight) in enumerate(
+        count, size = places.shape
+        cost, slope = np.zeros(count), np.zeros((count, size))
+        normal = np.zeros((count, size, size))
+        for log, (search, weight) in enumerate(
             zip(self.searches, self.weights, strict=True)
         ):
-            rows = [self.coordinates.shape(theta, i) for theta in places]
-            shapes, chain = (np.array(column) for column in zip(*rows, strict=True))
-            possible = [row[2] <= largest_ratio(float(row[3])) for row in shapes]
-            # The chain rule maps each log's own Gram matrix to θ, so that the data of
-            # each log are used once.
+            shapes, chain = self.shapes(places, log)
             at = quadratic_of(search.kernel, shapes, chain, search.gain, search.offset)
-            cost = np.where(possible, weight * at.cost, math.inf)
-            parts.append(
-                (cost, weight * at.slope, weight * at.normal, at.gain, at.offset)
-            )
-        sums = [sum(column) for column in zip(*parts, strict=True)]
-        return Quadratic(*map(np.asarray, sums))
-
-    def minimise(self, theta: Real) -> tuple[Real, Real]:
-        """The best θ and the normal matrix there."""
-        descent = descend(self, theta[None, :])
-        if not math.isfinite(descent.costs[0]):
-            raise NotConvergedError(
-                "the joint fit",
-                reached=math.inf,
-                wanted=0.0,
-                remedy="fit each log alone first, they may not belong together",
-            )
-        return descent.places[0], self.quadratic(descent.places).normal[0]
+            possible = [row[2] <= largest_ratio(float(row[3])) for row in shapes]
+            own = self.index[log]
+            cost += np.where(possible, weight * at.cost, math.inf)
+            slope[:, own] += weight * at.slope
+            normal[:, own[:, None], own] += weight * at.normal
+        # Every log has a gain and an offset of its own.
+        return Quadratic(cost, slope, normal, *np.full((2, count), math.nan))

@@ -17,12 +17,13 @@ from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
 from fraclink._display import Overview, Row, Table, displayed
 from fraclink._identify.compare import criteria_of, preferred_structure
-from fraclink._identify.fit import SYMBOLS, aic
+from fraclink._identify.fit import SYMBOLS
 from fraclink._identify.fitting import Stiffness, make_search
-from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
-from fraclink._identify.search import Search, Solution
+from fraclink._identify.joint import JointProblem, weight_of
+from fraclink._identify.problem import descend, inverted
+from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, columns_of, model_of
-from fraclink.errors import LogError
+from fraclink.errors import LogError, NotConvergedError
 from fracsys.checks import Between, Real, checked, checked_choice
 from fracsys.checks.equality import compared
 
@@ -69,9 +70,9 @@ class JointFit:
         the structure.
     common
         names of the parameters that all payloads share.
-    models, gains, offsets, delays
-        one for each log, in their order.
-    mse, aic
+    models, gains, offsets
+        one for each log, in their order; a model's gauge delay is that of its log.
+    mse
         for each log.
     alone_mse
         of the fits of each log for itself.
@@ -94,9 +95,7 @@ class JointFit:
     models: tuple[LinkModel, ...]
     gains: tuple[float, ...]
     offsets: tuple[float, ...]
-    delays: tuple[float, ...]
     mse: tuple[float, ...]
-    aic: tuple[float, ...]
     alone_mse: tuple[float, ...]
     standard_errors: dict[str, float]
     stiffness: float | None
@@ -232,15 +231,59 @@ def identify_payloads(
         weight_of(search, solution)
         for search, solution in zip(searches, alone, strict=True)
     ]
-    payloads = tuple(float(log.payload or 0.0) for log in logs) if tied else None
-    every = ("frequency", *own, *(() if delay is not None else ("delay",)))
-    shared = (("frequency",) if tied else ()) + tuple(
-        name for name in names if name in every
+    free = ("natural_frequency", *own, *(() if delay is not None else ("delay",)))
+    shared = (("natural_frequency",) if tied else ()) + names
+    joint = JointProblem(
+        searches,
+        weights,
+        free,
+        tuple(name for name in shared if name in free),
+        delay or 0.0,
+        np.array([log.payload for log in logs]) if tied else None,
     )
-    coordinates = Coordinates(every, shared, len(logs), delay, payloads)
-    joint = JointProblem(coordinates, searches, weights)
-    theta, normal = joint.minimise(start_of(coordinates, alone))
-    return _result(logs, structure, names, joint, alone, theta, normal, length)
+    descent = descend(joint, joint.start(alone)[None, :])
+    if not math.isfinite(descent.costs[0]):
+        raise NotConvergedError(
+            "the joint fit",
+            reached=math.inf,
+            wanted=0.0,
+            remedy="fit each log alone first, they may not belong together",
+        )
+    theta = descent.places[0]
+    models, gains, offsets, predicted = (
+        tuple(column)
+        for column in zip(
+            *(_of_one(log, i, joint, theta) for i, log in enumerate(logs)), strict=True
+        )
+    )
+    # Over all samples and unweighted, so that a user can compare the figures of
+    # different logs.
+    mse = tuple(
+        float(np.mean((log.output - p) ** 2))
+        for log, p in zip(logs, predicted, strict=True)
+    )
+    alone_mse = tuple(
+        solution.cost / log.output.size
+        for solution, log in zip(alone, logs, strict=True)
+    )
+    # θ begins with ln(ω₀² m) where it is common.
+    over = math.exp(theta[0]) if tied else None
+    test = _test(joint, logs, mse, alone_mse)
+    return JointFit(
+        structure,
+        names,
+        models,
+        gains,
+        offsets,
+        mse,
+        alone_mse,
+        _errors(joint, theta, tied),
+        stiffness=over * length**2 if over is not None and length is not None else None,
+        stiffness_over_square=over,
+        test=test,
+        verdict=_verdict(names, tied, len(logs), test),
+        predicted=predicted,
+    )
 
 
 def _supported(searches: Sequence[Search]) -> str:
@@ -280,98 +323,42 @@ def _check(logs: Sequence[Experiment], tied: bool) -> None:
 # --- the result -------------------------------------------------------------------------------------------
 
 
-def _result(
-    logs: Sequence[Experiment],
-    structure: str,
-    common: tuple[str, ...],
-    joint: JointProblem,
-    alone: Sequence[Solution],
-    theta: Real,
-    normal: Real,
-    length: float | None,
-) -> JointFit:
-    coordinates = joint.coordinates
-    rows = [_of_one(log, i, joint, theta) for i, log in enumerate(logs)]
-    models, gains, offsets, delays, predicted = (
-        tuple(column) for column in zip(*rows, strict=True)
-    )
-    # Over all samples and unweighted, so that a user can compare the figures of
-    # different logs.
-    mse = tuple(
-        float(np.mean((log.output - p) ** 2))
-        for log, p in zip(logs, predicted, strict=True)
-    )
-    parameters = len(structure_row(structure).free)
-    alone_mse = tuple(
-        solution.cost / log.output.size
-        for solution, log in zip(alone, logs, strict=True)
-    )
-    over = (
-        math.exp(theta[coordinates.index("frequency", 0)])
-        if coordinates.payloads
-        else None
-    )
-    test = _test(joint, logs, mse, alone_mse)
-    return JointFit(
-        structure,
-        common,
-        models,
-        gains,
-        offsets,
-        delays,
-        mse,
-        tuple(
-            aic(value, log.output.size, parameters)
-            for value, log in zip(mse, logs, strict=True)
-        ),
-        alone_mse,
-        _errors(coordinates, theta, normal),
-        stiffness=over * length**2 if over is not None and length is not None else None,
-        stiffness_over_square=over,
-        test=test,
-        verdict=_verdict(coordinates, common, test),
-        predicted=predicted,
-    )
-
-
 def _of_one(
     log: Experiment, i: int, joint: JointProblem, theta: Real
-) -> tuple[LinkModel, float, float, float, Real]:
-    """Model, gain, offset, delay and prediction of one log."""
-    search, coordinates = joint.searches[i], joint.coordinates
-    shape, _ = coordinates.shape(theta, i)
-    raw = columns_of(search.kernel, shape)[0]
+) -> tuple[LinkModel, float, float, Real]:
+    """Model, gain, offset and prediction of one log."""
+    search = joint.searches[i]
+    shapes, _ = joint.shapes(theta[None, :], i)
+    raw = columns_of(search.kernel, shapes[0])[0]
     gain = search.gain
     if math.isnan(gain):
         # Gain and offset are linear in the prediction: regression gives both.
         gain = float(np.cov(raw, log.output, bias=True)[0, 1] / np.var(raw))
     offset = float(np.mean(log.output - gain * raw))
-    model = model_of(shape, max(abs(gain), 1e-12), log.payload)
-    if "damping" in coordinates.names and model.damping > 0:
-        # Converting via the resonance of each log rounds, and the last digits would
-        # differ.
-        model = replace(model, damping=math.exp(theta[coordinates.index("damping", i)]))
-    delay = float(shape[4])
-    return replace(model, gauge_delay=delay), gain, offset, delay, gain * raw + offset
+    damping, delay = joint.rows(theta[None, :], i)[0, [2, 4]].tolist()
+    # The damping as it is in θ: its conversion by the resonance of each log rounds.
+    model = replace(
+        model_of(shapes[0], max(abs(gain), 1e-12), log.payload),
+        damping=damping,
+        gauge_delay=delay,
+    )
+    return model, gain, offset, gain * raw + offset
 
 
-def _errors(coordinates: Coordinates, theta: Real, normal: Real) -> dict[str, float]:
-    # Two parameters that only act together make the matrix singular: the pseudo-inverse
-    # gives the determined combination.
-    covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0))
+def _errors(joint: JointProblem, theta: Real, tied: bool) -> dict[str, float]:
+    covariance = inverted(joint.quadratic(theta[None, :]).normal[0])[0]
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    frequency = "stiffness_over_square" if tied else "resonance"
     result: dict[str, float] = {}
-    for name in coordinates.names:
-        label = name
-        if name == "frequency":
-            label = "stiffness_over_square" if coordinates.payloads else "resonance"
-        for i in range(coordinates.logs):
-            k = coordinates.index(name, i)
+    for i, places in enumerate(joint.index):
+        for name, k in zip(joint.names, places.tolist(), strict=True):
+            label = frequency if name == "natural_frequency" else name
             # These two are logarithms: d e^x = e^x dx.
-            scale = math.exp(theta[k]) if name in ("damping", "frequency") else 1.0
-            result[label if name in coordinates.common else f"{label} {i + 1}"] = float(
-                errors[k] * scale
+            scale = (
+                math.exp(theta[k]) if name in ("natural_frequency", "damping") else 1.0
             )
+            key = label if name in joint.common else f"{label} {i + 1}"
+            result[key] = float(errors[k] * scale)
     return result
 
 
@@ -391,10 +378,9 @@ def _test(
             statistic += (
                 log.output.size * weight * own * math.log(max(together / own, 1.0))
             )
-    coordinates = joint.coordinates
     # The difference in the number of parameters between the separate fits and the joint
     # fit.
-    degrees = coordinates.logs * len(coordinates.names) - coordinates.size
+    degrees = joint.index.size - joint.low.size
     # The upper tail of χ², which keeps the digits of small values: 1 − P would round to
     # zero below 1e-16.
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
@@ -402,14 +388,14 @@ def _test(
 
 
 def _verdict(
-    coordinates: Coordinates, common: Sequence[str], test: LikelihoodRatio
+    common: Sequence[str], tied: bool, logs: int, test: LikelihoodRatio
 ) -> str:
     if test.degrees == 0:
         return "Nothing is common: every log was fitted for itself."
     symbols = [_SYMBOLS[name] for name in common]
-    if coordinates.payloads is not None:
+    if tied:
         symbols.append("the stiffness of eq. (5)")
     # Below 1e-9 the tail of a normal distribution means nothing for a real log.
     chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
     may = "may" if test.common else "cannot"
-    return f"{' and '.join(symbols)} {may} be common to these {coordinates.logs} logs ({chance})."
+    return f"{' and '.join(symbols)} {may} be common to these {logs} logs ({chance})."

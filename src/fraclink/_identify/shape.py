@@ -146,34 +146,38 @@ def model_of(shape: Real, stiffness: float, payload: float | None) -> LinkModel:
 
 def shape_of(model: LinkModel, delay: float = 0.0) -> Real:
     """The shape of a link model."""
-    order, other = model.order, model.damping_order
-    place = log_resonance(model.natural_frequency**2, order, model.damping, other)
-    ratio = ratio_of(place, order, model.damping, other)
-    return np.array([order, place, ratio, other, delay])
+    square = model.natural_frequency**2
+    parameters = [square, model.order, model.damping, model.damping_order, delay]
+    return np.asarray(shapes_of(np.array([parameters]))[0])
 
 
-def ratio_of(place: float, order: float, damping: float, other: float) -> float:
-    """ζ = μ S Ω^(α−λ)/2 at ln Ω."""
-    sine = math.sin(other * math.pi / 2)
-    return damping * sine * math.exp((other - order) * place) / 2
-
-
-def log_resonance(square: float, order: float, damping: float, other: float) -> float:
-    """ln Ω of Ω^λ = ω₀² + μ Ω^α C, by Newton's method in ln Ω."""
-    cosine = math.cos(other * math.pi / 2)
+def shapes_of(parameters: Real) -> Real:
+    """Shapes (M, 5) of links with (ω₀², λ, μ, α, τ), the inverse of `link_parameters`:
+    ln Ω of Ω^λ = ω₀² + μ Ω^α C by Newton's method.
+    """
+    square, order, damping, other, _ = parameters.T
+    cosine = np.cos(other * math.pi / 2)
     # Ω of the undamped link is within a few per cent of the root, because the damping
     # of an arm is weak; without ω₀ the damping alone gives Ω.
-    place = math.log(max(square, damping * cosine, 1e-12)) / order
+    place = np.log(np.maximum(np.maximum(square, damping * cosine), 1e-12)) / order
     for _ in range(40):
-        moving, friction = math.exp(order * place), damping * math.exp(other * place)
+        moving, friction = np.exp(order * place), damping * np.exp(other * place)
         slope = order * moving - other * friction * cosine
         step = (moving - square - friction * cosine) / slope
         # For a sum of exponentials a step from the left overshoots; a limit of half an
         # e-fold keeps it within range.
-        place -= min(max(step, -0.5), 0.5)
-        if abs(step) < 1e-14:
+        place -= np.clip(step, -0.5, 0.5)
+        if np.all(np.abs(step) < 1e-14):
             break
-    return place
+    return shapes_at(place, parameters)
+
+
+def shapes_at(place: Real, parameters: Real) -> Real:
+    """Shapes (M, 5) at ln Ω (M,), with ζ = μ S Ω^(α−λ)/2; ω₀ follows from them."""
+    _, order, damping, other, delay = parameters.T
+    sine = np.sin(other * math.pi / 2)
+    ratio = damping * sine * np.exp((other - order) * place) / 2
+    return np.column_stack([order, place, ratio, other, delay])
 
 
 def largest_ratio(other: float) -> float:
