@@ -116,7 +116,7 @@ def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(
 ) -> None:
     """The changed file creates a marker file as soon as it is executed."""
     made, mark = law("double"), tmp_path / "ran"
-    export_c(made, tmp_path / "firmware", title="its title is free")
+    export_c(made, tmp_path / "firmware")
     path = tmp_path / "firmware" / file
     own, code = (
         path.read_text(encoding="utf-8"),

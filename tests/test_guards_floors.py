@@ -190,7 +190,7 @@ CEILINGS = {
     "_certify": 891,
     "_cli": 1006,
     "_design": 1585,
-    "_export": 543,
+    "_export": 505,
     "_files": 581,
     "_identify": 2935,
     "_law": 979,

@@ -810,7 +810,7 @@ def _members(path: Path) -> Plain:
 
 def _c_files(named: str, precision: str) -> Plain:
     with tempfile.TemporaryDirectory() as place:
-        fl.export_c(law(named, precision), Path(place) / "c", title="golden")
+        fl.export_c(law(named, precision), Path(place) / "c")
         return {"sha256": _files(Path(place) / "c")}
 
 

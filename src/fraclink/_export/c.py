@@ -20,7 +20,6 @@ from fraclink._export.data import (
     exact_sizes,
     identifier,
     law_source,
-    title_text,
 )
 from fraclink._export.payload import payload_files, payload_readme
 from fraclink._export.selftest import expected, selftest_source
@@ -42,7 +41,6 @@ def export_c(
     *,
     precision: Precision | None = None,
     name: str = "law_data",
-    title: str = "",
     prove: bool = False,
     certificate: Certificate | None = None,
     estimator: PayloadEstimator | None = None,
@@ -66,8 +64,6 @@ def export_c(
         The law's own where it is left out.
     name
         C identifier of the block, and of its header's guard.
-    title
-        Plain text for the first comment, at most 80 characters.
     prove
         Prove what can be proved about these very files with the provers that are
         installed (Debian's frama-c-base, z3 or cvc5, gappa; python-flint): README.md
@@ -87,7 +83,7 @@ def export_c(
     Raises
     ------
     FieldError
-        an existing folder, an illegal name or title.
+        an existing folder, an illegal name.
     MissingExtraError
         `prove` without fraclink-prove.
 
@@ -102,7 +98,6 @@ def export_c(
     """
     law = law.law() if isinstance(law, Design) else law
     identifier("name", name)
-    title_text(title)
     place = Path(folder)
     if place.is_file() or (place.is_dir() and any(place.iterdir()) and not force):
         raise FieldError(
@@ -122,7 +117,7 @@ def export_c(
     files: dict[str, bytes] = {
         "law.h": law_source("law.h"),
         "law.c": law_source("law.c"),
-        data: data_header(shipped, name=name, title=title).encode(),
+        data: data_header(shipped, name=name).encode(),
         "law_selftest.c": selftest_source(shipped, name=name, data=data).encode(),
     }
     proof, logs = (

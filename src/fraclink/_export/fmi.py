@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import math
+import uuid
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from fraclink._law import MODES, REASONS
+from fraclink._law import MODES, REASONS, Law
 
 __all__ = [
-    "PID_VARIABLES",
     "PLATFORMS",
-    "UNITS",
     "VARIABLES",
-    "FmuModel",
-    "Unit",
     "Variable",
     "descriptions",
     "token_of",
@@ -133,70 +129,16 @@ def _of_pid(variable: Variable) -> Variable:
 PID_VARIABLES: tuple[Variable, ...] = tuple(_of_pid(variable) for variable in VARIABLES)
 
 
-class Unit(NamedTuple):
-    """Exponents of the SI base units, and a unit to display it in with its factor."""
-
-    base: Mapping[str, int]
-    display: tuple[str, float] | None = None
-
-
-UNITS: Mapping[str, Unit] = {
-    "kg": Unit({"kg": 1}),
-    "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
-    "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
-    # FMI defines display = factor·value (section 2.4.4): the factor for degrees is
-    # 180/π, not its inverse.
-    "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
-    "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
-    "s": Unit({"s": 1}),
-    "1": Unit({}),
+# Exponents of the SI base units.
+UNITS: Mapping[str, Mapping[str, int]] = {
+    "kg": {"kg": 1},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "rad": {"rad": 1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "s": {"s": 1},
+    "1": {},
 }
-
-
-@dataclass(frozen=True)
-class FmuModel:
-    """The model that modelDescription.xml describes.
-
-    `name` is the model's C identifier, `token` ties the description to the library,
-    `period` [s] is the only communication step, `digest` identifies the law,
-    `connected` names the output to use, `variables` are `VARIABLES` or those of a PID,
-    in the same order.
-    """
-
-    name: str
-    token: str
-    period: float
-    digest: str
-    connected: str
-    variables: tuple[Variable, ...] = VARIABLES
-
-    @property
-    def description(self) -> str:
-        """One line for the importer's user."""
-        what = (
-            "Control law of a flexible link"
-            if self.variables is VARIABLES
-            else "Fractional PID"
-        )
-        return (
-            f"{what}, one step each period of {self.period:g} s; {self.connected}; "
-            f"law {self.digest}"
-        )
-
-    @property
-    def interface(self) -> dict[str, str]:
-        """Attributes of the element CoSimulation."""
-        return {
-            "modelIdentifier": self.name,
-            "needsExecutionTool": "false",
-            # The poles of the filter are those of one period; another step would make
-            # another filter.
-            "canHandleVariableCommunicationStepSize": "false",
-            # law.c has no static data: two arms in one simulation are two instances.
-            "canBeInstantiatedOnlyOncePerProcess": "false",
-            "canGetAndSetFMUState": "true",
-            "canSerializeFMUState": "true",
-        }
 
 
 def token_of(sources: Mapping[str, str]) -> str:
@@ -205,16 +147,10 @@ def token_of(sources: Mapping[str, str]) -> str:
     """
     # The texts are joined by a character that C does not contain, so that moving a
     # boundary between them changes the hash.
-    digits = hashlib.sha256(
-        "\0".join(sources[name] for name in sorted(sources)).encode()
-    ).hexdigest()[:32]
-    return (
-        "{"
-        + "-".join(
-            (digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])
-        )
-        + "}"
-    )
+    text = "\0".join(sources[name] for name in sorted(sources))
+    digits = hashlib.sha256(text.encode()).hexdigest()
+    # in the form of a GUID, as importers expect it
+    return "{" + str(uuid.UUID(digits[:32])) + "}"
 
 
 def _text(root: ET.Element) -> str:
@@ -227,34 +163,39 @@ def _text(root: ET.Element) -> str:
     )
 
 
-def _add_general(root: ET.Element, model: FmuModel) -> None:
+def _add_general(
+    root: ET.Element, variables: tuple[Variable, ...], period: float
+) -> None:
     """Add units, the single log category, and a default experiment of 500 periods."""
     units = ET.SubElement(root, "UnitDefinitions")
-    symbols = {variable.unit for variable in model.variables}
-    for name, unit in ((name, unit) for name, unit in UNITS.items() if name in symbols):
+    symbols = {variable.unit for variable in variables}
+    for name in (name for name in UNITS if name in symbols):
         element = ET.SubElement(units, "Unit", name=name)
-        ET.SubElement(
-            element, "BaseUnit", {key: str(power) for key, power in unit.base.items()}
-        )
-        if unit.display is not None:
-            display, factor = unit.display
-            ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
+        powers = {key: str(power) for key, power in UNITS[name].items()}
+        ET.SubElement(element, "BaseUnit", powers)
+        if name.startswith("rad"):
+            # FMI defines display = factor·value (section 2.4.4): the factor for degrees
+            # is 180/π, not its inverse.
+            degrees = {
+                "name": name.replace("rad", "deg"),
+                "factor": repr(180 / math.pi),
+            }
+            ET.SubElement(element, "DisplayUnit", degrees)
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(
         categories, "Category", name="logStatusError", description="why a call failed"
     )
     # 500 periods are two seconds at 4 ms, a move and its settling. An importer may
     # choose another end, but no other step.
-    times = {
-        "startTime": "0",
-        "stopTime": repr(500 * model.period),
-        "stepSize": repr(model.period),
-    }
+    times = {"startTime": "0", "stopTime": repr(500 * period), "stepSize": repr(period)}
     ET.SubElement(root, "DefaultExperiment", times)
 
 
 def _about(variable: Variable, reference: int) -> dict[str, str]:
-    return {
+    """Attributes of a variable: of its value the unit and start of a real one, the range
+    of an integer one.
+    """
+    about = {
         "name": variable.name,
         "valueReference": str(reference),
         "causality": variable.causality,
@@ -263,61 +204,72 @@ def _about(variable: Variable, reference: int) -> dict[str, str]:
         "variability": "discrete" if variable.causality == "output" else "continuous",
         "description": variable.description,
     }
-
-
-def _value(variable: Variable) -> dict[str, str]:
-    """Attributes of a variable's value: unit and start of a real variable, range of an
-    integer one.
-    """
     if not variable.real:
-        return {"min": "0", "max": str(variable.largest)}
+        return about | {"min": "0", "max": str(variable.largest)}
     # Inputs have a start value; that of an output is calculated from the inputs that
     # `start_from` names.
-    return {"unit": variable.unit} | (
-        {"start": "0"} if variable.causality == "input" else {}
-    )
+    start = {"start": "0"} if variable.causality == "input" else {}
+    return about | {"unit": variable.unit} | start
 
 
-def _unknowns(listed: tuple[Variable, ...]) -> list[tuple[str, str]]:
-    """For each output its value reference, and those of the variables from which its
-    start value is calculated.
+def _connected(law: Law) -> str:
+    if law.motor_loop is None:
+        return "connect motor_reference to the drive's own position servo"
+    limit = f"within ±{law.motor_loop.voltage_limit:g}"
+    return f"connect voltage, {limit} V" if law.has_gauge else f"output {limit}"
+
+
+def descriptions(law: Law, name: str, token: str) -> dict[str, str]:
+    """Return the files that describe the FMU of a law by their names: `name` is the
+    model's C identifier, `token` ties the description to the library.
     """
-    place = {variable.name: str(index) for index, variable in enumerate(listed)}
-    outputs = [variable for variable in listed if variable.causality == "output"]
-    return [
-        (place[v.name], " ".join(place[name] for name in v.start_from)) for v in outputs
-    ]
-
-
-def descriptions(model: FmuModel) -> dict[str, str]:
-    """Return the files that describe a model by their names."""
+    variables = VARIABLES if law.has_gauge else PID_VARIABLES
+    what = "Control law of a flexible link" if law.has_gauge else "Fractional PID"
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="3.0",
-        modelName=model.name,
-        instantiationToken=model.token,
-        description=model.description,
+        modelName=name,
+        instantiationToken=token,
+        # one line for the importer's user
+        description=f"{what}, one step each period of {law.period:g} s; {_connected(law)}; law {law.digest}",
         generationTool="fraclink",
     )
     # No fixedInternalStepSize: it would allow communication steps of several periods,
     # during which the law would run on constant sensor values.
-    ET.SubElement(root, "CoSimulation", model.interface)
-    _add_general(root, model)
-    variables = ET.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(model.variables):
-        kind = "Float64" if variable.real else "UInt32"
-        ET.SubElement(variables, kind, _about(variable, reference) | _value(variable))
-    structure = ET.SubElement(root, "ModelStructure")
-    for place, _ in _unknowns(model.variables):
-        ET.SubElement(structure, "Output", valueReference=place, dependencies="")
-    for place, dependencies in _unknowns(model.variables):
-        ET.SubElement(
-            structure, "InitialUnknown", valueReference=place, dependencies=dependencies
-        )
-    build = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(
-        build, "BuildConfiguration", modelIdentifier=model.name
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=name,
+        needsExecutionTool="false",
+        # The poles of the filter are those of one period; another step would make
+        # another filter.
+        canHandleVariableCommunicationStepSize="false",
+        # law.c has no static data: two arms in one simulation are two instances.
+        canBeInstantiatedOnlyOncePerProcess="false",
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
     )
+    _add_general(root, variables, law.period)
+    listed = ET.SubElement(root, "ModelVariables")
+    places = {}
+    for reference, variable in enumerate(variables):
+        kind = "Float64" if variable.real else "UInt32"
+        ET.SubElement(listed, kind, _about(variable, reference))
+        places[variable.name] = str(reference)
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [variable for variable in variables if variable.causality == "output"]
+    for element in ("Output", "InitialUnknown"):
+        for variable in outputs:
+            # In a step no output depends on the inputs at its end; its value before the
+            # first step does.
+            start = variable.start_from if element == "InitialUnknown" else ()
+            dependencies = " ".join(places[other] for other in start)
+            place = places[variable.name]
+            ET.SubElement(
+                structure, element, valueReference=place, dependencies=dependencies
+            )
+    build = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=name)
     sources = ET.SubElement(configuration, "SourceFileSet", language="C99")
     ET.SubElement(sources, "SourceFile", name="all.c")
     return {
@@ -326,11 +278,11 @@ def descriptions(model: FmuModel) -> dict[str, str]:
     }
 
 
-# Folders below binaries/.
-PLATFORMS = (
-    "x86_64-linux",
-    "x86_64-windows",
-    "x86_64-darwin",
-    "aarch64-linux",
-    "aarch64-darwin",
-)
+# Folders below binaries/, and how a library ends there.
+PLATFORMS: Mapping[str, str] = {
+    "x86_64-linux": ".so",
+    "x86_64-windows": ".dll",
+    "x86_64-darwin": ".dylib",
+    "aarch64-linux": ".so",
+    "aarch64-darwin": ".dylib",
+}

@@ -14,14 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fraclink._export.data import data_header, identifier, law_source
-from fraclink._export.fmi import (
-    PID_VARIABLES,
-    PLATFORMS,
-    VARIABLES,
-    FmuModel,
-    descriptions,
-    token_of,
-)
+from fraclink._export.fmi import PLATFORMS, descriptions, token_of
 from fraclink._files import atomic_write, output_path
 from fraclink._law import Law
 from fraclink._law.block import Precision
@@ -29,7 +22,6 @@ from fraclink.errors import FieldError
 from fracsys.checks import checked, checked_noun
 
 __all__ = [
-    "SUFFIXES",
     "compiled",
     "export_fmu",
     "found",
@@ -101,12 +93,9 @@ def export_fmu(
     # The token is a hash of the C sources: if a library is combined with the
     # description of another law, the FMU itself refuses to start.
     sources, token = _sources(shipped, name)
-    variables = VARIABLES if shipped.has_gauge else PID_VARIABLES
-    model = FmuModel(
-        name, token, shipped.period, shipped.digest, _connected(shipped), variables
-    )
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
-    parts |= {file: text.encode() for file, text in descriptions(model).items()}
+    described = descriptions(shipped, name, token)
+    parts |= {file: text.encode() for file, text in described.items()}
     for compiler in compilers:
         platform = platform_of(compiler)
         if platform not in PLATFORMS:
@@ -117,7 +106,7 @@ def export_fmu(
                 allowed=", ".join(PLATFORMS),
                 remedy="export sources only",
             )
-        library = f"binaries/{platform}/{name}{SUFFIXES[platform.rpartition('-')[2]]}"
+        library = f"binaries/{platform}/{name}{PLATFORMS[platform]}"
         if library in parts:
             raise FieldError(
                 "compiler",
@@ -132,16 +121,9 @@ def export_fmu(
     return place
 
 
-def _connected(law: Law) -> str:
-    if law.motor_loop is None:
-        return "connect motor_reference to the drive's own position servo"
-    limit = f"within ±{law.motor_loop.voltage_limit:g}"
-    return f"connect voltage, {limit} V" if law.has_gauge else f"output {limit}"
-
-
 def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
     """Return the FMU's C files and its token."""
-    sources = {"law_data.h": data_header(law, name="law_data", title="")}
+    sources = {"law_data.h": data_header(law, name="law_data")}
     for file in (
         "law.h",
         "law.c",
@@ -184,8 +166,6 @@ def _zipped(parts: Mapping[str, bytes]) -> bytes:
             archive.writestr(about, parts[file], zipfile.ZIP_DEFLATED)
     return stream.getvalue()
 
-
-SUFFIXES: Mapping[str, str] = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 
 # -ffp-contract=off: a fused multiply-add rounds once, the simulation twice
 _FLAGS = (

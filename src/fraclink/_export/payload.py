@@ -9,7 +9,8 @@ import struct
 
 from fraclink import __version__
 from fraclink._export.data import hex_float
-from fraclink._export.selftest import PERIODS
+from fraclink._export.selftest import PERIODS, hash_of, noise, periods
+from fraclink._law.block import real_type
 from fraclink._law.estimator import COUNTS, HEADER, MODEL, REALS, PayloadEstimator
 
 __all__ = ["payload_files", "payload_readme"]
@@ -31,21 +32,18 @@ def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:
 
 def _data(estimator: PayloadEstimator) -> str:
     """The block as C, every real a hex float, rounded to its precision."""
-    single = estimator.precision == "single"
     # Four words of header and four counts, then reals in the order of the C struct. The
     # values come from the block itself, so the text cannot differ from the numbers that
     # the package uses.
     words = struct.unpack("<8I", estimator.block[:32])
-    code = "f" if single else "d"
-    reals = struct.unpack(
-        f"<{(len(estimator.block) - 32) // struct.calcsize(code)}{code}",
-        estimator.block[32:],
+    reals = struct.iter_unpack(
+        f"<{real_type(estimator.precision)}", estimator.block[32:]
     )
     rows = [
         f"    .{name} = {word}U,"
         for name, word in zip((*HEADER, *COUNTS), words, strict=True)
     ]
-    texts = [hex_float(x, estimator.precision) for x in reals]
+    texts = [hex_float(x, estimator.precision) for (x,) in reals]
     rows += [
         f"    .{name} = {text},"
         for name, text in zip(REALS, texts[: len(REALS)], strict=True)
@@ -59,6 +57,7 @@ def _data(estimator: PayloadEstimator) -> str:
         + ",\n".join(f"        {{{model}}}" for model in models)
         + "},"
     )
+    single = estimator.precision == "single"
     return _DATA.format(
         version=__version__,
         digest=estimator.digest,
@@ -73,23 +72,16 @@ def _hash(estimator: PayloadEstimator) -> int:
     """Run the package's own estimator on the self-test's inputs and return the hash of
     its output.
     """
-    seed, tick, rows = 1, 0, []
-    for k in range(PERIODS):
-        # As in the law's self-test: three missed periods, one repeated call, lost
-        # samples of both sensors. The C code below generates the same sequence.
-        tick += 4 if k == 500 else 0 if k == 520 else 1
-        phase = k % 512
-        ramp = phase if phase < 256 else 512 - phase
-        noise = []
-        for _ in range(2):
-            seed = (seed * 1664525 + 1013904223) % 2**32
-            noise.append((seed >> 20) - 2048)
+    drawn, rows = noise(), []
+    # As in the law's self-test: missed periods, a repeated call, and lost samples of
+    # both sensors. The C code below generates the same sequence.
+    for k, tick, ramp in periods():
         # A parabola up to 0.5 rad: a constant acceleration, whose torque depends on the
         # payload.
-        angle = ramp * ramp / 131072 + noise[0] / 2**24
+        angle = ramp * ramp / 131072 + next(drawn) / 2**24
         # ±1/16 N·m in addition, with noise of 2¹¹/2¹⁷ = 0.016 N·m. Powers of two, so
         # that no product is rounded before it reaches the estimator.
-        torque = (64 if phase < 256 else -64) / 1024 + noise[1] / 2**17
+        torque = (64 if k % 512 < 256 else -64) / 1024 + next(drawn) / 2**17
         rows.append(
             (
                 math.nan if 300 <= k < 303 else angle,
@@ -99,12 +91,9 @@ def _hash(estimator: PayloadEstimator) -> int:
         )
     angles, torques, ticks = zip(*rows, strict=True)
     _, columns = estimator.run(estimator.initial_state(), angles, torques, ticks=ticks)
-    code, digest = ("f" if estimator.precision == "single" else "d"), 0x811C9DC5
-    for *reals, flags in zip(*columns, strict=True):
-        block = struct.pack(f"<4{code}", *reals)
-        for word in (*struct.unpack(f"<{len(block) // 4}I", block), int(flags)):
-            digest = ((digest ^ word) * 16777619) % 2**32
-    return digest
+    *reals, flags = columns
+    outputs = zip(*reals, map(int, flags), strict=True)
+    return hash_of(outputs, f"4{real_type(estimator.precision)}I")
 
 
 def payload_readme(estimator: PayloadEstimator) -> str:

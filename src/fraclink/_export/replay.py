@@ -240,22 +240,13 @@ def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
 
 
 def _check_unchanged(place: Path, law: Law, name: str) -> None:
-    """Reject C code that this release does not export for `law`; only the title in the
-    first comment may differ.
-    """
-
-    def code(text: bytes) -> bytes:
-        # The text after the first comment, which holds the title; a file that does not
-        # start with a comment is compared as a whole.
-        return text.partition(b"*/")[2] if text.startswith(b"/*") else text
-
+    """Reject C code that this release does not export for `law`."""
     ours = {file: law_source(file) for file in ("law.h", "law.c")}
-    ours[f"{name}.h"] = data_header(law, name=name, title="").encode()
+    ours[f"{name}.h"] = data_header(law, name=name).encode()
     changed = [
         file
         for file, text in ours.items()
-        if not (place / file).is_file()
-        or code((place / file).read_bytes()) != code(text)
+        if not (place / file).is_file() or (place / file).read_bytes() != text
     ]
     if changed:
         raise FieldError(

@@ -10,56 +10,52 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable, Iterator, Sequence
 
 from fraclink._export.data import hex_float
-from fraclink._law import Law, LawInputs, LawOutputs
+from fraclink._law import Law, LawInputs
+from fraclink._law.block import real_type
 
-__all__ = ["expected", "selftest_source"]
+__all__ = ["PERIODS", "expected", "hash_of", "noise", "periods", "selftest_source"]
 
 # Long enough for every reaction below to begin and to end.
 PERIODS = 1000
 
 
-class _Inputs:
-    """The same sequence as next_input in the generated C."""
-
-    def __init__(self, law: Law) -> None:
-        self.seed = 1
-        self.tick = 0
-        self.scale = None if law.has_gauge else _scale(law)
-
-    def _noise(self) -> int:
+def noise() -> Iterator[int]:
+    """Yield −2048 … 2047 at random, as noise() of the generated C."""
+    seed = 1
+    while True:
         # The linear congruential generator of Numerical Recipes: one line of C without
         # a library, in which every operation is exact.
-        self.seed = (self.seed * 1664525 + 1013904223) % 2**32
-        # The upper 12 bits, −2048 … 2047, since the lower bits of such a generator have
-        # short periods.
-        return (self.seed >> 20) - 2048
+        seed = (seed * 1664525 + 1013904223) % 2**32
+        # The upper 12 bits, since the lower bits of such a generator have short
+        # periods.
+        yield (seed >> 20) - 2048
 
-    def next(self, k: int, motor_reference: float) -> tuple[int, LawInputs]:
-        # Three periods are missed and one is called twice: the law must bridge both and
-        # report them in its flags.
-        self.tick = (self.tick + (4 if k == 500 else 0 if k == 520 else 1)) % 2**32
-        phase = k % 512
-        ramp = phase if phase < 256 else 512 - phase
-        reference = ramp / 512
-        acceleration = self._noise() / 2048
-        if self.scale is None:
-            # The encoder follows the command within 2048/2²² = 0.5 mrad, so that no
-            # guard of the motor trips early.
-            angle = motor_reference + self._noise() / 2**22
-            torque = self._noise() / 2**15
-        else:
-            reference *= self.scale
-            angle, torque = self._noise() / 4096 * self.scale, 0.0
-        # Three lost samples are bridged (bad_limit is 5); those from 950 on are not,
-        # and the drive switches off. The loss of the gauge at 850 degrades the law 100
-        # periods earlier.
-        angle = math.nan if 300 <= k < 303 or k >= 950 else angle
-        torque = math.nan if k == 350 or k >= 850 else torque
-        # Payloads up to 256/8192 = 31 g; NaN must count as "not given".
-        payload = 0.0 if k < 200 else math.nan if k == 420 else ramp / 8192
-        return self.tick, LawInputs(reference, acceleration, angle, torque, payload)
+
+def periods() -> Iterator[tuple[int, int, int]]:
+    """Yield number, tick and a triangle of 0 … 256 of each period, as the generated C:
+    three periods are missed and one is called twice, which must be bridged and flagged.
+    """
+    tick = 0
+    for k in range(PERIODS):
+        tick += 4 if k == 500 else 0 if k == 520 else 1
+        yield k, tick, min(k % 512, 512 - k % 512)
+
+
+def hash_of(rows: Iterable[Sequence[float]], layout: str) -> int:
+    """Return the hash of all outputs, each row in the layout of `struct`."""
+    digest = 0x811C9DC5
+    # Bits, not values: −0 and 0, or two NaNs, are different words.
+    words = struct.iter_unpack(
+        "<I", b"".join(struct.pack(f"<{layout}", *row) for row in rows)
+    )
+    # FNV-1a over 32-bit words: it takes one exclusive or and one multiplication modulo
+    # 2³² per word, and every later word depends on each earlier bit.
+    for (word,) in words:
+        digest = ((digest ^ word) * 16777619) % 2**32
+    return digest
 
 
 def _scale(law: Law) -> float:
@@ -81,46 +77,32 @@ def _scale(law: Law) -> float:
     return float(2.0 ** math.floor(math.log2(largest)))
 
 
-def _rounded(inputs: LawInputs, single: bool) -> LawInputs:
-    if not single:
-        return inputs
-    return LawInputs(*(struct.unpack("<f", struct.pack("<f", x))[0] for x in inputs))
-
-
-def _words(outputs: LawOutputs, single: bool) -> list[int]:
-    reals = (
-        outputs.motor_reference,
-        outputs.voltage,
-        outputs.compensation,
-        outputs.tip_estimate,
-        outputs.error,
-    )
-    block = struct.pack(f"<5{'f' if single else 'd'}", *reals)
-    # Bits, not values: −0 and 0, or two NaNs, are different words.
-    return [
-        *struct.unpack(f"<{len(block) // 4}I", block),
-        outputs.mode,
-        outputs.reason,
-        outputs.flags,
-    ]
-
-
 def expected(law: Law) -> int:
     """Run the package's own law.c on the self-test's inputs and return the hash of its
     outputs.
     """
-    single = law.precision == "single"
-    state, source = law.initial_state(), _Inputs(law)
-    command, digest = 0.0, 0x811C9DC5
-    for k in range(PERIODS):
-        tick, inputs = source.next(k, command)
-        state, outputs = law.step(state, _rounded(inputs, single), tick=tick)
+    state, command, rows = law.initial_state(), 0.0, []
+    drawn, scale = noise(), 1.0 if law.has_gauge else _scale(law)
+    for k, tick, ramp in periods():
+        acceleration = next(drawn) / 2048
+        if law.has_gauge:
+            # The encoder follows the command within 2048/2²² = 0.5 mrad, so that no
+            # guard of the motor trips early.
+            angle, torque = command + next(drawn) / 2**22, next(drawn) / 2**15
+        else:
+            angle, torque = next(drawn) / 4096 * scale, 0.0
+        # Three lost samples are bridged (bad_limit is 5); those from 950 on are not,
+        # and the drive switches off. The loss of the gauge at 850 degrades the law 100
+        # periods earlier.
+        angle = math.nan if 300 <= k < 303 or k >= 950 else angle
+        torque = math.nan if k == 350 or k >= 850 else torque
+        # Payloads up to 256/8192 = 31 g; NaN must count as "not given".
+        payload = 0.0 if k < 200 else math.nan if k == 420 else ramp / 8192
+        inputs = LawInputs(ramp / 512 * scale, acceleration, angle, torque, payload)
+        state, outputs = law.step(state, inputs, tick=tick)
         command = outputs.motor_reference
-        # FNV-1a over 32-bit words: it takes one exclusive or and one multiplication
-        # modulo 2³² per word, and every later word depends on each earlier bit.
-        for word in _words(outputs, single):
-            digest = ((digest ^ word) * 16777619) % 2**32
-    return digest
+        rows.append(outputs)
+    return hash_of(rows, f"5{real_type(law.precision)}3I")
 
 
 def selftest_source(law: Law, *, name: str, data: str) -> str:
