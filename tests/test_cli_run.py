@@ -336,7 +336,7 @@ def test_an_error_about_an_option_has_its_name_and_its_unit(
             "campaign faults --rig paper-2023 --only F01 --out F",
             ("run.npz", "faults.txt"),
         ),
-        ("compare {design} --out F", ("comparison.json", "comparison.svg")),
+        ("compare {design} --out F", ("comparison.txt", "comparison.json")),
     ],
 )
 def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(

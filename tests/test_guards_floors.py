@@ -188,7 +188,7 @@ CEILINGS = {
     "fracsys": 2904,
     "_arm": 1676,
     "_certify": 891,
-    "_cli": 1006,
+    "_cli": 1005,
     "_design": 1585,
     "_export": 505,
     "_files": 581,
@@ -200,7 +200,7 @@ CEILINGS = {
     "logs": 754,
     "studio": 1180,
     "trials": 1424,
-    "view": 1676,
+    "view": 1577,
 }
 
 

@@ -414,7 +414,21 @@ def pid_step() -> Figure:
         output_limit=4000.0,
         measurement_limit=50.0,
     )
-    return loops.pid_step_figure(made, made.law(), size=10.0, duration=150.0)
+    step = made.step(law=made.law(), size=10.0, duration=150.0)
+    # The output is held between samples: steps without slopes, as the actuator receives
+    # them.
+    times, output = np.repeat(step.time, 2)[1:], np.repeat(step.output, 2)[:-1]
+    measured: list[Mark] = [
+        Across(10.0, "reference"),
+        Curve(step.time, step.measurement, 1),
+        Across(0.0, limit=False),
+    ]
+    panels = (
+        Panel("measurement", measured, 190.0),
+        Panel("controller's output", [Curve(times, output, 2)], 130.0),
+    )
+    said = "The law of a fractional PID on its plant: measurement and output after a step of the reference"
+    return Figure("pid-step", said, panels, "time [s]", "step")
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
-from fraclink.view._notebook import draw
 from fraclink.view._text import plain_text, view
 from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import Between, PhaseMarginDeg
@@ -43,7 +42,7 @@ from fracsys.checks import Between, PhaseMarginDeg
 app = group()
 
 _KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
-_COMPARISON = ("comparison.txt", "comparison.json", "comparison.svg")
+_COMPARISON = ("comparison.txt", "comparison.json")
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def assess(
 def compare(
     design_file: DesignFile,
     out: Annotated[
-        Path, "Folder for table, figure and figures as JSON", Writes(_COMPARISON)
+        Path, "Folder for the table, and its figures as JSON", Writes(_COMPARISON)
     ] = Path("comparison"),
     only: Annotated[
         list[str] | None,
@@ -167,7 +166,6 @@ def compare(
     table = out / "comparison.txt"
     write_text(table, plain_text(view(result)))
     save(result, out / "comparison.json", force=True)
-    draw(result, out / "comparison.svg")
     return Answer(
         result, result.standings[0].passed, values={"out": str(out)}, written=(table,)
     )

@@ -34,7 +34,7 @@ from fraclink.view._scales import Scale
 if TYPE_CHECKING:
     from functools import _SingleDispatchCallable
 
-__all__ = ["Figure", "Panel", "beside", "figure_of", "save_svg", "stand_alone"]
+__all__ = ["Figure", "Panel", "figure_of", "save_svg", "stand_alone"]
 
 WIDTH = 860.0  # width in dots of a separate drawing: the text width of the report
 _LETTER = 6.7  # average width in dots of a letter of 12 dots in a system typeface
@@ -181,20 +181,6 @@ def save_svg(text: str, path: Path | str) -> None:
             remedy="end its name in .svg; browsers and Inkscape turn it into other kinds",
         )
     write_text(path, text + "\n")
-
-
-def beside(figures: Sequence[Figure], description: str) -> str:
-    """Figures side by side as one SVG, each with its own width."""
-    parts, left, height = [], 0.0, 0.0
-    for figure in figures:
-        body, high, right = figure._body()
-        across = figure.width - figure.left - right
-        place = (
-            f'x="{left + figure.left:g}" y="10" width="{across:g}" height="{high:g}"'
-        )
-        parts.append(f'<svg {place} overflow="visible">{body}</svg>')
-        left, height = left + figure.width, max(height, high)
-    return stand_alone("".join(parts), left, height + 20, description)
 
 
 def _key(key: tuple[str, ...], top: float) -> str:

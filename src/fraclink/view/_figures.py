@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fraclink._arm.experiment import Experiment
-from fraclink._identify import (
-    Comparison,
-    Fit,
-    LogValidation,
-    StructureFit,
-    Validation,
-)
+from fraclink._identify import Comparison, Fit, StructureFit, Validation
 from fraclink._identify.welch import segments, welch_response
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
@@ -106,22 +100,19 @@ def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Ma
 @figure_of.register
 def validation_figure(validation: Validation) -> Figure:
     """Draw each other log with the prediction of the fit and its residual."""
-    panels = [panel for each in validation.logs for panel in _predicted(each)]
+    panels = []
+    for each in validation.logs:
+        log, rest = each.log, each.log.output - each.predicted
+        label = f"{OUTPUT_LABEL[log.output_kind]}, {log.source}".rstrip(", ")
+        output = _measured(log.time, log.output, each.predicted, "predicted")
+        bias = Across(each.bias, "bias", limit=False)
+        panels.append(Panel(label, output))
+        marks: list[Mark] = [_record(log.time, rest, 1), bias]
+        panels.append(Panel("what the prediction leaves", marks, 60.0))
     description = (
         "Logs that the fit has not seen under its prediction, and what it leaves"
     )
     return Figure("validation", description, panels, "time [s]", "log")
-
-
-def _predicted(each: LogValidation) -> list[Panel]:
-    log, rest = each.log, each.log.output - each.predicted
-    label = f"{OUTPUT_LABEL[log.output_kind]}, {log.source}".rstrip(", ")
-    bias = Across(each.bias, "bias", limit=False)
-    marks: list[Mark] = [_record(log.time, rest, 1), bias]
-    return [
-        Panel(label, _measured(log.time, log.output, each.predicted, "predicted")),
-        Panel("what the prediction leaves", marks, 60.0),
-    ]
 
 
 @figure_of.register

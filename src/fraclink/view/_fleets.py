@@ -1,40 +1,24 @@
-"""Drawings of many runs: spread, failures and drivers of a campaign, the map of faults,
-a tournament.
-"""
+"""Many runs on pages: spread, failures and drivers of a campaign, the map of faults."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from fraclink._display import number, size_of
+from fraclink._display import Row, Table, number, size_of
 from fraclink.trials._faults import GROUPS, FaultTable, fault_named
-from fraclink.trials._summary import Summary
-from fraclink.trials._tournament import Tournament
-from fraclink.view._drawing import Figure, Panel, beside, figure_of
-from fraclink.view._marks import Bars, Cells, Mark, Point, Upright
+from fraclink.trials._summary import WEAK, Summary
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._marks import Bars, Cells, Mark, Upright
 from fraclink.view._scales import Scale
 from fraclink.view._text import grams
 from fracsys.checks import Mask, Real
 
-__all__ = [
-    "SHOWN",
-    "drivers_figure",
-    "failures_figure",
-    "spread_figures",
-    "strongest",
-]
-__all__ += [
-    "fault_columns",
-    "fault_counts",
-    "fault_rows",
-    "rivals_figure",
-]
+__all__ = ["SHOWN", "drivers_table", "failures_figure", "fault_columns"]
+__all__ += ["fault_counts", "fault_rows", "spread_figures", "strongest"]
 
 
 # Metric of a campaign -> title of its histogram.
@@ -140,24 +124,27 @@ def failures_figure(
     return Figure("failures", description, (panel,), xlabel, scale=sides[0], key=key)
 
 
-@figure_of.register
-def drivers_figure(summary: Summary) -> str:
-    """Draw Spearman's rank correlation of every metric with every parameter: a dot for
-    each; far from the middle is strong.
+def drivers_table(summary: Summary) -> Table:
+    """Spearman's rank correlation of every metric with every parameter that drives one
+    of them, the strongest of the settling time first.
     """
-    metrics = [metric for metric in summary.metrics if metric.name in SHOWN]
-    names = [name for name, _ in metrics[0].drivers]
-    columns = [
-        Column(
-            SHOWN[metric.name],
-            [dict(metric.drivers)[name] for name in names],
-            Scale(-1.0, 1.0, ticks=((-1.0, "−1"), (0.0, "0"), (1.0, "1"))),
+    metrics = {metric.name: metric for metric in summary.metrics}
+    drivers = {title: dict(metrics[name].drivers) for name, title in SHOWN.items()}
+    lines = (
+        (
+            Row("", "parameter", parameter.replace("_", " ")),
+            *(
+                # None is shown as a dash
+                Row("", title, r if abs(r) >= WEAK else None, digits=2)
+                for title, r in (
+                    (title, own[parameter]) for title, own in drivers.items()
+                )
+            ),
         )
-        for metric in metrics
-    ]
-    words = [name.replace("_", " ") for name in names]
-    description = "Rank correlation of metrics with parameters; ±1 is the strongest"
-    return dots_in_columns(words, columns, description)
+        for parameter, _ in metrics["settling_time"].drivers
+    )
+    shown = (line for line in lines if any(row.value is not None for row in line[1:]))
+    return Table.of("drivers", shown)
 
 
 # --- the map of faults: one row a fault, one cell for each severity and payload, worst first ---------------
@@ -220,95 +207,3 @@ def _cells(table: FaultTable, number: str) -> list[tuple[int, str, str]]:
         text += f", {count} of {len(here)} runs" if count else ""
         cells.append((level, _SIGNS[level] if here else "", text))
     return cells
-
-
-# --- a tournament: one row a rival, one column a figure, a dot for what it reached -------------------------
-
-# Attribute, title, factor, and the left end of a logarithmic scale, to which smaller
-# values are clipped.
-_COLUMNS = (
-    ("settling_time", "settling [s]", 1.0, 0.0),
-    ("worst_settling", "worst payload [s]", 1.0, 0.0),
-    ("residual_vibration", "vibration [mrad]", 1e3, 0.1),
-    ("offset_error", "by offset [mrad]", 1e3, 0.001),
-    ("motor_reference_noise", "noise [mrad]", 1e3, 0.1),
-    ("overshoot", "overshoot [%]", 100.0, 0.01),
-)
-_END = 1.6  # multiple of the largest value: room for its dot
-
-
-@figure_of.register
-def rivals_figure(result: Tournament) -> str:
-    """Draw a dot for every rival and figure, in the order of the table; left is better
-    throughout.
-    """
-    standings = result.standings
-    columns = []
-    for attribute, title, factor, low in _COLUMNS:
-        values = [factor * float(getattr(each, attribute)) for each in standings]
-        # A rival may never settle: infinity has no place on a scale and is stated in
-        # words.
-        finite = [value for value in values if math.isfinite(value)] or [1.0]
-        # From zero for values within a decade; vibration and noise of rivals may differ
-        # by a factor of a thousand.
-        x = (
-            Scale(low, _END * max(*finite, 10 * low), log=True)
-            if low
-            else Scale(0.0, 1.1 * max(finite))
-        )
-        columns.append(Column(title, values, x))
-    names = [each.name + ("" if each.passed else " ✗") for each in standings]
-    # unstable or tripped: none of its figures counts
-    signs = ["dot" if each.passed else "cross" for each in standings]
-    description = "What each rival reached in six figures; left is better"
-    return dots_in_columns(names, columns, description, signs)
-
-
-_ROW, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots per row, for the names, per column
-
-
-@dataclass(frozen=True)
-class Column:
-    """One value for each row, on a scale of its own."""
-
-    title: str
-    values: Sequence[float]
-    x: Scale
-
-
-def dots_in_columns(
-    names: Sequence[str],
-    columns: Sequence[Column],
-    description: str,
-    signs: Sequence[str] = (),
-) -> str:
-    """Draw a dot for every row and column; the first row is drawn as the reference for
-    the others.
-    """
-    figures = []
-    count = len(names)
-    for place, column in enumerate(columns):
-        marks: list[Mark] = []
-        for row, value in enumerate(column.values):
-            sign, line = signs[row] if signs else "dot", 2 if signs and row else 1
-            if math.isfinite(value):
-                at = max(value, column.x.low)
-                marks.append(Point(at, row + 0.5, line=line, sign=sign))
-            else:
-                end = column.x.high
-                marks.append(Point(end, row + 0.5, "never", sign="", beside="left"))
-        ticks = tuple((k + 0.5, "" if place else name) for k, name in enumerate(names))
-        up = Scale(count, 0.0, ticks=ticks)
-        room = 12.0 if place else _NAMES
-        figures.append(
-            Figure(
-                f"column-{place}",
-                column.title,
-                (Panel(column.title, marks, _ROW * count, up),),
-                scale=column.x,
-                left=room,
-                width=room + _WIDE,
-                ticks=3,
-            )
-        )
-    return beside(figures, description)

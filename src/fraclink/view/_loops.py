@@ -22,7 +22,6 @@ from fraclink._design.assess import (
 )
 from fraclink._design.pid_tuning import PidTuning
 from fraclink._display import number
-from fraclink._law import Law
 from fraclink.errors import FieldError
 from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import (
@@ -48,7 +47,7 @@ __all__ = [
     "margin_curves_figure",
     "margins_figure",
 ]
-__all__ += ["nyquist_figure", "payloads_of", "pid_figure", "pid_step_figure"]
+__all__ += ["nyquist_figure", "payloads_of", "pid_figure"]
 
 
 # The margins are shown down to this share of the lightest payload: 8 g for 20 g.
@@ -98,27 +97,6 @@ def pid_figure(tuning: PidTuning) -> Figure:
     figure = loop_figure([response], [[(at.gain_crossover, at.phase_margin)]])
     description = f"Gain and phase of the open loop with {tuning.controller.formula}; the dot is the gain crossover"
     return replace(figure, name="pid", description=description)
-
-
-def pid_step_figure(
-    tuning: PidTuning, law: Law, size: float = 1.0, duration: float | None = None
-) -> Figure:
-    """Draw measurement and output of the shipped law after a step of the reference."""
-    step = tuning.step(law=law, size=size, duration=duration)
-    # The output is held between samples: steps without slopes, as the actuator receives
-    # them.
-    output = np.repeat(step.output, 2)[:-1]
-    times = np.repeat(step.time, 2)[1:]
-    measured: list[Mark] = [
-        Across(size, "reference"),
-        Curve(step.time, step.measurement, 1),
-    ]
-    panels = (
-        Panel("measurement", [*measured, Across(0.0, limit=False)], 190.0),
-        Panel("controller's output", [Curve(times, output, 2)], 130.0),
-    )
-    description = "The law of a fractional PID on its plant: measurement and output after a step of the reference"
-    return Figure("pid-step", description, panels, "time [s]", "step")
 
 
 # limits of both axes, around −1; the circle of the resonance is many times larger

@@ -8,27 +8,12 @@ import numpy as np
 
 from fraclink.errors import FieldError, MissingExtraError
 from fraclink.view._drawing import Figure
-from fraclink.view._marks import (
-    Across,
-    Band,
-    Bars,
-    Box,
-    Cells,
-    Curve,
-    Dots,
-    Mark,
-    Point,
-    Upright,
-    Zone,
-)
-from fraclink.view._pages import DARK, LIGHT, colours
+from fraclink.view._marks import Across, Box, Curve, Mark, Point, Zone
+from fraclink.view._pages import DARK, DASHES, LIGHT, colours
 from fraclink.view._scales import Scale
 
 __all__ = ["on_axes"]
 
-# Dash patterns of the lines 0 to 4, in units of their width.
-_DASHES: tuple[Any, ...] = ("-", "-", (0, (5, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)))
-_WIDTHS = {"": 1.3, "thin": 0.7, "wide": 2.6, "fill": 0.0}
 _SIGNS = {"dot": "o", "cross": "x", "ring": "o"}
 
 
@@ -41,15 +26,14 @@ def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
     axes = _axes(figure, ax)
     for panel, one in zip(figure.panels, axes, strict=True):
         limits = one.axis() if one.has_data() else None
-        has_names = False
         for mark in panel.marks:
-            has_names |= _drawn(one, mark, style)
+            _draw(one, mark, style)
         _scaled(one, "x", figure.x, limits and limits[:2])
         _scaled(one, "y", panel.y, limits and limits[2:])
         one.set_ylabel(panel.label)
         one.grid(True, color=_colour(one, "faint"))
         one.set_axisbelow(True)
-        if has_names:
+        if one.get_legend_handles_labels()[1]:
             one.legend(loc="best", fontsize="small")
         if figure.rigid:
             one.set_aspect("equal")
@@ -93,38 +77,23 @@ def _line(ax: Any, line: int) -> str:
     return _colour(ax, f"line-{line}" if line else "ink")
 
 
-def _drawn(ax: Any, mark: Mark, style: dict[str, Any]) -> bool:
-    """Draw one mark; return whether the legend includes it."""
+def _draw(ax: Any, mark: Mark, style: dict[str, Any]) -> None:
+    """Draw one mark; those of loops have a drawing in matplotlib, the others only as
+    SVG.
+    """
     match mark:
-        case Curve(weight="fill"):
-            ax.fill(mark.x, mark.y, color=_line(ax, mark.line), alpha=0.22, zorder=1)
         case Curve():
             x, y = np.broadcast_arrays(np.asarray(mark.x), np.asarray(mark.y))
+            thin = mark.weight == "thin"
+            dashes = DASHES[mark.line] if mark.dashed is None and not thin else ""
             own = {
                 "color": _line(ax, mark.line),
-                "linestyle": "--" if mark.dashed else _DASHES[mark.line],
-                "linewidth": _WIDTHS[mark.weight],
+                "linestyle": (0, [float(size) for size in dashes.split()] or None),
                 "label": mark.name or None,
             }
-            ax.plot(x, y, **(own | style if mark.weight == "" else own))
-            return bool(mark.name)
-        case Dots():
-            ax.plot(mark.x, mark.y, ".", color=_line(ax, mark.line), label=mark.name)
-            return bool(mark.name)
-        case Band():
-            color = _line(ax, mark.line)
-            ax.fill_between(mark.x, mark.low, mark.high, color=color, alpha=0.22)
-        case Bars():
-            ax.stairs(
-                mark.heights,
-                mark.edges,
-                baseline=mark.base,
-                fill=True,
-                color=_line(ax, mark.line),
-                alpha=0.8,
-                label=mark.name,
-            )
-            return bool(mark.name)
+            (line,) = ax.plot(x, y, **(own if thin else own | style))
+            if thin:
+                line.set_linewidth(0.5 * line.get_linewidth())
         case Box():
             size = mark.right - mark.left
             ax.barh(
@@ -134,24 +103,12 @@ def _drawn(ax: Any, mark: Mark, style: dict[str, Any]) -> bool:
                 mark.left,
                 color=_line(ax, mark.line),
             )
-        case Cells():
-            ax.pcolormesh(mark.across, mark.up, mark.levels)
-        case Zone(lying=True):
-            ax.axhspan(mark.low, mark.high, color=_colour(ax, "zone"), zorder=0)
         case Zone():
             ax.axvspan(mark.low, mark.high, color=_colour(ax, "zone"), zorder=0)
         case Across():
             dash = "--" if mark.limit else "-"
             quiet = _colour(ax, "quiet")
             ax.axhline(mark.value, color=quiet, linewidth=0.8, linestyle=dash)
-        case Upright():
-            quiet = _colour(ax, "quiet")
-            ax.axvline(mark.value, color=quiet, linewidth=0.8, linestyle="--")
-            top = ax.get_xaxis_transform()
-            if mark.text:
-                ax.text(
-                    mark.value, 0.98, mark.text, transform=top, va="top", fontsize=8
-                )
         case Point():
             color, size = _line(ax, mark.line), 8 if mark.sign == "cross" else 4
             if mark.sign:
@@ -166,7 +123,8 @@ def _drawn(ax: Any, mark: Mark, style: dict[str, Any]) -> bool:
                     color=_colour(ax, "quiet"),
                     annotation_clip=True,
                 )
-    return False
+        case _:
+            raise TypeError(f"no drawing of {type(mark).__name__} in matplotlib")
 
 
 def _scaled(ax: Any, name: str, scale: Scale, held: tuple[float, float] | None) -> None:

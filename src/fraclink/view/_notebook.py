@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from fraclink.errors import FieldError
-from fraclink.view import _figures, _fleets, _loops, _runs, _sketches
+from fraclink.view import _figures, _loops, _runs, _sketches
 from fraclink.view import _text as texts
 from fraclink.view._drawing import figure_of, save_svg
 
 __all__ = ["draw", "drawing", "page_part", "text"]
 
 # Importing these modules registers the drawings of all classes.
-_DRAWINGS = (_figures, _fleets, _loops, _runs, _sketches)
+_DRAWINGS = (_figures, _loops, _runs, _sketches)
 
 
 def text(result: Any) -> str:

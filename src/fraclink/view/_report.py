@@ -308,6 +308,7 @@ def write_campaign_report(
         pointer=_pointer(script=True),
         tables={
             "spread": summary.overview().tables[0],
+            "drivers": fleets.drivers_table(summary),
             "worst": Table.of("", worst),
         },
         spread=[
@@ -316,10 +317,7 @@ def write_campaign_report(
                 summary, dict(zip(names, map(np.asarray, values), strict=True))
             )
         ],
-        figures={
-            "failures": failures.inline(),
-            "drivers": _inline(fleets.drivers_figure(summary)),
-        },
+        failures=failures.inline(),
     )
     write_text(path, text)
     return Path(path)
