@@ -198,9 +198,9 @@ CEILINGS = {
     "_simulate": 1244,
     "lab": 1949,
     "logs": 754,
-    "studio": 1180,
+    "studio": 1161,
     "trials": 1424,
-    "view": 1577,
+    "view": 1575,
 }
 
 

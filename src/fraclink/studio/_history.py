@@ -16,9 +16,6 @@ from fraclink.studio._protocol import LONGEST
 __all__ = ["History"]
 
 _NAME = "studio.jsonl"
-# Largest number of lines read back: nearly three hours with one state per second.
-# Nobody undoes more, and a file from elsewhere may be long.
-_MOST = 10_000
 
 
 @dataclass
@@ -51,9 +48,9 @@ class History:
         if not history.path.is_file():
             return history
         with history.path.open("rb") as lines:
-            for number, line in enumerate(lines):
+            for line in lines:
                 entry = _entry(line)
-                if entry is None or number >= _MOST:
+                if entry is None:
                     break
                 history._apply(entry)
         return history

@@ -19,7 +19,6 @@ from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._display import number
 from fraclink._identify import Fit
-from fraclink._identify.error_map import error_map
 from fraclink._identify.welch import welch_response
 from fraclink._reading.formats import read_table
 from fraclink._reading.reading import (
@@ -352,33 +351,29 @@ def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
     itself.
     """
 
-    def ends(name: str, least: float = -math.inf) -> dict[str, float]:
-        return {
-            "low": max(float(curves[name][0]), least),
-            "high": float(curves[name][-1]),
-        }
-
     high = 1.08 * max(float(np.abs(curves["measured"]).max()), 1e-9)
     over_time = [{"low": 0.0, "high": duration}, {"low": -high, "high": high}]
     # 70 dB: the noise of a gauge of twelve bits lies below.
     top = 5.0 + max(
         float(curves[name].max()) for name in ("response_log", "response_model")
     )
+    over_frequency = dict(
+        zip(("low", "high"), curves["response_w"][[0, -1]], strict=True)
+    )
     return {
         "fitted": over_time,
         "rest": over_time,
-        "response": [ends("response_w"), {"low": top - 70.0, "high": top}],
-        "coherence": [ends("response_w"), {}],
-        "spectrum": [ends("response_w"), {}],
-        "valley": [ends("error_resonance"), ends("error_order")],
+        "response": [over_frequency, {"low": top - 70.0, "high": top}],
+        "coherence": [over_frequency, {}],
+        "spectrum": [over_frequency, {}],
     }
 
 
 def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
-    """Responses of log and model with their coherence, the residual's spectrum against
-    white noise, and the error over order and resonance.
+    """Responses of log and model with their coherence, and the residual's spectrum
+    against white noise.
     """
-    welch, around = welch_response(log, fit), error_map(log, fit)
+    welch = welch_response(log, fit)
     # 80 dB below the largest: a line without signal would extend the axis to −∞.
     low = 1e-4 * float(np.abs(welch.measured).max())
 
@@ -390,9 +385,6 @@ def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
         "response_log": decibels(welch.measured),
         "response_model": decibels(welch.predicted),
         "coherence": welch.coherence,
-        "error_order": around.order,
-        "error_resonance": around.resonance,
-        "error": around.ratio,
     } | _whiteness(fit)
 
 
@@ -418,7 +410,6 @@ def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
         "words": fit.model.sentence,
         "findings": [f for f in fit.findings if f.severity != "info"],
         "heldout_nmse": fit.heldout_nmse,
-        "at": [abs(fit.model.pole), fit.model.order],
     }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from fraclink._arm.reference import smooth_step
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin, simulate
+from fraclink._simulate.engine import LONGEST
 from fraclink.errors import FieldError
 from fraclink.studio._messages import Reply, held
 from fraclink.studio._session import Session
@@ -21,8 +22,6 @@ from fraclink.view._arm_box import assumed_mass
 
 __all__ = ["PLAY_VERBS"]
 
-_LONGEST = 16.0  # [s] of a run: the capacity of the page's engine at 4 ms
-_AHEAD = 0.3  # [s] of look-ahead in the reference for the direction of the tip
 _NUMBERS = ("payload", "move", "time", "half", "duration", "noise", "offset", "delay")
 
 
@@ -34,12 +33,13 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
     payload, move, time, half, duration, noise, offset, delay = (
         _number(given, name) for name in _NUMBERS
     )
-    if duration > _LONGEST:
+    longest = law.period * LONGEST  # what the page's engine can show
+    if duration > longest:
         raise FieldError(
             "duration",
             duration,
             "too long",
-            allowed=f"<= {_LONGEST:g} s",
+            allowed=f"<= {longest:g} s",
             remedy="take a shorter run",
         )
     reference = smooth_step(move, time).then(
@@ -66,12 +66,13 @@ def _events(
         begin, until, place = (
             _number(hold, name) for name in ("begin", "until", "angle")
         )
-        # A hand stops the arm in its motion: the obstacle is on the side that the
-        # reference will have reached in 0.3 s, since at the moment of the grip it may
-        # still be at the position of the tip.
+        # A hand stops the arm in its motion: the obstacle is on the side to which the
+        # reference moves, since at the moment of the grip it may still be at the
+        # position of the tip.
         side: Literal[1, -1] = (
             1
-            if float(np.asarray(angle(np.array([begin + _AHEAD])))[0]) >= place
+            if float(np.asarray(angle(np.array([begin + _number(given, "time")])))[0])
+            >= place
             else -1
         )
         # If it is released in the same frame the obstacle has no duration; a

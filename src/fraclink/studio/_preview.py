@@ -7,7 +7,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -168,17 +168,14 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         },
         "controller": _controller(made),
         "facts": _facts(made),
-        "requirements": made.requirements,
         "findings": made.findings,
         "assumed": f"Assumed: {'; '.join(assumed)}." if assumed else "",
         "budget": _budget(made, low),
-        "passed": made.passed,
-        "said": described(made, subject.payloads, margin),
     }
     if subject.law is not None:
         # The poles of the last exact law with newly fitted residues: a fiftieth of the
         # time of a new law.
-        head |= _quick(subject.law, made)
+        head["blocks"] = blocks_of(refitted(subject.law, made.controller)[0])
     curves = {
         # An undamped mode has a pole on the axis: clipped far outside every plot, since
         # float32 would carry infinities.
@@ -196,9 +193,7 @@ def _controller(made: Design) -> dict[str, Any]:
         "k_d": c.derivative_gain,
         "beta": c.derivative_order,
         "delta": c.filter_time,
-        "n": c.filter_order,
         "upper": made.gain_crossover_upper,
-        "formula": c.formula,
     }
 
 
@@ -226,11 +221,6 @@ def _budget(made: Design, payload: float) -> list[tuple[str, float]]:
         return []
 
 
-def _quick(law: Law, made: Design) -> Mapping[str, Any]:
-    quick, error = refitted(law, made.controller)
-    return {"blocks": blocks_of(quick), "law_error": error}
-
-
 def blocks_of(law: Law) -> list[str]:
     """Return the parameter blocks of `law` in both precisions for the engine in the
     page.
@@ -239,33 +229,6 @@ def blocks_of(law: Law) -> list[str]:
         base64.b64encode(law.in_precision(name).block).decode()
         for name in ("double", "single")
     ]
-
-
-def described(made: Design, payloads: Real, margin: Real) -> str:
-    """Return a sentence that describes the plot of margins for those who cannot see it."""
-    low, high = made.payloads
-    # The points of the plot are fixed while the range is dragged: a narrow range may
-    # lie between two of them.
-    inside = (payloads >= low) & (payloads <= high)
-    if not inside.any() or math.isnan(float(margin[inside].min())):
-        return "No payload of the plot lies within the range designed for."
-    ends = np.degrees(np.interp([low, high], payloads, margin))
-    stable = payloads[margin > 0.0]
-    rest = (
-        "; stable from {:.3g} to {:.3g} g within the plot".format(
-            *(1e3 * stable[[0, -1]])
-        )
-        if stable.size
-        else ""
-    )
-    # A difference of more than 0.05° from the smaller end counts; less is due to the
-    # spacing of the points.
-    least = math.degrees(float(margin[inside].min()))
-    # The points of the plot need not include the ends: mentioned only if the margin
-    # between them is smaller than at both.
-    middle = f", least {least:.1f}° between" if least < ends.min() - 0.05 else ""
-    both = f"{ends[0]:.1f}° at {1e3 * low:.3g} g, {ends[1]:.1f}° at {1e3 * high:.3g} g"
-    return f"Phase margin {both}{middle}{rest}."
 
 
 # --- beside the loop: what can be asked for, and arms of a box ---------------------------

@@ -183,14 +183,13 @@ _PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
 # relative to the design's payloads; periods beyond the delay
 _LIGHTER, _HEAVIER, _LATER = (0.5, 1.5, 6)
 _POINTS = 1200  # of a curve: twenty within the resonance of the least damped link drawn
-_UNSTABLE = 1.0
 _ARMS, _FAILED = 24, 12  # moves that are drawn, and how many of failing arms: 4 ms each
 _SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods per point: one pixel
 
 
 def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
-    """Return the map of −|1 + L| over payload [g] and delay [ms], 1 where it is
-    unstable; and curves.
+    """Return the map of the distance from −1 over payload [g] and delay [ms], negative
+    where the loop is stable; and curves.
 
     Curves are L on the unit circle at both ends of the range and between, without and
     with the delays of the map's middle, each as one row of real and one of imaginary
@@ -232,9 +231,9 @@ def _plant(design: Design, payload: float, late: float) -> Any:
 
 def _distance(design: Design, law: Law, payload: float, late: float) -> float:
     margins = margins_of(law.frequency_response, _plant(design, payload, late))
-    # One scale from far (−1) through critical (0) to unstable (1): the map interpolates
+    # One scale from far (−1) through critical (0) to unstable: the map interpolates
     # between cells.
-    return -margins.modulus_margin if margins.stable else _UNSTABLE
+    return -margins.modulus_margin if margins.stable else margins.modulus_margin
 
 
 def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Real]:

@@ -16,7 +16,7 @@ from fraclink._identify.welch import segments, welch_response
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
-from fraclink.view._scales import Scale, envelope
+from fraclink.view._scales import POINTS, Scale, envelope
 from fracsys.checks import Complex, Real
 
 __all__ = [
@@ -47,7 +47,7 @@ def _record(
     """A record as a line that preserves every peak."""
     # With more than about two samples per dot a curve is a band of ink, whose edge a
     # thin stroke shows better.
-    thin = not wide and len(values) > 2000
+    thin = not wide and len(values) > 2 * POINTS
     return Curve(
         *envelope(time, values), line, name, "wide" if wide else "thin" if thin else ""
     )
@@ -185,8 +185,6 @@ def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
 # A residual larger than this multiple of the smallest one exceeds its panel, which is
 # then noted.
 _LARGE = 4.0
-# Share of the log shown in the upper panel; the whole log would be a band of ink.
-_DETAIL = 0.18
 
 
 @figure_of.register
@@ -233,8 +231,8 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
 def detail_figure(fit: Fit) -> Figure:
     """Draw the first part of the measured output with its model."""
     time, measured = fit.period * np.arange(fit.samples), fit.predicted + fit.residual
-    # At least two samples, so that a line is drawn for a short log.
-    part = slice(0, max(2, int(_DETAIL * fit.samples)))
+    # As many samples as dots can show; the whole log would be a band of ink.
+    part = slice(0, POINTS)
     marks = [
         Curve(time[part], measured[part], 0, "measured", "wide"),
         Curve(time[part], fit.predicted[part], 1, fit.structure),

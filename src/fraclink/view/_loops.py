@@ -35,7 +35,7 @@ from fraclink.view._marks import (
     Zone,
 )
 from fraclink.view._pages import LINES
-from fraclink.view._responses import Response, loop_figure, loop_response
+from fraclink.view._responses import Response, line_of, loop_figure, loop_response
 from fraclink.view._scales import Scale
 from fraclink.view._text import grams
 from fracsys.checks import Mask, Real
@@ -225,11 +225,12 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None or not math.isfinite(value) else value
 
 
+# Kinds of loop, the most real one first: their places are those of their lines.
 _KINDS = {
-    "ideal": ("on paper", 4),
-    "motor": ("with motor loop", 3),
-    "loop": ("with delay", 2),
-    "sampled": ("as it runs", 1),
+    "sampled": "as it runs",
+    "loop": "with delay",
+    "motor": "with motor loop",
+    "ideal": "on paper",
 }
 
 
@@ -243,7 +244,7 @@ def margin_curves_figure(
     if payloads is not None:
         marks.insert(0, Zone(1e3 * payloads[0], 1e3 * payloads[1]))
     for curve in curves:
-        name, line = _KINDS[curve.kind]
+        line, name = line_of([*_KINDS].index(curve.kind)), _KINDS[curve.kind]
         marks.append(
             Curve(1e3 * curve.payload, np.degrees(curve.phase_margin), line, name)
         )

@@ -17,7 +17,7 @@ from fracsys.checks import Real
 __all__ = ["POINTS", "Scale", "envelope", "nice_ticks"]
 
 
-POINTS = 900  # a line gets twice this many points; the page shows about 800 dots
+POINTS = 1000  # a line gets twice this many points; the page shows about 800 dots
 
 
 def envelope(

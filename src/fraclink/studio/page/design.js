@@ -186,7 +186,6 @@ export class Design {
     this.fields();
     this.facts(answer, true);
     this.moves();
-    say('said', answer.said);
     say('budget-at', `[°] at the crossover of ${names[0]}`);
     say('assumed', answer.assumed);
     const said = JSON.stringify(answer.findings);

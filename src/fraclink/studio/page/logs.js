@@ -3,7 +3,7 @@ import {Plot, el, limited, line, plain} from './plot.js';
 import {$, make, button, choices, emptied, findings, on, put, table, takes, say} from './dom.js';
 import {upload} from './link.js';
 
-const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'coherence', 'valley'];
+const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'coherence'];
 const peak = (ys) => ys.reduce((a, v) => Math.max(a, Math.abs(v)), 1e-9);
 const evenly = (ys, duration) => Array.from(ys, (_, i) => (duration * i) / (ys.length - 1));
 const TURN = 14, BEND = 7, LENGTH = 320; // of the drawn arm: largest angles in degrees, and its length in pixels
@@ -254,8 +254,6 @@ export class Logs {
     this.heldout = Math.round(100 * answer.heldout) / 100;
     for (const name in answer.axes) this[name].axes(...answer.axes[name]);
     for (const [plot, name, kind, x, y] of answer.drawn) this[plot].curve(name, kind, x ? c[x][0] : evenly(c[y][0], duration), c[y][0]);
-    this.valley.cells(c.error_resonance[0], c.error_order[0], c.error, [1, 1.01, 1.05, 1.25]);
-    this.valley.cross('fit', ...used.at);
     this.split();
   }
   split() { this.fitted.box('held', 'held', [(1 - this.heldout) * this.duration, this.duration], null); }

@@ -22,8 +22,6 @@ export const app = {
     design.ghost(true);
   },
   change(at = performance.now()) {
-    design.fields();
-    design.place();
     const state = {...app.state};
     app.link.drag({state, fan: $('fan').checked, get held() { return Boolean(app.began); }}, (answer) => {
       app.shown(answer);
@@ -33,6 +31,8 @@ export const app = {
         performance.measure('drag', {start: at, end: performance.now()});
       });
     });
+    design.fields(); // behind the request, which Python answers in the meantime
+    design.place();
   },
   end() {
     design.ghost(false);
