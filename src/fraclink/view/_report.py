@@ -35,6 +35,7 @@ __all__ = ["render_report", "write_campaign_report", "write_report"]
 
 Figures = Table | tuple[Row, ...]
 
+_PAYLOADS = 15  # payloads of the moving arm: 40 kB of a report of 500
 # cells of the map of an infeasible request in each direction: one search each
 _MAP = 12
 
@@ -86,7 +87,9 @@ def render_report(
         "report.html",
         title=title or f"{name}: {source}",
         study=study,
-        arm=arm_box(study, design) if script and design and moves else None,
+        arm=arm_box(study, design, payloads=_PAYLOADS)
+        if script and design and moves
+        else None,
         pointer=_pointer(script=script),
         zone=_zone(design),
         source=source,
