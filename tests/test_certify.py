@@ -487,23 +487,26 @@ def _number(
     field: str, factor: float = 1.0, value: float | None = None
 ) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
-        old = float.fromhex(data["statement"][field])
-        data["statement"][field] = (old * factor if value is None else value).hex()
+        old = float.fromhex(data["content"]["statement"][field])
+        data["content"]["statement"][field] = (
+            old * factor if value is None else value
+        ).hex()
 
     return change
 
 
 def _text(field: str, value: str) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
-        data["statement"][field] = value
+        data["content"]["statement"][field] = value
 
     return change
 
 
 def _tree(edit: Callable[[str], str]) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
-        data["tree"] = edit(data["tree"])
-        data["leaves"] = data["tree"].count(".") + data["tree"].count(",")
+        proof = data["content"]
+        proof["tree"] = edit(proof["tree"])
+        proof["leaves"] = proof["tree"].count(".") + proof["tree"].count(",")
 
     return change
 
@@ -512,8 +515,8 @@ def _mended(data: dict[str, Any], block: bytearray, *, mend: bool = True) -> Non
     """Insert the block, with correct CRC and hash if requested."""
     if mend:
         struct.pack_into("<I", block, 12, zlib.crc32(block[16:]))
-        data["statement"]["digest"] = hashlib.sha256(block).hexdigest()
-    data["statement"]["block"] = block.hex()
+        data["content"]["statement"]["digest"] = hashlib.sha256(block).hexdigest()
+    data["content"]["statement"]["block"] = block.hex()
 
 
 def _block(
@@ -522,7 +525,7 @@ def _block(
     """Scale one real number of the law."""
 
     def change(data: dict[str, Any]) -> None:
-        block = bytearray.fromhex(data["statement"]["block"])
+        block = bytearray.fromhex(data["content"]["statement"]["block"])
         (old,) = struct.unpack_from("<d", block, 56 + 8 * place)
         struct.pack_into("<d", block, 56 + 8 * place, old * factor)
         _mended(data, block, mend=mend)
@@ -540,7 +543,7 @@ def _real(
     place = sum(np.size(values[field]) for field in before)
 
     def change(data: dict[str, Any]) -> None:
-        block = bytearray.fromhex(data["statement"]["block"])
+        block = bytearray.fromhex(data["content"]["statement"]["block"])
         (old,) = struct.unpack_from("<d", block, 56 + 8 * place)
         struct.pack_into(
             "<d", block, 56 + 8 * place, old * factor if value is None else value
@@ -552,7 +555,7 @@ def _real(
 
 def _count(name: str, value: int) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
-        block = bytearray.fromhex(data["statement"]["block"])
+        block = bytearray.fromhex(data["content"]["statement"]["block"])
         place = list(any_law().coefficients).index(name)
         struct.pack_into("<I", block, 4 * place, value)
         _mended(data, block)
@@ -561,7 +564,11 @@ def _count(name: str, value: int) -> Callable[[dict[str, Any]], None]:
 
 
 def _drop(field: str) -> Callable[[dict[str, Any]], None]:
-    return lambda data: data["statement"].pop(field)
+    return lambda data: data["content"]["statement"].pop(field)
+
+
+def _leaves(count: int) -> Callable[[dict[str, Any]], None]:
+    return lambda data: data["content"].update(leaves=count)
 
 
 def _envelope(field: str, value: object) -> Callable[[dict[str, Any]], None]:
@@ -595,7 +602,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "leaf too many": _tree(lambda t: t + "."),
     "subtree replaced by a leaf": _tree(lambda _: "."),
     "unknown letter": _tree(lambda t: t.replace("w", "x", 1)),
-    "number of leaves": _envelope("leaves", 7),
+    "number of leaves": _leaves(7),
     "margin claimed larger": _number("modulus", value=0.64),
     "margin of one": _number("modulus", value=1.0),
     "lighter payload claimed": _number("payload_low", value=0.004),
@@ -699,17 +706,18 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "resonance that the limits were made for": _real("reference_rate", factor=0.5),
     "motor model of the guards": _real("motor_next", factor=0.3),
     "guard that trips at once": _count("bad_limit", 0),
-    "claim of 1 g to 1 kg": lambda data: data.update(
-        claim=data["claim"].replace("0.02 to 0.04", "0.001 to 1")
+    "claim of 1 g to 1 kg": lambda data: data["summary"].update(
+        claim=data["summary"]["claim"].replace("0.02 to 0.04", "0.001 to 1")
     ),
-    "claim in other words": lambda data: data.update(
-        form=data["form"] + " Always.", claim=data["claim"] + " Always."
+    "claim in other words": lambda data: data["summary"].update(
+        form=data["summary"]["form"] + " Always.",
+        claim=data["summary"]["claim"] + " Always.",
     ),
-    "claim without conditions": lambda data: data.update(
+    "claim without conditions": lambda data: data["summary"].update(
         form="Everything holds.", claim="Everything holds."
     ),
-    "no assumptions": _envelope("assumed", []),
-    "an assumption less": lambda data: data["assumed"].pop(2),
+    "no assumptions": lambda data: data["summary"].update(assumed=[]),
+    "an assumption less": lambda data: data["summary"]["assumed"].pop(2),
 }
 
 
@@ -738,13 +746,11 @@ def _signed(
         with contextlib.suppress(KeyError, ValueError, TypeError, struct.error):
             numbers = {
                 k: v if k in TEXTS else float.fromhex(v)
-                for k, v in data["statement"].items()
+                for k, v in data["content"]["statement"].items()
             }
-            data["claim"] = replace(certificate.statement, **numbers).words()
-    signed = {
-        key: data[key] for key in ("assumed", "claim", "form", "statement", "tree")
-    }
-    text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+            data["summary"]["claim"] = replace(certificate.statement, **numbers).words()
+    signed = {key: data[key] for key in data if key not in ("sha256", "tool")}
+    text = json.dumps(signed, sort_keys=True, separators=(",", ":"))
     data["sha256"] = hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -762,10 +768,14 @@ def test_forgeries_are_rejected(
     """
     forged = json.loads(json.dumps(document))
     FORGERIES[name](forged)
-    _signed(forged, certificate, claim=forged["claim"] == document["claim"])
+    _signed(
+        forged,
+        certificate,
+        claim=forged["summary"]["claim"] == document["summary"]["claim"],
+    )
     place = tmp_path / "forged.json"
     place.write_text(json.dumps(forged), encoding="utf-8")
-    assert _rejected(checker, place, forged["statement"].get("digest", ""))
+    assert _rejected(checker, place, forged["content"]["statement"].get("digest", ""))
 
 
 def slow_claim(lowest: float) -> Any:
@@ -828,14 +838,14 @@ def test_a_file_that_is_signed_again_unchanged_is_proved(
     assert forged == document
     place = tmp_path / "same.json"
     place.write_text(json.dumps(forged), encoding="utf-8")
-    assert not _rejected(checker, place, forged["statement"]["digest"])
+    assert not _rejected(checker, place, forged["content"]["statement"]["digest"])
 
 
 @pytest.mark.slow
 def test_careless_forgeries_are_rejected_by_the_hash(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
-    board = document["statement"]["digest"]
+    board = document["content"]["statement"]["digest"]
     careless = (
         "slower motor",
         "margin claimed larger",
@@ -864,14 +874,14 @@ def test_a_damaged_certificate_ends_in_one_kind_of_error(
         piece = "".join(map(chr, rng.integers(32, 127, int(rng.integers(0, 9)))))
         place.write_text(text[:at] + piece + text[at + length :], encoding="utf-8")
         with contextlib.suppress(FieldError):
-            assert Certificate.load(place).verdict == document["claim"]
+            assert Certificate.load(place).verdict == document["summary"]["claim"]
 
 
 @pytest.mark.slow
 def test_the_sentences_of_the_checker_are_those_of_the_package(
     document: dict[str, Any], checker: ModuleType
 ):
-    said = [document["form"], document["assumed"]]
+    said = [document["summary"]["form"], document["assumed"]]
     assert checker.sha(checker.canonical(said)) == checker.SENTENCES
 
 
@@ -926,7 +936,7 @@ def test_nothing_is_proved_without_the_law_on_the_board(
 def test_key_given_twice_and_other_law_are_rejected(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
-    place, board = tmp_path / "c.json", document["statement"]["digest"]
+    place, board = tmp_path / "c.json", document["content"]["statement"]["digest"]
     place.write_text(
         json.dumps(document).replace('"leaves"', '"leaves": 1, "leaves"', 1),
         encoding="utf-8",
@@ -947,11 +957,7 @@ def test_the_checker_reads_the_block_where_the_law_wrote_it(
     """
     law = plan_for("sampled").law()
     claim = certify(plan_for("sampled"), law=law, modulus_margin=0.35).statement
-    fields = {
-        k: v if k in checker.TEXT else float.fromhex(v)
-        for k, v in claim.to_json().items()
-    }
-    loop, written = checker.Loop(fields), law.coefficients
+    loop, written = checker.Loop(asdict(claim)), law.coefficients
     names = (
         "direct",
         "angle",

@@ -26,8 +26,9 @@ def results() -> dict[str, Any]:
     design = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50))
     run = fl.simulate(design, fl.smooth_step(0.2, duration=0.5), payload=0.030)
     refused = Certificate(
-        None, passed=False, verdict="Not certified: <unstable> at 8 g"
-    )  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        refusal="Not certified: <unstable> at 8 g",
+    )
     made = (
         RIG,
         log,

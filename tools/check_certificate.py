@@ -11,14 +11,14 @@ set to its worse end. Exponentials are mpmath's; discs are widened by U of each 
 import cmath, functools, hashlib, json, math, pathlib, re, struct, sys, zlib
 from mpmath import mp
 mp.prec, U, TEXT = 64, 2.0**-48, ("block", "digest", "precision", "hold", "motor_loop")
-SENTENCES = "a2c19003e30fd5c7744f9d3af4ec58c0b887bac6e38f94b08538f124db37be04"  # SHA-256 of the claim's form and of what it assumes
+SENTENCES = "f48e28c40d31705b0afdf8cba82fef527642beace0b557a66b29572f7fb9d2d7"  # SHA-256 of the claim's form and of what it assumes
 AXES = ["delay", "gauge_gain", "gauge_delay", "order", "loss", "motor", "mode_frequency", "mode_gain"]
 ALIASES, (W, Q, LATE, GAIN, GLATE, ORDER, LOSS, MOTOR, MODE, SHARE) = (-1, 1, -2, 2, -3), range(10)  # at ω + 2πn/T; ω, q = 1/ω0², and AXES; MODE is its detuning f/ω, the loss is μ/ω0², the motor's p or A
 COUNTS = ["options", "real_modes", "pair_modes", "forward_modes", "bad_limit", "missed_limit", "residual_limit", "stuck_limit", "frozen_limit", "block_limit"]
 NAMES = ["period", "compliance", "direct", "real", "pair", "forward_direct", "forward", "sum_limit", "correction_limit", "forward_limit", "angle_limit", "angle_step", "torque_limit", "torque_step", "torque_trip", "torque_block", "reference_step", "reference_rate", "acceleration_limit", "motor_limit", "motor_step", "fade_step", "residual_angle", "motor_now", "motor_next", "motor_keep", "swing_angle", "frozen_angle", "stuck_torque", "stiffness", "wiring_energy", "inner_direct", "inner_angle", "integral_now", "integral_before", "filter_now", "filter_before", "filter_angle_now", "filter_angle_before", "filter_decay", "wanted_limit", "voltage_limit", "torque_voltage", "coulomb_voltage", "coulomb_slope", "link_scale", "payload_scale", "gauge_now", "gauge_keep", "payload_limit", "scale_step"]
 ROOM = {"real": 16, "pair": 8, "forward": 16}
 sha, disc = lambda content: hashlib.sha256(content).hexdigest(), lambda value: value if isinstance(value, Disc) else Disc(value)
-canonical = lambda value: json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+canonical = lambda value: json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
 middle, both = lambda pair: ((pair[0] + pair[1]) / 2,) * 2, lambda a, b: {k: a[k] + b[k] if k in a and k in b else a.get(k) or b[k] for k in a | b}
 real = lambda ends, axis: Disc(sum(ends) / 2, (ends[1] - ends[0]) / 2 + U * ends[1], {axis: Disc(1)} if ends[0] < ends[1] else {})
 exact = lambda n, *discs: discs if n in (0, -1) else [value.plain() for value in discs]  # small aliases need no slopes
@@ -249,14 +249,14 @@ class Loop:
 def check(path, law=None):
     need(law is not None, "nothing is proved without the law on the board: give law_data.h or its SHA-256")
     data = json.loads(pathlib.Path(path).read_text("utf-8"), object_pairs_hook=lambda pairs: dict(pairs) if len(dict(pairs)) == len(pairs) else {})
-    signed = sha(canonical({k: data[k] for k in ("assumed", "claim", "form", "statement", "tree")}))
-    need((data["fraclink"], data["format"], data["sha256"]) == ("certificate", 5, signed), "not a certificate of format 5, or its hash is wrong")
-    need(sha(canonical([data["form"], data["assumed"]])) == SENTENCES, "claim or assumptions of another form")
-    s, tree = {k: v if k in TEXT else float.fromhex(v) for k, v in data["statement"].items()}, data["tree"]
-    need(len(s) == 40 and tree.count(".") + tree.count(",") == data["leaves"], "another number of fields or of leaves")
+    signed, said, proof = sha(canonical({k: data[k] for k in data if k not in ("sha256", "tool")})), data["summary"], data["content"]
+    need((data["fraclink"], data["format"], data["sha256"]) == ("certificate", 6, signed), "not a certificate of format 6, or its hash is wrong")
+    need(sha(canonical([said["form"], said["assumed"]])) == SENTENCES, "claim or assumptions of another form")
+    s, tree = {k: v if k in TEXT else float.fromhex(v) for k, v in proof["statement"].items()}, proof["tree"]
+    need(len(s) == 40 and tree.count(".") + tree.count(",") == proof["leaves"], "another number of fields or of leaves")
     need(law == s["digest"] if re.fullmatch("[0-9a-f]{64}", law) else on_board(law, bytes.fromhex(s["block"])), "it is about another law than the one on the board, or law_data.h is not as it was exported")
     stack, letters = [((loop := Loop(s)).root, 0, True)], iter(tree)
-    need(data["claim"] == data["form"].format(**loop.text), "the claim is not the statement")
+    need(said["claim"] == said["form"].format(**loop.text), "the claim is not the statement")
     while stack:
         box, extra, plain = stack.pop()
         box = loop.possible(box)
@@ -270,7 +270,7 @@ def check(path, law=None):
         (a, b), cut = box[axis], math.sqrt(math.prod(box[axis])) if axis == 0 else sum(box[axis]) / 2
         stack += [((*box[:axis], half, *box[axis + 1 :]), extra, plain) for half in ((cut, b), (a, cut))]
     need(next(letters, None) is None, "the tree goes on after its last leaf")
-    return data["claim"]
+    return said["claim"]
 if __name__ == "__main__":
     try:
         print("PROVED:", check(*sys.argv[1:]))

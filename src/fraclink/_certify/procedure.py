@@ -162,7 +162,7 @@ def _certificate(
     claim: Statement, outcome: MarginProof | MarginFailure, distance: float
 ) -> Certificate:
     if isinstance(outcome, MarginProof):
-        return Certificate(claim, True, claim.words(), outcome.tree, outcome.leaves)
+        return Certificate(claim, outcome.tree, outcome.leaves)
     if outcome.refuted:
         return _too_close(claim, outcome.distance, outcome.place)
     reason = f"{outcome.reason}, while a search finds |1 + L| = {distance:.4g},"
@@ -202,8 +202,7 @@ def _refused(
     where += f" ({', '.join(others)})" if others else ""
     return Certificate(
         claim,
-        False,
-        f"Not certified: {reason} {where}",
+        refusal=f"Not certified: {reason} {where}",
         payload=payload,
         frequency=place["frequency"],
         delay=place["delay"],

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import struct
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from fraclink._arm.box import ParameterBox, outward
@@ -24,11 +19,11 @@ from fraclink._display import (
     span,
     state_of,
 )
-from fraclink._files import read_json, write_json
+from fraclink._files import Saved, digest_of, document
 from fraclink._law import Law
 from fraclink._law import block as layout
 from fraclink._law.block import linear_range, modes_of
-from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
+from fraclink.errors import FieldError, NotCertifiedError
 
 __all__ = [
     "ASSUMPTIONS",
@@ -40,7 +35,6 @@ __all__ = [
     "state",
 ]
 
-KIND, FORMAT = "certificate", 5
 # The parameters of an arm: "softness" is q = 1/ω₀², "loss" is η = μ/ω₀² of the material,
 # "motor" is p or A.
 PARAMETERS = (
@@ -282,42 +276,6 @@ class Statement:
             low["mode_frequency"] = high["mode_frequency"] = 0.0
         return low, high
 
-    def to_json(self) -> dict[str, str]:
-        """Every field as text: floats as hexadecimal, so that not one bit depends on a
-        parser.
-        """
-        return {
-            k: v.hex() if isinstance(v, float) else str(v)
-            for k, v in asdict(self).items()
-        }
-
-    @staticmethod
-    def from_json(data: object) -> Statement:
-        """Read back what `to_json` wrote; FileFormatError for anything else."""
-        kinds = Statement.__annotations__.items()
-        try:
-            values: dict[str, Any] = {
-                name: float.fromhex(data[name]) if kind == "float" else data[name]  # type: ignore[index]
-                for name, kind in kinds
-            }
-            statement = Statement(**values)
-            if statement.to_json() != data:
-                raise ValueError("other fields")
-            # a block that cannot be read raises its error here
-            _ = statement.coefficients
-        except (
-            KeyError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            ArithmeticError,
-            struct.error,
-        ) as error:
-            raise _damaged(
-                "statement", str(error)[:80], "every field of a statement, as text"
-            ) from error
-        return statement
-
     def words(self) -> str:
         """Return the statement as one sentence; tools/check_certificate.py writes it
         once more by itself.
@@ -329,21 +287,43 @@ class Statement:
         return CLAIM.format(**asdict(self), **figures, law=self.digest[:12])
 
 
+# Where the proof fails: a certificate that is written to a file has no such place.
+_UNSTORED = {"stored": False}
+
+
+def _claimed(certificate: Certificate) -> dict[str, object]:
+    """What a file says besides the numbers; NotCertifiedError where nothing was
+    proved.
+    """
+    if not certificate.passed:
+        raise NotCertifiedError(
+            certificate.verdict,
+            payload=certificate.payload,
+            frequency=certificate.frequency,
+        )
+    return {
+        "claim": certificate.verdict,
+        "form": CLAIM,
+        "assumed": list(ASSUMPTIONS),
+    }
+
+
 @displayed
+@document("certificate", version=6, hex_floats=True, summary=_claimed)
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Saved):
     """The outcome of `certify`: a proof, or the place where there is none.
+
+    Only a proof can be saved, and reading one back is not checking it.
 
     Attributes
     ----------
     statement
         what was to be proved, in exact numbers.
-    passed
-        whether it was proved.
-    verdict
-        one sentence for people.
     tree, leaves
         the proof; empty where there is none.
+    refusal
+        one sentence on why there is none; empty where it passed.
     payload, frequency, delay
         where it fails [kg, rad/s, s], None where it passed.
     distance
@@ -355,15 +335,24 @@ class Certificate:
     __made_by__ = "fraclink.certify(design)"
 
     statement: Statement
-    passed: bool
-    verdict: str
     tree: str = ""
     leaves: int = 0
-    payload: float | None = None
-    frequency: float | None = None
-    delay: float | None = None
-    distance: float | None = None
-    place: tuple[tuple[str, float], ...] = ()
+    refusal: str = field(default="", metadata=_UNSTORED)
+    payload: float | None = field(default=None, metadata=_UNSTORED)
+    frequency: float | None = field(default=None, metadata=_UNSTORED)
+    delay: float | None = field(default=None, metadata=_UNSTORED)
+    distance: float | None = field(default=None, metadata=_UNSTORED)
+    place: tuple[tuple[str, float], ...] = field(default=(), metadata=_UNSTORED)
+
+    @property
+    def passed(self) -> bool:
+        """Whether it was proved."""
+        return bool(self.tree)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence for people: the exact claim, or why it was not proved."""
+        return self.statement.words() if self.passed else self.refusal
 
     @property
     def sentence(self) -> str:
@@ -387,71 +376,10 @@ class Certificate:
             (self.statement.intervals,) if self.passed else (),
         )
 
-    def _hashed(self) -> dict[str, Any]:
-        return {
-            "claim": self.verdict,
-            "form": CLAIM,
-            "assumed": list(ASSUMPTIONS),
-            "statement": self.statement.to_json(),
-            "tree": self.tree,
-        }
-
     @property
     def sha256(self) -> str:
-        """SHA-256 over claim, assumptions, statement and tree: JSON in UTF-8, keys
-        sorted, no spaces.
-        """
-        text = json.dumps(
-            self._hashed(), sort_keys=True, separators=(",", ":"), ensure_ascii=False
-        )
-        return hashlib.sha256(text.encode()).hexdigest()
-
-    def save(self, path: Path | str) -> None:
-        """Write the certificate to one JSON file; NotCertifiedError where nothing was
-        proved.
-        """
-        if not self.passed:
-            raise NotCertifiedError(
-                self.verdict, payload=self.payload, frequency=self.frequency
-            )
-        origin = {
-            "fraclink": version("fraclink"),
-            "method": "branch and bound with slopes over discs",
-        }
-        proof = {"leaves": self.leaves, "sha256": self.sha256, "made_with": origin}
-        write_json(path, KIND, FORMAT, self._hashed() | proof)
-
-    @staticmethod
-    def load(path: Path | str) -> Certificate:
-        """Read a certificate back; FileFormatError where its hash does not fit. Reading
-        is not checking.
-        """
-        data = read_json(path, KIND, (FORMAT,))
-        statement = Statement.from_json(data.get("statement"))
-        tree, leaves = data.get("tree"), data.get("leaves")
-        if not isinstance(tree, str) or type(leaves) is not int:
-            raise _damaged(
-                "tree", type(tree).__name__, "a text, and a whole number of leaves"
-            )
-        certificate = Certificate(statement, True, statement.words(), tree, leaves)
-        if any(
-            data.get(key) != value
-            for key, value in (
-                certificate._hashed() | {"sha256": certificate.sha256}
-            ).items()
-        ):
-            raise _damaged("sha256", data.get("sha256"), certificate.sha256)
-        return certificate
-
-
-def _damaged(field: str, value: object, allowed: str) -> FileFormatError:
-    return FileFormatError(
-        field,
-        value,
-        "not that of a certificate",
-        allowed=allowed,
-        remedy="make the certificate again",
-    )
+        """SHA-256 of its file: of claim, assumptions, statement and tree."""
+        return digest_of(self)
 
 
 def _check_law(law: Law, model: LinkModel) -> None:

@@ -56,16 +56,15 @@ __all__ = [
     "atomic_write",
     "check_ending",
     "checked_path",
+    "digest_of",
     "document",
     "from_plain",
     "kind_of",
     "load",
     "output_path",
     "parse_json",
-    "read_json",
     "save",
     "sha256_of",
-    "write_json",
     "write_text",
 ]
 
@@ -174,14 +173,16 @@ def _enveloped(
         "summary": plain(file_format.summary(value), Any),
         "arrays": {name: array_digest(values) for name, values in members.items()},
     }
-    head = _head(file_format.kind, file_format.version)
+    head = {"fraclink": file_format.kind, "format": file_format.version}
+    head |= {"tool": __version__, "units": UNITS}
     head |= {key: item for key, item in optional.items() if item not in (None, {})}
     digest = _digest(head | {"content": content})
     return head | {"sha256": digest, "content": content}
 
 
-def _head(kind: str, version: int) -> dict[str, Any]:
-    return {"fraclink": kind, "format": version, "tool": __version__, "units": UNITS}
+def digest_of(value: object) -> str:
+    """Return the SHA-256 that the JSON file of a result states."""
+    return str(_enveloped(value, document_of(type(value)), None)["sha256"])
 
 
 def _digest(data: Mapping[str, Any]) -> str:
@@ -221,7 +222,7 @@ def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> 
     if file_format.own:
         return getattr(cls, "load")(place)  # noqa: B009
     try:
-        _check_version(data.get("format"), (file_format.version,))
+        _check_version(data.get("format"), file_format.version)
         _check_digest(data, arrays, place)
         content = data["content"]
         return from_plain(
@@ -297,14 +298,14 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return data, arrays
 
 
-def _check_version(version: object, versions: tuple[int, ...]) -> None:
-    # Not by `in` alone, because True and 1.0 equal 1.
-    if type(version) is not int or version not in versions:
+def _check_version(version: object, expected: int) -> None:
+    # Not by `!=` alone, because True and 1.0 equal 1.
+    if type(version) is not int or version != expected:
         raise FileFormatError(
             "format",
             version,
             "a version this release does not read",
-            allowed=", ".join(map(str, versions)),
+            allowed=str(expected),
             remedy="make the file again with this release",
         )
 
@@ -327,32 +328,3 @@ def _check_digest(
         remedy = "make the file again; to try another value, give it to the command or the function"
         value, allowed = data.get(field), f"{expected}, that of its content"
         raise FileFormatError(field, value, problem, allowed=allowed, remedy=remedy)
-
-
-# --- files that a class writes itself: an envelope without a digest ---------
-
-
-def write_json(
-    path: Path | str, kind: str, version: int, payload: Mapping[str, Any]
-) -> None:
-    """Write values with their envelope; floats round-trip exactly, NaN and infinity are
-    refused.
-    """
-    text = json.dumps(_head(kind, version) | dict(payload), indent=1, allow_nan=False)
-    write_text(path, text + "\n")
-
-
-def read_json(
-    path: Path | str, kind: str, versions: tuple[int, ...] = (1,)
-) -> dict[str, Any]:
-    """Read back what `write_json` wrote, after checking its kind and its format's
-    version.
-    """
-    place = Path(path)
-    data, _ = _read(place)
-    if data["fraclink"] != kind:
-        problem, remedy = f"of kind {data['fraclink']!r}", f"give a {kind} file"
-        allowed, value = f"kind {kind!r}", str(place)
-        raise FileFormatError("file", value, problem, allowed=allowed, remedy=remedy)
-    _check_version(data.get("format"), versions)
-    return data

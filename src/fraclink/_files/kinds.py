@@ -39,7 +39,7 @@ def _period_of(value: Any) -> float | None:
 
 
 def _sources_of(value: Any) -> dict[str, str]:
-    digest = getattr(value, "sha256", "")
+    digest = value.sha256 if hasattr(value, "source") else ""
     return {value.source: digest} if digest else {}
 
 
