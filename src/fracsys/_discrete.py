@@ -223,12 +223,10 @@ def _target(
     )
 
 
-def checked_band(band: object, period: float | None) -> tuple[float, float]:
-    """Return `band` as (low, high) [rad/s], below the Nyquist frequency of `period` [s]
-    if there is one.
-    """
+def checked_band(band: object, period: float) -> tuple[float, float]:
+    """Return `band` as (low, high) [rad/s], below the Nyquist frequency of `period` [s]."""
     low, high = rule(Band).check("band", band)
-    limit = math.inf if period is None else math.pi / period
+    limit = math.pi / period
     # π/period itself is allowed, even when it was rounded up
     if high > limit * (1.0 + 1e-9):
         raise FieldError(

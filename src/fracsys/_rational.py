@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import bilinear_zpk
 
-from fracsys._discrete import Band, checked_band, fit_discrete
+from fracsys._discrete import Band
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._minimax import Target, finish, grow
 from fracsys._stability import poles
@@ -23,7 +22,7 @@ from fracsys._zero_pole import (
     substituted,
     zeros_of_fractions,
 )
-from fracsys.checks import Between, Complex, Positive, Real, checked
+from fracsys.checks import Between, Complex, Real, checked
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError
 
@@ -31,17 +30,14 @@ from fracsys.errors import FieldError
 @compared
 @dataclass(frozen=True, eq=False)
 class RationalApproximation:
-    """R(s) = k Π(s − z_i)/Π(s − p_i), or the same in the variable z where `period` is
-    given.
+    """R(s) = k Π(s − z_i)/Π(s − p_i).
 
     Attributes
     ----------
     zeros, poles
-        z_i and p_i, conjugates included [rad/s]; in the z-plane without unit.
+        z_i and p_i, conjugates included [rad/s].
     gain
         k.
-    period
-        Sampling period [s] of a discrete approximation.
     band
         Frequencies [rad/s] it was made for.
     method
@@ -53,7 +49,6 @@ class RationalApproximation:
     zeros: Complex
     poles: Complex
     gain: float
-    period: float | None
     band: tuple[float, float]
     method: str
     error_db: float = math.nan
@@ -71,13 +66,12 @@ class RationalApproximation:
         return len(self.poles)
 
     def __call__(self, s: ArrayLike) -> Complex:
-        """R at s [rad/s], or at z for a discrete approximation; any shape."""
+        """R at s [rad/s], any shape."""
         return evaluate(np.asarray(s, dtype=complex), self.zeros, self.poles, self.gain)
 
     def frequency_response(self, frequency: ArrayLike) -> Complex:
-        """R(jω) or R(e^(jωT)) at frequencies ω [rad/s], shape kept."""
-        w = np.asarray(frequency, dtype=float)
-        return self(1j * w if self.period is None else np.exp(1j * w * self.period))
+        """R(jω) at frequencies ω [rad/s], shape kept."""
+        return self(1j * np.asarray(frequency, dtype=float))
 
     def state_space(self) -> tuple[Real, Real, Real, Real]:
         """Real matrices A, B, C, D of second-order sections in series.
@@ -94,7 +88,6 @@ def approximate(
     order: Annotated[int, Between(1, 40)],
     *,
     method: Literal["oustaloup", "minimax"] = "oustaloup",
-    period: Positive | None = None,
 ) -> RationalApproximation:
     """Return an integer-order approximation of a fractional system in a band, with its
     achieved error.
@@ -104,7 +97,7 @@ def approximate(
     system
         Proper, or improper by less than one order; no delay.
     band
-        Lowest and highest frequency [rad/s], 0 < low < high (≤ π/period).
+        Lowest and highest frequency [rad/s], 0 < low < high.
     order
         "minimax": number of poles of the whole, 1 … 12. "oustaloup" replaces each
         fractional power s^(a − ⌊a⌋) by a filter of 1 … 40 pole-zero pairs.
@@ -112,10 +105,6 @@ def approximate(
         "minimax" has the smallest worst relative error over the band for its number of
         poles. "oustaloup" is the recursive filter that FOMCON and others use, known to
         be poor at the band's ends.
-    period
-        Sampling period [s] for a discrete result: Oustaloup's filter by the bilinear
-        map, or the minimax fit on the unit circle.
-
 
     Raises
     ------
@@ -134,27 +123,16 @@ def approximate(
     >>> r.order, r.error_db < 0.5, r.error_deg < 3.0
     (6, True, True)
     """
-    _check(system, band, period)
+    _check(system)
     if method == "minimax":  # beyond 12 poles the fit is limited by rounding
         Between(1, 12).check("order", order)
-    if method != "minimax":
-        zeros, pole_values, gain = _filtered(system, band, order, period)
-    elif period is None:
-        zeros, pole_values, gain = _continuous(system, band, order)
+        zeros, pole_values, gain = _fitted(system, band, order)
     else:
-        fit = fit_discrete(
-            lambda w: system(1j * w), period=period, band=band, order=order
+        zeros, pole_values, gain = substituted(
+            system.numerator, system.denominator, lambda f: oustaloup(f, band, order)
         )
-        half = 0.5 * fit.pole_gains
-        parts = np.concatenate([fit.gains, half, half.conj()])
-        # The fit writes pairs as ½(c/(z − q) + c̄/(z − q̄)); as plain fractions each
-        # has half the residue.
-        pole_values = fit.poles
-        zeros, gain = zeros_of_fractions(pole_values, parts, fit.feedthrough)
-    result = RationalApproximation(zeros, pole_values, gain, period, band, method)
-    # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant
-    # points that at the lower end.
-    w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
+    result = RationalApproximation(zeros, pole_values, gain, band, method)
+    w = np.geomspace(*band, 2000)
     # One logarithm gives both errors: the real part in nepers, the imaginary part in
     # radians without phase wrap.
     ratio = np.log(result.frequency_response(w) / system(1j * w))
@@ -165,27 +143,8 @@ def approximate(
     )
 
 
-def _filtered(
-    system: FractionalTransferFunction,
-    band: tuple[float, float],
-    order: int,
-    period: float | None,
-) -> tuple[Complex, Complex, float]:
-    """Zeros, poles and gain with a filter in place of each fractional power."""
-    filtered = substituted(
-        system.numerator, system.denominator, lambda f: oustaloup(f, band, order)
-    )
-    if period is None:
-        return filtered
-    zeros, pole_values, gain = bilinear_zpk(*filtered, fs=1.0 / period)
-    return zeros, pole_values, float(gain)
-
-
-def _check(
-    system: FractionalTransferFunction, band: tuple[float, float], period: float | None
-) -> None:
-    """Checks that involve several arguments, or the structure of the system."""
-    checked_band(band, period)
+def _check(system: FractionalTransferFunction) -> None:
+    """FieldError for a structure that is not approximated."""
     if any(t.delay for t in (*system.numerator, *system.denominator)):
         raise FieldError(
             "system",
@@ -212,7 +171,7 @@ def _check(
         )
 
 
-def _continuous(
+def _fitted(
     system: FractionalTransferFunction, band: tuple[float, float], order: int
 ) -> tuple[Complex, Complex, float]:
     exact = poles(system)
