@@ -185,13 +185,13 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2860,
+    "fracsys": 2864,
     "_arm": 1676,
     "_certify": 865,
     "_cli": 1005,
     "_design": 1585,
     "_export": 505,
-    "_files": 570,
+    "_files": 566,
     "_identify": 2935,
     "_law": 979,
     "_reading": 1129,

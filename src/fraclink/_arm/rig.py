@@ -375,4 +375,4 @@ def _with_usual_model(data: dict[str, Any]) -> dict[str, Any]:
     return data | {"model": usual | model}
 
 
-document("rig", container="toml", own=True)(Rig)
+document("rig", container="toml")(Rig)

@@ -63,7 +63,8 @@ class document:
         of the content's format.
     container
         "json", or "npz" for signals, whose arrays become members of the archive; the
-        name's ending decides between them where it is "either".
+        name's ending decides between them where it is "either". A class whose file
+        people write ("toml") has methods `save` and `load` of its own.
     hex_floats
         whether reals are written as 0x1.8p+1, for readers that must not depend on a
         decimal parser.
@@ -77,9 +78,6 @@ class document:
         what people and other programs want to read in the file and what follows from
         the content, such as a verdict's sentence: under the digest, not read back. By
         default whether it passed.
-    own
-        whether the class's methods `save` and `load` write and read the file
-        themselves.
     """
 
     kind: str
@@ -89,7 +87,6 @@ class document:
     period: Callable[[Any], float | None] = _period_of
     sources: Callable[[Any], Mapping[str, str]] = _sources_of
     summary: Callable[[Any], Mapping[str, Any]] = _verdict_of
-    own: bool = False
 
     def __call__(self, cls: type[T]) -> type[T]:
         """Return the class, registered."""
@@ -111,8 +108,7 @@ def document_of(cls: type) -> document:
                 allowed="a result of fraclink",
                 remedy="save what a public function returned",
             )
-        own = hasattr(cls, "save") and hasattr(cls, "load")
-        document(kind, container="either", own=own)(cls)
+        document(kind, container="either")(cls)
     return _DOCUMENTS[cls]
 
 
