@@ -48,7 +48,10 @@ WANTED = np.array([1.0, 0.1j])
             None,
         ),
         ("f [Hz],1,2\nmag [dB],0,-20\nphase [deg],0,90\n", None),
-        ("1,2\n0,-20\n0,90\n", ("f [Hz]", "gain [dB]", "phase [deg]")),
+        (
+            "1,0,0\n2,-20,90\n",
+            {"frequency": "#1 [Hz]", "gain": "#2 [dB]", "phase": "#3 [deg]"},
+        ),
         (
             "a,b,c\n1,1,0\n2,0.1,90\n",
             {"frequency": "a [Hz]", "gain": "b", "phase": "c [deg]"},
@@ -298,7 +301,7 @@ def test_a_table_without_header_ends_in_a_design(
     model, rig = tmp_path / "model.json", ["--rig", "paper-2023-geared"]
     stated = [
         word
-        for name in ("frequency [Hz]", "gain [dB]", "phase [deg]")
+        for name in ("frequency=#1 [Hz]", "gain=#2 [dB]", "phase=#3 [deg]")
         for word in ("--column", name)
     ]
     kind = ["identify", str(table), "--structure"]

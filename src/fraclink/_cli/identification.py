@@ -191,9 +191,7 @@ def _load(log: Experiment, rig: Rig | None) -> Real | None:
 
 def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
     """A table of gain and phase, its columns as `read_frequency_response` takes them."""
-    pairs = any("=" in text for text in columns or ())
-    roles = _named("column", columns) if pairs else columns
-    return read_frequency_response(table, roles or None)
+    return read_frequency_response(table, _named("column", columns) or None)
 
 
 def _driven(

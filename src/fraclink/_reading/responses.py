@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from fraclink._reading.names import names_time, stated_unit, unit_of_name, words
 from fraclink._reading.reading import read_columns
 from fraclink._reading.table import LogTable
 from fraclink.errors import FieldError, FileFormatError, LogError
-from fracsys.checks import Real, checked
+from fracsys.checks import Real, checked, checked_choice
 
 __all__ = ["COLUMNS", "read_frequency_response", "read_recording", "read_reference"]
 
@@ -49,7 +49,7 @@ _CALLED = 'name it as the header does, or by its number: "#1" is the first'
 
 
 def read_frequency_response(
-    path: Path | str, columns: Mapping[str, str] | Sequence[str] | None = None
+    path: Path | str, columns: Mapping[str, str] | None = None
 ) -> FrequencyResponse:
     """Read a table of a frequency response: one line a row, or one line a column.
 
@@ -61,8 +61,7 @@ def read_frequency_response(
         ``phase_deg``, ``real``, ``imag``, ``coherence``.
     columns
         says it instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase": "p
-        [deg]"}``, or the names of a table without a header in their order, such as
-        ``("frequency [Hz]", "real", "imag")``.
+        [deg]"}``; ``"#1 [Hz]"`` is the first column, in Hz.
 
     Raises
     ------
@@ -133,36 +132,22 @@ def _absent(columns: Given, wanted: str, allowed: str) -> LogError:
     return LogError("columns", listing, problem, allowed=allowed, remedy=remedy)
 
 
-def _columns_of(
-    table: LogTable, stated: Mapping[str, str] | Sequence[str] | None
-) -> Given:
+def _columns_of(table: LogTable, stated: Mapping[str, str] | None) -> Given:
     """The columns of a table by their roles."""
+    for role in stated or ():
+        checked_choice("columns", role, _ROLES)
     columns = [table.clean(k)[0] for k in range(len(table.names))]
     names = [table.name(place) for place in range(len(columns))]
     units = [*table.units] or [""] * len(columns)
     roles = [_role(name) for name in names]
-    if isinstance(stated, Mapping):
+    if stated is not None:
         roles, names = list(stated), list(stated.values())
         bare = [re.sub(r"\s*\[[^\]]*\]\s*$", "", name) for name in names]
         exact = [n if n in table.names else b for n, b in zip(names, bare, strict=True)]
         places = [table.place(n, r, _CALLED) for n, r in zip(exact, roles, strict=True)]
         columns = [columns[k] for k in places]
         units = [units[k] for k in places]
-    elif stated is not None:
-        if len(stated) == columns[0].size != len(columns):
-            columns = list(np.array(columns).T)  # transposed, without names
-        names, units = list(stated), [""] * len(stated)
-        roles = [_role(name) for name in names]
     by_role: Given = {}
-    if len(names) != len(columns) or not set(roles) <= {*_ROLES, ""}:
-        shape = f"{len(columns)} columns, of {', '.join(_ROLES)}"
-        raise LogError(
-            "columns",
-            ", ".join(names),
-            "not those of the table",
-            allowed=shape,
-            remedy="name every column (or every row) in its order, or by its role",
-        )
     for role, name, unit, values in zip(roles, names, units, columns, strict=True):
         if role in by_role:
             what, remedy = f"column of {role}", "rename one, or state columns"
