@@ -194,7 +194,7 @@ CEILINGS = {
     "_files": 566,
     "_identify": 2935,
     "_law": 979,
-    "_reading": 1129,
+    "_reading": 1123,
     "_simulate": 1244,
     "lab": 1949,
     "logs": 754,
