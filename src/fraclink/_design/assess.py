@@ -287,13 +287,12 @@ def feasibility_map(
             )
             if solution is None:
                 search = Search(cell, cell.first_links, cell.filter_orders[-1])
-                start = search.first()
+                start = search.starts()[0]
             # start from the previous cell, and from all links that were worst there
             else:
                 search, start = replace(solution.search, request=cell), solution.x
-            solution = search.over_links(start[:, None])
-            if solution.slack > 0.0:
+            solution = search.over_links(start)
+            if not solution.kept:
                 break  # a larger margin is infeasible as well
-            solution = solution.quieter()
             noise[row, column] = solution.noise_gain
     return FeasibilityMap(crossovers, angles, noise)

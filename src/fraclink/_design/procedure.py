@@ -183,7 +183,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     condition, sentence = _in_the_way(solution, result)
     # if a requirement is missed that the user did not state, no other request is known
     # to pass
-    near = nearest and solution.eases
+    near = nearest and not solution.missed
     offer = _offer(request, solution, goal) if near else {}
     raise InfeasibleError(condition, sentence, offer)
 
@@ -195,27 +195,25 @@ def _best(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     # `loud` needs a known second mode that the user does not bound
     has_mode = request.model.second_mode is not None and "mode_gain" not in request.spec
     if has_mode:
-        result, solution = _reserved(request, goal, law, patient=False)
+        result, solution = _reserved(request, goal, law)
         if not result.missed:
             return result, solution
         request = replace(request, loud=True)
-    return _reserved(request, goal, law, patient=True)
+    return _reserved(request, goal, law)
 
 
-def _reserved(
-    request: Request, goal: Goal, law: bool, *, patient: bool
-) -> tuple[Design, Solution]:
+def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
     for attempt in _asked(request, goal):
-        solution = solved(attempt, patient=patient)
+        solution = solved(attempt)
         result = _design_of(solution)
-        for _ in range(_ROUNDS if law and solution.slack == 0.0 else 0):
+        for _ in range(_ROUNDS if law and solution.kept else 0):
             result = result.with_law()
             reserves = _lost_by_law(result)
             tighter = solution.tightened(reserves) if reserves else solution
-            if not reserves or tighter.slack > 0.0:
+            if not reserves or not tighter.kept:
                 break
             solution, result = tighter, _design_of(tighter)
         if not result.missed:
@@ -231,12 +229,12 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
     if goal == "noise":
         return [request]
     key = "phase_margin" if goal == "margin" else "gain_crossover"
-    most = math.pi if goal == "margin" else request.highest
-    best = solved(request.aiming(key, most), patient=True)
-    highest, least = most * math.exp(-best.rows.easing), request.arms.resonance
+    most = math.pi if goal == "margin" else request.arms.highest
+    best = solved(request.aiming(key, most))
+    highest, least = most * math.exp(-best.easing), request.arms.resonance
     if goal == "margin":
-        highest, least = math.degrees(most * (1.0 - best.rows.easing)), 0.0
-    if not best.eases or highest <= least:
+        highest, least = math.degrees(most * (1.0 - best.easing)), 0.0
+    if best.missed or highest <= least:
         return [request]
     values = [_floored(share * highest) for share in _SHARES]
     if goal == "margin":
@@ -298,12 +296,12 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
     sentence = f"{most} {achieved}"
     if worst.name == "gain crossover" and not worst.achieved:
         sentence = f"no loop was found that crosses beyond the resonance ({resonance:.3g} rad/s at the heaviest)"
-    elif not solution.eases:
+    elif solution.missed:
         sentence = f"no controller was found with {more} than {achieved}"
     others = [
         f"{item.name} of {item.shown[1]} instead of {item.shown[0]}"
         for item in made.missed
-        if item is not worst and item.name != "gain margin" and solution.eases
+        if item is not worst and item.name != "gain margin" and not solution.missed
     ]
     even = f", even with a {' and a '.join(others)}" if others else ""
     late, crossing = made.model.gauge_delay, made.gain_crossover_upper or resonance
@@ -322,8 +320,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
     """The nearest request in the user's own quantities, rounded inwards to three
     digits; empty if no such request passes when followed, with the law as it ships.
     """
+    values: dict[str, float] = {}
     for share in _LOOSER:
-        values: dict[str, float] = {}
         for row, item in solution.measured:
             implied = row.key == "phase_margin" and row.key not in request.spec
             near = not item.passed or item.slack < share * item.wanted
@@ -334,9 +332,12 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
                 values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        trial, _ = _best(request.asking(**values), goal, law=True)
+        request = request.asking(**values)
+        trial, ended = _best(request, goal, law=True)
         if not trial.missed:
             return values
+        # what the first search eased may not be all that is in the way
+        solution = solution if ended.kept else ended
     return {}
 
 

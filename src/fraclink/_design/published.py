@@ -151,16 +151,11 @@ def published(
 
 def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding]:
     """W405: the rows that the procedure does not cover and that its loop misses."""
-    gain = math.log(
-        controller.derivative_gain
-    ) + controller.derivative_order * math.log(request.reference)
-    x = [
-        gain,
-        controller.derivative_order,
-        math.log(max(controller.filter_time, 1e-12)),
-    ]
+    lag = max(controller.filter_time, 1e-12)
+    gain = Loop.of(controller, request.model, request.rig).outer_log(request.reference)
+    x = [float(gain.real), controller.derivative_order, math.log(lag)]
     search = Search(request, request.first_links, controller.filter_order)
-    measured = Solution(search, np.array(x)).measured
+    measured = Solution(search, np.array(x), 0.0, 0.0).measured
     misses = "; ".join(str(item) for _, item in measured if not item.passed)
     if misses:
         yield Finding(

@@ -118,6 +118,7 @@ class Arms:
                 case.natural_frequencies,
                 self.rig.period,
                 arm=number,
+                highest=self.highest,
                 motor=(motor.gain, motor.decay),
                 modes=self.modes(number),
                 empty=case.empty,
@@ -139,6 +140,11 @@ class Arms:
     def payloads_at(self) -> Real:
         """The payload of every link [kg]."""
         return np.concatenate([case.payloads for case in self.cases])
+
+    @property
+    def highest(self) -> float:
+        """The highest allowed crossing: the pole of the motor loop."""
+        return min(self.rig.motor_loop.pole, 0.9 * math.pi / self.rig.period)
 
     @cached_property
     def resonance(self) -> float:
@@ -253,11 +259,6 @@ class Request:
         return self.spec.get("gain_crossover") or (
             None if self.speed else self.arms.resonance
         )
-
-    @property
-    def highest(self) -> float:
-        """The highest allowed crossing: the pole of the motor loop."""
-        return min(self.rig.motor_loop.pole, 0.9 * math.pi / self.rig.period)
 
     @property
     def phase_margin(self) -> float:

@@ -40,8 +40,9 @@ _DAMPING = math.log(50.0) / math.hypot(2.0 * math.pi * _PERIODS, math.log(50.0))
 # Three standard deviations of the noise leave half of the voltage for the motion.
 NOISE_SHARE = 0.5 / 3.0
 # Relative reserve that a search adds to each row, so that a payload between those of
-# the table does not miss it; and the phase margin where only stability is required.
-RESERVE, _STABLE = 2e-4, math.radians(2.0)
+# the table does not miss it.
+RESERVE = 2e-4
+_STABLE = math.radians(2.0)  # phase margin where only stability is required
 
 
 @dataclass(frozen=True)
@@ -66,20 +67,24 @@ class Row:
     absent: float = math.inf
     reserve: float = RESERVE
 
-    def kept(self, trial: Trial, request: Request, wanted: float) -> Figure:
-        """Return by how much of it the row is kept at each link, negative where missed;
-        relative, so that an easing of all rows is one number.
+    def kept(
+        self, trial: Trial, request: Request, wanted: float, reserve: float = 0.0
+    ) -> Figure:
+        """Return by how much more than a reserve the row is kept at each link that it is
+        asked of, negative where missed; relative, so that an easing of all rows is one
+        number.
         """
+        reserve += self.reserve
         if self.bound is not None:
-            return self.bound(trial, wanted)
-        figure = self.figure(trial, request)
+            return self._asked(trial, self.bound(trial, wanted)).scaled(1.0, -reserve)
+        figure = self._asked(trial, self.figure(trial, request))
         sign = 1.0 if self.sense == "at least" else -1.0
         scale = (wanted or 1.0) if self.signed else 1.0
         zero = wanted if self.signed else math.log(wanted)
-        return figure.scaled(sign / scale, -sign * zero / scale)
+        return figure.scaled(sign / scale, -sign * zero / scale - reserve)
 
-    def asked(self, trial: Trial, figure: Figure) -> Figure:
-        """Return a figure at the links that the row is asked of."""
+    def _asked(self, trial: Trial, figure: Figure) -> Figure:
+        """A figure at the links that the row is asked of."""
         return figure.at(trial.table.empty[figure.link] == self.empty)
 
     def measured(
@@ -88,7 +93,7 @@ class Row:
         """Return what a trial achieves where it is worst, with the payload [kg] of that
         link; for each of its modes where it is their row.
         """
-        figure = self.asked(trial, self.figure(trial, request))
+        figure = self._asked(trial, self.figure(trial, request))
         worst = np.argmin if self.sense == "at least" else np.argmax
         achieved = {} if figure.value.size else {0: (self.absent, payloads[0])}
         for mode in np.unique(figure.number):
@@ -146,7 +151,7 @@ ROWS = (
         "last gain crossing",
         "rad/s",
         "at most",
-        lambda request: request.highest,
+        lambda request: request.arms.highest,
         lambda trial, request: trial.last_crossing,
         bound=lambda trial, wanted: trial.quiet_beyond(wanted),
     ),

@@ -5,42 +5,123 @@ every link, or else the one whose requested rows have to be eased least.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy.optimize import minimize
 
 from fraclink._arm.controller import Controller
-from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.solver import KEPT, Rows, eased, lowest
-from fraclink._design.table import Figure, Table, Trial
+from fraclink._design.table import Figure, Outer, Table, Trial
 from fraclink._law.requirement import Requirement
-from fracsys.checks import Real
+from fracsys.checks import Mask, Real
 
 __all__ = ["Search", "Solution", "solved"]
 
 
-# δ times the crossover at the first start: a long filter with a steep Ĉ makes a quiet
-# loop
-_LAG = 1.2
-# The other starts: δ times the resonance, and β as a share of its limit; the feasible
-# set may be disconnected.
-_LAGS, _ORDERS = (0.1, 0.4, 1.5), (0.3, 0.5, 0.7, 0.85)
-# Bounds of ln δ [s]: ten periods of the slowest arm, and less than any control period.
-_LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
+# Where searches start within the span of β: at its quarters, from a steep Ĉ with a long
+# filter to the flattest with none.
+_SHARES = np.array([0.75, 0.5, 0.25, 0.0])
 _LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
 _WIDTH, _DEPTH = 0.3, 0.1  # first guess of a notch: ζ of its poles and of its zeros
-# Number of restarts of the descent of the noise, and the least gain in ln of the noise
-# that justifies another one.
-_TURNS, _IDLE = 4, 0.001
-# radius of a descent in each parameter; its gradients are useless farther away
-_REACH = 2.0
-# Share of the remaining distance that five steps must gain to continue the search:
-# towards the rows, and towards a row that is an aim.
-_FAR, _AIMING = 0.1, 0.003
+# Relative violation that counts as met, half of the reserve of every row, and change of
+# a cost that counts as a gain.
+_KEPT = 0.5 * RESERVE
+# Parameters are logarithms and orders, in which the rows are smooth up to about one:
+# farther away, a descent has lost its way.
+_REACH = 1.0
+
+
+class _Stalled(Exception):
+    """A descent that gains nothing any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounded:
+    """Costs, of which the largest counts, and values that must not be negative, with
+    their gradients (P, M).
+    """
+
+    cost: Real
+    cost_gradient: Real
+    value: Real
+    gradient: Real
+
+    @cached_property
+    def missed(self) -> float:
+        """By how much a value is missed."""
+        return max(-float(np.min(self.value, initial=0.0)) - _KEPT, 0.0)
+
+    @cached_property
+    def largest(self) -> float:
+        """The largest cost."""
+        return float(np.max(self.cost))
+
+    def better(self, other: Bounded) -> bool:
+        """Whether less is missed than elsewhere, or the cost is smaller."""
+        if other.missed - self.missed > (_KEPT if self.missed else 0.0):
+            return True
+        return self.missed <= other.missed and self.largest < other.largest - _KEPT
+
+
+def lowest(
+    bounded_at: Callable[[Real], Bounded], start: Real, low: Real, high: Real
+) -> tuple[Real, Bounded]:
+    """Return the best parameters that sequential quadratic programming tries, and what
+    is bounded there.
+
+    A descent is given up after twice as many points as it has unknowns without a gain:
+    at a kink, its line search makes no headway. Another one begins where it gained.
+    """
+    best = last = start, bounded_at(start)
+    idle = 0
+
+    def at(z: Real) -> Bounded:
+        nonlocal best, last, idle
+        if not np.array_equal(z[:-1], last[0]):
+            x = z[:-1].copy()
+            last = x, bounded_at(x)
+            idle += 1
+            if last[1].better(best[1]):
+                best, idle = last, 0
+            if idle >= 2 * z.size:
+                raise _Stalled
+        return last[1]
+
+    # the last unknown is the largest cost
+    def kept(z: Real) -> Real:
+        bounded = at(z)
+        return np.concatenate([bounded.value, z[-1] - bounded.cost])
+
+    def slopes(z: Real) -> Real:
+        bounded = at(z)
+        largest = np.repeat([0.0, 1.0], [bounded.value.size, bounded.cost.size])
+        gradient = np.concatenate([bounded.gradient, -bounded.cost_gradient], axis=1)
+        return np.column_stack([gradient.T, largest])
+
+    direction = np.append(np.zeros(start.size), 1.0)
+    gains = True
+    while gains:
+        (x, bounded), idle, ended = best, 0, False
+        near = np.maximum(low, x - _REACH), np.minimum(high, x + _REACH)
+        with np.errstate(all="ignore"), suppress(_Stalled):
+            ended = minimize(
+                lambda z: (z[-1], direction),
+                np.append(x, bounded.largest),
+                jac=True,
+                method="SLSQP",
+                bounds=[*zip(*near, strict=True), (None, None)],
+                constraints={"type": "ineq", "fun": kept, "jac": slopes},
+                options={"ftol": _KEPT},
+            ).success
+        inside = bool(np.all(np.abs(best[0] - x) < _REACH))
+        gains = best[1].better(bounded) and not (ended and inside)
+    return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +139,6 @@ class Search:
     notch: tuple[float, float] | None = None
     reserves: dict[str, float] = field(default_factory=dict)
     ringing: bool = False
-    _last: dict[bytes, Trial] = field(default_factory=dict, init=False)
 
     @cached_property
     def table(self) -> Table:
@@ -68,11 +148,13 @@ class Search:
     @cached_property
     def bounds(self) -> tuple[Real, Real]:
         """The least and the largest value of every parameter."""
-        own = self.request.spec.get("filter_time")
-        highest = min(
-            self.request.model.order, 2.0 if own == 0.0 else self.filter_order
-        )
-        delta = (_SHORTEST, _LONGEST)
+        request = self.request
+        own = request.spec.get("filter_time")
+        highest = min(request.model.order, 2.0 if own == 0.0 else self.filter_order)
+        # a filter that has decayed to e^-2π within a period is none to the law, and one
+        # below the frequencies of the table is a gain
+        shortest = request.rig.period / (2.0 * math.pi)
+        delta = math.log(shortest), -math.log(self.table.w.min())
         if own is not None:
             delta = (math.log(max(own, 1e-12)),) * 2
         pairs = [(-16.0, 16.0), (_LEAST_ORDER, highest - 0.02), delta]
@@ -87,24 +169,12 @@ class Search:
         return low_ends, high_ends
 
     def outer(self, x: Real) -> Outer:
-        """Return Ĉ of parameters (P, K)."""
+        """Return Ĉ of some parameters."""
         return Outer(x, self.request.reference, self.filter_order)
 
     def trial(self, x: Real) -> Trial:
-        """Return these links under Ĉ of each of some parameters (P, S), one after the
-        other.
-
-        The last one is kept: a search asks for where it ended several times.
-        """
-        key = x.tobytes()
-        if key not in self._last:
-            count, table = x.shape[1], self.table
-            if count > 1:
-                table = table.rows(np.tile(np.arange(len(table)), count))
-            outer = self.outer(np.repeat(x, len(self.links), axis=1))
-            self._last.clear()
-            self._last[key] = Trial(table, outer, self.request.arms.loops)
-        return self._last[key]
+        """Return these links under Ĉ of some parameters."""
+        return Trial(self.table, self.outer(x), self.request.arms.loops)
 
     def kept(self, trial: Trial, only: str | None = None) -> dict[str, Figure]:
         """Return the slack of each row, or of `only` one, at the links to which it
@@ -116,143 +186,94 @@ class Search:
                 row.key == "damping" and not self.ringing
             ):
                 continue
-            reserve = row.reserve + self.reserves.get(row.key, 0.0)
-            figure = row.kept(trial, self.request, goal).scaled(1.0, -reserve)
-            figures[row.key] = row.asked(trial, figure)
+            reserve = self.reserves.get(row.key, 0.0)
+            figures[row.key] = row.kept(trial, self.request, goal, reserve)
         return figures
 
-    def rows(self, x: Real) -> list[Rows]:
-        """Return the rows of each of some parameters (P, S)."""
-        margins = self.kept(self.trial(x))
+    def _least(self, trial: Trial) -> tuple[Real, Real, Mask]:
+        """(the smallest slack of each row at every link, its gradient, whether the row
+        may be eased); their number does not change when a loop gains a crossing.
+        """
+        margins, count = self.kept(trial), len(self.links)
         figures = margins.values()
+        place = np.concatenate([k * count + f.link for k, f in enumerate(figures)])
         value = np.concatenate([figure.value for figure in figures])
         gradient = np.concatenate([figure.gradient for figure in figures], axis=1)
-        may_ease = [key in self.request.soft for key in margins]
-        soft = np.repeat(may_ease, [figure.value.size for figure in figures])
-        link = np.concatenate([figure.link for figure in figures])
-        start = link // len(self.links)
-        return [
-            Rows(value[start == k], gradient[:, start == k], soft[start == k])
-            for k in range(x.shape[1])
-        ]
+        least = np.ones(len(margins) * count)
+        slopes = np.zeros((len(gradient), least.size))
+        # in falling order, so that the smallest entry of a link is written last
+        falling = np.argsort(-value)
+        least[place[falling]] = value[falling]
+        slopes[:, place[falling]] = gradient[:, falling]
+        soft = np.repeat([key in self.request.soft for key in margins], count)
+        return least, slopes, soft
 
-    def noise(self, x: Real) -> float:
-        """Return ln of the noise gain at the worst link."""
-        return float(np.max(self.trial(x[:, None]).noise.value))
+    def easing(self, x: Real) -> Bounded:
+        """Return by how much each row has to be eased that may be, and the others."""
+        value, gradient, soft = self._least(self.trial(x))
+        # none below zero: what is kept is kept
+        cost, slope = np.append(-value[soft], 0.0), np.zeros((x.size, 1))
+        slopes = np.concatenate([-gradient[:, soft], slope], axis=1)
+        return Bounded(cost, slopes, value[~soft], gradient[:, ~soft])
 
-    def noise_and_rows(self, x: Real) -> tuple[Rows, Rows]:
-        """Return the noise of every link, and the smallest slack of each row at every
-        link, so that their number does not change when a loop gains a crossing.
-        """
-        trial = self.trial(x[:, None])
-        count, noise = len(self.links), trial.noise
-        value, gradient = [], []
-        for figure in self.kept(trial).values():
-            least, slopes = np.ones(count), np.zeros((x.size, count))
-            # In falling order, so that the smallest entry of a link is written last.
-            falling = figure.at(np.argsort(-figure.value))
-            least[falling.link] = falling.value
-            slopes[:, falling.link] = falling.gradient
-            value.append(least)
-            gradient.append(slopes)
-        joined = np.concatenate(value)
-        return (
-            Rows(noise.value, noise.gradient, np.zeros(noise.value.size, dtype=bool)),
-            Rows(
-                joined,
-                np.concatenate(gradient, axis=1),
-                np.zeros(joined.size, dtype=bool),
-            ),
-        )
+    def noise(self, x: Real) -> Bounded:
+        """Return ln of the noise gain of every link, and all rows."""
+        trial = self.trial(x)
+        value, gradient, _ = self._least(trial)
+        return Bounded(trial.noise.value, trial.noise.gradient, value, gradient)
 
     # ---- where a search begins
 
-    def first(self) -> Real:
-        """Parameters to begin from: the closed form of the lightest link, whose phase is
-        met at the crossover, with a long filter.
+    def starts(self) -> Real:
+        """Parameters to begin from, (S, P): closed forms that cross at the slowest
+        crossover at the heaviest payload, and meet the phase at the lightest.
+
+        β lies between what the phase needs without a filter and its limit; the filter
+        costs the phase that such a β has to spare.
         """
         request, loop = self.request, self.request.arms.loops[0]
         low, high = request.natural_frequencies
-        ratio = (high / low) ** (2.0 / request.model.order)
+        bottom, top = self.bounds
         # a loop that crosses below the resonance does not affect the vibration
-        least = max(request.reference, 1.1 * request.arms.resonance)
-        w = min(least * ratio, 0.6 * request.highest)
-        delta = request.spec.get("filter_time", _LAG / w)
-        beta = request.phase_margin - math.pi - float(loop.log(w, high).imag)
-        beta += self.filter_order * math.atan(delta * w)
-        return self._through(least, 2.0 / math.pi * beta, delta)
-
-    def others(self) -> Real:
-        """More of them, (P, S)."""
-        request, limit = self.request, self.bounds[1][1]
-        places = 1.1 * request.arms.resonance, request.reference
-        return np.stack(
-            [
-                self._through(place, order * limit, lag / request.arms.resonance)
-                for lag, order, place in product(_LAGS, _ORDERS, places)
-            ],
-            axis=1,
-        )
-
-    def elsewhere(self) -> Real:
-        """The one with the shortest filter and the steepest Ĉ."""
-        request, steepest = self.request, _ORDERS[-1] * self.bounds[1][1]
-        lag = _LAGS[0] / request.arms.resonance
-        return self._through(request.reference, steepest, lag)
-
-    def _through(self, w: float, beta: float, delta: float) -> Real:
-        """Parameters with |L| = 1 at `w` at the heaviest payload."""
-        low, high = self.bounds
-        beta = min(max(beta, low[1] + 0.05), high[1] - 0.05)
-        gain = -float(
-            self.request.arms.loops[0].log(w, self.request.natural_frequencies[0]).real
-        )
-        gain -= beta * math.log(w / self.request.reference)
-        gain += 0.5 * self.filter_order * math.log1p((delta * w) ** 2)
-        x = [gain, beta, math.log(max(delta, 1e-12))]
+        slowest = max(request.reference, request.arms.resonance)
+        # far above the resonance |G| falls as ω₀² ω^-λ
+        fastest = slowest * (high / low) ** (2.0 / request.model.order)
+        w = min(fastest, request.arms.highest)
+        phase = request.phase_margin - math.pi - float(loop.log(w, high).imag)
+        lag = math.exp(bottom[2]) if bottom[2] == top[2] else 0.0
+        phase += self.filter_order * math.atan(lag * w)
+        least = min(max(2.0 / math.pi * phase, bottom[1]), top[1])
+        beta = least + _SHARES * (top[1] - least)
+        delta = np.full_like(beta, bottom[2])
+        if not lag:
+            spare = 0.5 * math.pi * (beta - least) / self.filter_order
+            delta = np.log(np.maximum(np.tan(spare) / w, math.exp(bottom[2])))
+        x = np.array([np.zeros_like(beta), beta, delta])
+        level = [self.outer(one).log(np.array(slowest)).real for one in x.T]
+        x[0] = -np.array(level) - float(loop.log(slowest, low).real)
         if self.notch is not None:
             centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
-            x += [centre, math.log(_WIDTH), math.log(_DEPTH)]
-        return np.array(x)
+            notch = np.array([[centre], [math.log(_WIDTH)], [math.log(_DEPTH)]])
+            x = np.concatenate([x, np.repeat(notch, beta.size, axis=1)])
+        return np.asarray(np.clip(x.T, *self.bounds))
 
     # ---- the search
 
-    def over_links(self, starts: Real) -> Solution:
-        """Return where a search ends from some starts (P, S), the links that are worst
-        taken in as they turn up.
+    def over_links(self, start: Real) -> Solution:
+        """Return where a search ends from a start, the links that are worst taken in as
+        they turn up.
         """
-        search = self
-        while True:
-            idle = _FAR if self.request.aim is None else _AIMING
-            x, rows = eased(search.rows, starts, *search.bounds, idle=idle)
-            if rows.slack <= KEPT:
-                x = search.quieter(x)
-            solution = Solution(search, x)
-            wider = solution.wider()
-            if wider is None:
-                return solution
-            search, starts = wider, x[:, None]
+        solution = self.descended(start)
+        while (wider := solution.wider()) is not None:
+            solution = wider.descended(solution.x)
+        return solution
 
-    def quieter(self, x: Real) -> Real:
-        """Return parameters with less noise that keep every row.
-
-        A descent that lost its way at a kink is led back to the rows, and goes on from
-        there as long as that is less noise.
-        """
-        before, radius = self.noise(x), _REACH
-        low, high = self.bounds
-        for _ in range(_TURNS):
-            near = np.maximum(low, x - radius), np.minimum(high, x + radius)
-            lower, ended = lowest(self.noise_and_rows, x, *near)
-            lower, rows = eased(self.rows, lower[:, None], low, high)
-            noise = self.noise(lower)
-            if rows.slack <= KEPT and noise <= before - _IDLE:
-                x, before = lower, noise
-            elif not ended:
-                radius *= 0.25
-            if ended:
-                break
-        return x
+    def descended(self, start: Real) -> Solution:
+        """Return where the rows are eased least, and the noise is least if none is."""
+        x, end = lowest(self.easing, start, *self.bounds)
+        if end.missed > 0.0 or end.largest > _KEPT:
+            return Solution(self, x, end.missed, end.largest)
+        return Solution(self, lowest(self.noise, x, *self.bounds)[0], 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,17 +282,23 @@ class Solution:
 
     search: Search
     x: Real
-
-    @cached_property
-    def rows(self) -> Rows:
-        """The rows at the links of the search."""
-        return self.search.rows(self.x[:, None])[0]
+    missed: float  # by how much a row is missed that may not be eased
+    easing: float  # by how much the others have to be eased
 
     @property
-    def slack(self) -> float:
-        """0 where every row is kept, with half of what is kept in reserve."""
-        miss = -float(np.min(self.rows.value, initial=0.0))
-        return 0.0 if miss <= 0.5 * RESERVE else self.rows.slack
+    def kept(self) -> bool:
+        """Whether every row is kept, with half of what is kept in reserve."""
+        return self.missed == 0.0 and self.easing == 0.0
+
+    @cached_property
+    def lost(self) -> bool:
+        """Whether rows are missed that may not be eased, or some loop does not cross."""
+        return self.missed > 0.0 or bool(np.isinf(self._trial.crossover.value).any())
+
+    def equals(self, other: Solution) -> bool:
+        """Whether neither is lost, and both ease the rows by as much."""
+        near = abs(self.easing - other.easing) <= _KEPT
+        return near and not (self.lost or other.lost)
 
     @property
     def crossovers(self) -> tuple[float, float]:
@@ -279,11 +306,6 @@ class Solution:
         heavy, _, light, _ = self.search.request.first_links
         frequencies = np.exp(self._trial.crossover.value)
         return float(frequencies[heavy]), float(frequencies[light])
-
-    @property
-    def eases(self) -> bool:
-        """Whether all that is missed may be eased."""
-        return self.rows.missed <= 0.5 * RESERVE
 
     @property
     def noise_gain(self) -> float:
@@ -294,23 +316,26 @@ class Solution:
     def controller(self) -> Controller:
         """The controller."""
         request, x = self.search.request, self.x
-        free = request.spec.get("filter_time")
+        delta = request.spec.get("filter_time", math.exp(x[2]))
+        lagged = (delta * request.reference) ** 2
+        order = self.search.filter_order
+        gain = x[0] - x[1] * math.log(request.reference)
         return Controller(
-            derivative_gain=math.exp(x[0] - x[1] * math.log(request.reference)),
+            derivative_gain=math.exp(gain + 0.5 * order * math.log1p(lagged)),
             derivative_order=float(x[1]),
-            filter_time=math.exp(x[2]) if free is None else free,
+            filter_time=delta,
             filter_order=self.search.filter_order,
             link=request.model.at_payload(request.rig.payloads.nominal),
             motor_loop=request.motor_loop,
             period=request.rig.period,
-            notch=self.search.outer(x[:, None]).notch,
+            notch=self.search.outer(x).notch,
         )
 
     @cached_property
     def _trial(self) -> Trial:
         """The trial at every link of the table."""
         every = tuple(range(len(self.search.request.arms.table)))
-        return replace(self.search, links=every).trial(self.x[:, None])
+        return replace(self.search, links=every).trial(self.x)
 
     @cached_property
     def _worst(self) -> dict[str, tuple[float, int]]:
@@ -329,10 +354,15 @@ class Solution:
         return replace(self.search, links=tuple(sorted(links)), ringing=True)
 
     @cached_property
+    def _ringing_trial(self) -> Trial:
+        """The trial at these links."""
+        return self._ringing.trial(self.x)
+
+    @cached_property
     def _damping(self) -> dict[str, tuple[float, int]]:
         """The same of the damping; empty where no vibration is left."""
         ringing = self._ringing
-        figure = ringing.kept(ringing.trial(self.x[:, None]), only="damping")["damping"]
+        figure = ringing.kept(self._ringing_trial, only="damping")["damping"]
         if not figure.value.size:
             return {}
         value, link = figure.least
@@ -342,12 +372,12 @@ class Solution:
         """Return the search with the links that are worse than its own; None where there
         are none.
         """
-        search, easing = self.search, self.rows.easing
+        search, easing = self.search, self.easing
         soft = search.request.soft
         misses = {
             key: link
             for key, (value, link) in (self._worst | self._damping).items()
-            if value + (easing if key in soft else 0.0) < -2.0 * KEPT
+            if value + (easing if key in soft else 0.0) < -2.0 * _KEPT
         }
         links = set(misses.values()) - set(search.links)
         ringing = search.ringing or "damping" in misses
@@ -362,62 +392,34 @@ class Solution:
         for row, goal in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
             if row.key == "damping":
-                trial = self._ringing.trial(self.x[:, None])
+                trial = self._ringing_trial
                 payloads = payloads[list(self._ringing.links)]
             items = row.measured(trial, request, goal, payloads)
             pairs += [(row, item) for item in items]
         return tuple(pairs)
-
-    def quieter(self) -> Solution:
-        """Return this one or another with less noise: the noise has several valleys, and
-        a second descent begins elsewhere.
-
-        At more links there is only more noise, so that they are looked at last.
-        """
-        search = self.search
-        low, high = search.bounds
-        if low[2] == high[2]:
-            return self  # with δ given there is a single minimum
-        x, rows = eased(search.rows, search.elsewhere()[:, None], low, high)
-        if rows.slack > KEPT:
-            return self
-        x = search.quieter(x)
-        if search.noise(x) > math.log(self.noise_gain) - _IDLE:
-            return self
-        other = search.over_links(x[:, None])
-        quieter = other.slack == 0.0 and other.noise_gain < self.noise_gain
-        return other if quieter else self
 
     def tightened(self, reserves: dict[str, float]) -> Solution:
         """Return the solution with more in reserve for some rows."""
         own = self.search.reserves
         more = {key: own.get(key, 0.0) + value for key, value in reserves.items()}
         search = replace(self.search, reserves={**own, **more})
-        return search.over_links(self.x[:, None])
+        return search.over_links(self.x)
 
 
-def solved(request: Request, *, patient: bool) -> Solution:
-    """Return the best controller of a request, or the one nearest to it.
-
-    Every n without a notch, then with one; and only where none of these keeps every
-    row, and the caller is patient, the same from other starts. What aims at a row out
-    of reach begins from all of them.
+def solved(request: Request) -> Solution:
+    """Return the controller of a request, or the one nearest to it: every n without a
+    notch, then with one, from each start until one keeps every row, or two ease them
+    equally.
     """
-    searches = [
-        Search(request, request.first_links, order, notch)
-        for notch, order in product(request.notches, request.filter_orders)
-    ]
     solutions: list[Solution] = []
-    for search in searches:
-        starts = search.first()[:, None]
-        if request.aim is not None:
-            starts = np.column_stack([starts, search.others()])
-        solutions.append(search.over_links(starts))
-        if solutions[-1].slack == 0.0:
-            return solutions[-1].quieter()
-    for one in tuple(solutions) if patient and request.aim is None else ():
-        others = np.column_stack([one.x, one.search.others()])
-        solutions.append(one.search.over_links(others))
-        if solutions[-1].slack == 0.0:
-            return solutions[-1].quieter()
-    return min(solutions, key=lambda one: one.slack)
+    for notch, order in product(request.notches, request.filter_orders):
+        search = Search(request, request.first_links, order, notch)
+        for start in search.starts():
+            solution = search.over_links(start)
+            if solution.kept:
+                return solution
+            again = any(solution.equals(other) for other in solutions)
+            solutions.append(solution)
+            if again:
+                break
+    return min(solutions, key=lambda one: (one.lost, one.missed, one.easing))

@@ -1,7 +1,7 @@
 """Loops without Ĉ over many links, tabulated once, and the figures of the loops with a
-given Ĉ.
+given Ĉ (`Outer`).
 
-Every figure follows from g = ∂ ln Ĉ/∂x of the parameters x of Ĉ (`Outer`): a frequency
+Every figure follows from g = ∂ ln Ĉ/∂x of the parameters x of Ĉ: a frequency
 at which |L| crosses one moves by −Re g/Re σ with σ = d ln L/d ln ω, its phase by
 Im g − Re g Im σ/Re σ, a distance from −1 by Re(L g/(1 + L)), noise by Re(g/(1 + L)).
 """
@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.loop import Loop, noise_points
-from fraclink._design.outer import Outer
+from fraclink._arm.notch import Notch
 from fraclink._law.modes import MODE_POINTS, HigherModes, gain_towards
 from fracsys.checks import Complex, Mask, Real
 
-__all__ = ["Figure", "Table", "Trial", "stacked", "tabulated"]
+__all__ = ["Figure", "Outer", "Table", "Trial", "stacked", "tabulated"]
 
 Index = NDArray[np.int64]
 
@@ -82,6 +82,7 @@ def tabulated(
     period: float,
     *,
     arm: int,
+    highest: float,
     motor: tuple[float, float],
     modes: HigherModes | None = None,
     empty: bool = False,
@@ -89,7 +90,8 @@ def tabulated(
     """Return the table of one arm's loop without Ĉ (`bare`, k = 1 and β = 0) at its
     links.
 
-    `motor` is (A, B) of A/(s(s + B)); an `empty` gripper has no noise to judge.
+    `highest` is the highest crossing allowed [rad/s], `motor` is (A, B) of A/(s(s + B));
+    an `empty` gripper has no noise to judge.
     """
     w0 = np.atleast_1d(np.asarray(natural_frequencies, dtype=float))
     mode = bare.peak(w0)
@@ -103,7 +105,7 @@ def tabulated(
             [1.0],
         ]
     )
-    more = [bare.about_mode(49)]
+    more = [bare.about_mode(49), np.array([highest])]
     if bare.gauge_delay:
         more.append(bare.turns(0.25 * float(mode.min()), top, 6.0))
     points = np.broadcast_to(np.concatenate(more), (w0.size, sum(map(len, more))))
@@ -164,6 +166,81 @@ def _widened(name: str, value: NDArray[Any], width: int) -> NDArray[Any]:
     return np.pad(value, missing, constant_values=fill)
 
 
+@dataclass(frozen=True, eq=False)
+class Outer:
+    """Ĉ by parameters `x` in which its rows are nearly linear: ln|Ĉ| without a notch at
+    a frequency ω_r, β and ln δ,
+
+        ln Ĉ = x₀ + β ln(s/ω_r) − n (ln(1 + δs) − ln|1 + jδω_r|) + ln N(s; x₃, x₄, x₅)
+
+    so that neither β nor δ moves a crossover at ω_r.
+
+    ``reference`` is ω_r [rad/s], ``filter_order`` n; parameters beyond the third are
+    ln ω_N, ln ζ_p and ln(ζ_z/ζ_p) of a notch.
+    """
+
+    x: Real
+    reference: float
+    filter_order: int
+
+    def log(self, w: NDArray[Any]) -> Complex:
+        """Return ln Ĉ(jω)."""
+        s, lag = 1j * w, math.exp(self.x[2])
+        filtered = np.log1p(lag * s) - 0.5 * math.log1p((lag * self.reference) ** 2)
+        value = self.x[0] + self.x[1] * (np.log(w / self.reference) + 0.5j * math.pi)
+        value = value - self.filter_order * filtered
+        if self.x.size > 3:
+            top, bottom, *_ = self._notch_parts(s)
+            value = value + np.log(top / bottom)
+        return np.asarray(value)
+
+    def slope(self, w: Real) -> Complex:
+        """Return d ln Ĉ/d ln ω."""
+        s = 1j * w
+        lagged = math.exp(self.x[2]) * s
+        value = self.x[1] - self.filter_order * lagged / (1.0 + lagged)
+        if self.x.size > 3:
+            top, bottom, zero, pole = self._notch_parts(s)
+            value = value + 2.0 * s * ((s + zero) / top - (s + pole) / bottom)
+        return np.asarray(value)
+
+    def gradient(self, w: NDArray[Any]) -> Complex:
+        """Return ∂ ln Ĉ/∂x at ω, the parameters along the first axis."""
+        s, lag = 1j * w, math.exp(self.x[2])
+        lagged, square = lag * s, (lag * self.reference) ** 2
+        filtered = lagged / (1.0 + lagged) - square / (1.0 + square)
+        rows = [
+            np.ones_like(s),
+            np.log(w / self.reference) + 0.5j * math.pi,
+            -self.filter_order * filtered,
+        ]
+        if self.x.size > 3:
+            top, bottom, zero, pole = self._notch_parts(s)
+            square = 2.0 * math.exp(2.0 * self.x[3])
+            above, below = 2.0 * zero * s / top, 2.0 * pole * s / bottom
+            rows += [
+                square / top - square / bottom + above - below,
+                above - below,
+                above,
+            ]
+        return np.array(rows)
+
+    def _notch_parts(self, s: NDArray[Any]) -> tuple[Complex, Complex, float, float]:
+        """Numerator and denominator of N(s), and ζ ω_N for each."""
+        centre, poles, depth = np.exp(self.x[3:])
+        pole, zero = poles * centre, depth * poles * centre
+        rest = s * s + centre * centre
+        return rest + 2.0 * zero * s, rest + 2.0 * pole * s, zero, pole
+
+    @property
+    def notch(self) -> Notch | None:
+        """The notch of these parameters."""
+        if self.x.size == 3:
+            return None
+        centre, poles, depth = np.exp(self.x[3:])
+        return Notch(float(centre), float(min(poles * depth, poles)), float(poles))
+
+
 class Figure:
     """Values (M,) of some links, their gradients (P, M), the link of each, and its
     number if a link has several of a kind.
@@ -194,16 +271,15 @@ class Figure:
 
 
 class Trial:
-    """The loops of a table with one Ĉ each.
+    """The loops of a table with Ĉ.
 
     `loops` are the loops of the table's arms without Ĉ.
     """
 
     def __init__(self, table: Table, outer: Outer, loops: tuple[Loop, ...]) -> None:
         self.table, self.outer, self.loops = table, outer, loops
-        every = np.arange(len(table))[:, None]
-        self.log = outer.log(table.w, every) + table.rest
-        self.slope = outer.slope(table.w, every) + table.slope
+        self.log = outer.log(table.w) + table.rest
+        self.slope = outer.slope(table.w) + table.slope
 
     def _cubics(self, link: Index, i: Index) -> tuple[Real, Real, Complex]:
         """(ln ω at the left end, width, coefficients of the cubic Hermite interpolant
@@ -226,7 +302,7 @@ class Trial:
     @cached_property
     def _at_crossings(self) -> Complex:
         """∂ ln Ĉ/∂x at the crossings."""
-        return self.outer.gradient(self._crossings[1], self._crossings[0])
+        return self.outer.gradient(self._crossings[1])
 
     def _zeros(
         self, link: Index, i: Index, part: complex, line: Real | float = 0.0
@@ -239,7 +315,7 @@ class Trial:
         )
         t = first / (first - last)
         cubics = self._cubics(link, i)
-        for _ in range(3):
+        for _ in range(2):
             _, value, slope = _at(cubics, t)
             rate = (part * slope).real * cubics[1]
             change = ((part * value).real - line) / np.where(
@@ -328,7 +404,7 @@ class Trial:
         level = self.log.real[figure.link, table.mode_column]
         none = np.log(table.mode) + np.minimum(level, 0.0)
         value = np.maximum(figure.value, none) - math.log(frequency)
-        slope = self.outer.gradient(table.mode, figure.link).real
+        slope = self.outer.gradient(table.mode).real
         gradient = np.where(np.isinf(figure.value), slope, figure.gradient)
         return Figure(
             np.concatenate([value, level]),
@@ -346,16 +422,11 @@ class Trial:
         mode.
         """
         every, w = np.arange(len(self.table)), self.table.w
-        beyond = (w > frequency) & ~self._at_mode(w, every[:, None])
-        i = np.clip(np.argmax(w > frequency, axis=1) - 1, 0, w.shape[1] - 2)
-        width = np.log(w[every, i + 1] / w[every, i])
-        t = np.log(frequency / w[every, i]) / np.where(width > 0.0, width, 1.0)
-        at_edge = _at(self._cubics(every, i), np.clip(t, 0.0, 1.0))[1].real
+        beyond = (w >= frequency) & ~self._at_mode(w, every[:, None])
         level = np.where(beyond, self.log.real, -1e3)
         best = np.argmax(level, axis=1)
-        value = np.maximum(level[every, best], at_edge)
-        at = np.where(at_edge >= value, frequency, w[every, best])
-        return Figure(-value, -self.outer.gradient(at, every).real, every)
+        value, at = level[every, best], w[every, best]
+        return Figure(-value, -self.outer.gradient(at).real, every)
 
     @cached_property
     def _loop(self) -> Complex:
@@ -372,18 +443,18 @@ class Trial:
         low, high = turn[link, i], turn[link, i + 1]
         t = low / (low - high)
         cubics = self._cubics(link, i)
-        for _ in range(4):
+        width, (_, _, square, cube) = cubics[1], cubics[2]
+        for _ in range(2):
             _, log, slope = _at(cubics, t)
             loop = np.exp(log)
-            here = (np.conj(1.0 + loop) * loop * slope).real
-            # regula falsi on the side that still contains the root
-            falling = here < 0.0
-            a, b = np.where(falling, t, 0.0), np.where(falling, 1.0, t)
-            fa, fb = np.where(falling, here, low), np.where(falling, high, here)
-            t = np.clip(a - fa * (b - a) / np.where(fb != fa, fb - fa, 1.0), 0.0, 1.0)
+            bend = (2.0 * square + 6.0 * t * cube) / width**2
+            back = np.conj(1.0 + loop) * loop
+            rate = np.abs(loop * slope) ** 2 + (back * (slope**2 + bend)).real
+            change = (back * slope).real / np.where(rate > 0.0, rate * width, np.inf)
+            t = np.clip(t - change, 0.0, 1.0)
         w, log, _ = _at(cubics, t)
         loop = np.exp(log)
-        gradient = (loop / (1.0 + loop) * self.outer.gradient(w, link)).real
+        gradient = (loop / (1.0 + loop) * self.outer.gradient(w)).real
         return Figure(-np.log(np.abs(1.0 + loop) + 1e-300), -gradient, link)
 
     @cached_property
@@ -397,7 +468,7 @@ class Trial:
         w, log, slope = self._zeros(link, i, -1j, line)
         quiet = log.real < 0.0
         link, w, log, slope = link[quiet], w[quiet], log[quiet], slope[quiet]
-        g = self.outer.gradient(w, link)
+        g = self.outer.gradient(w)
         gradient = g.real - g.imag * slope.real / _steep(slope.imag)
         return Figure(-log.real, -gradient, link)
 
@@ -421,10 +492,10 @@ class Trial:
         """
         links = np.flatnonzero(self.table.weight.any(axis=1))
         w, rest = self.table.noise_w[links], self.table.noise_rest[links]
-        outer = np.exp(self.outer.log(w, links[:, None]))
+        outer = np.exp(self.outer.log(w))
         back = 1.0 / (1.0 + outer * rest)
         density = np.abs(outer * back) ** 2 * self.table.weight[links]
-        return links, density, (self.outer.gradient(w, links[:, None]) * back).real
+        return links, density, (self.outer.gradient(w) * back).real
 
     @staticmethod
     def _power(density: tuple[Index, Real, Real]) -> Figure:
@@ -439,18 +510,14 @@ class Trial:
         shape = (len(self.table), -1, MODE_POINTS)
         w = self.table.modes_w.reshape(shape)
         each = np.broadcast_to(np.arange(len(w))[:, None, None], w.shape)
-        log = self.outer.log(w, each) + self.table.modes_level.reshape(shape)
+        log = self.outer.log(w) + self.table.modes_level.reshape(shape)
         peak = np.argmax(log.real, axis=2)[..., None]
         at, top = (np.take_along_axis(part, peak, 2).ravel() for part in (w, log))
-        link = each[..., 0].ravel()
         number = self.table.modes_number.reshape(shape)[..., 0].ravel()
         gain, by_gain, by_phase = gain_towards(np.asarray(top))
-        gain, slope = (
-            np.maximum(gain, np.finfo(float).eps),
-            self.outer.gradient(at, link),
-        )
+        gain, slope = np.maximum(gain, np.finfo(float).eps), self.outer.gradient(at)
         gradient = (by_gain * slope.real + by_phase * slope.imag) / gain
-        return Figure(np.log(gain), gradient, link, number)
+        return Figure(np.log(gain), gradient, each[..., 0].ravel(), number)
 
     @cached_property
     def damping(self) -> Figure:
@@ -492,7 +559,7 @@ class Trial:
         for _ in range(8):
             step = 1e-6 * np.abs(root)
             points = np.stack([root, root + step, root - step])
-            outer = np.exp(self.outer.log(points, link[None, :]))
+            outer = np.exp(self.outer.log(points))
             here, above, below = 1.0 / (outer * loop(points, w0))
             rate = (above - below) / (2.0 * step)
             change = (1.0 + here) / rate / np.abs(root)
@@ -504,7 +571,7 @@ class Trial:
         valid = (np.abs(change) < 1e-6) & (size > 0.3 * mode) & (size < 4.0 * mode)
         root, rate, size, link = root[valid], rate[valid], size[valid], link[valid]
         # 1 + 1/L = 0: dω = -∂(1/L)/∂x / (d(1/L)/dω), and 1/L = -1
-        shift = -self.outer.gradient(root, link) / rate
+        shift = -self.outer.gradient(root) / rate
         gradient = (
             shift.imag / size - root.imag * (np.conj(root) * shift).real / size**3
         )
