@@ -15,7 +15,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design.procedure import link_of, request_of
 from fraclink._design.rows import specification
-from fraclink._design.search import Search, Solution
+from fraclink._design.search import solved
 from fraclink._display import displayed
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
@@ -280,18 +280,9 @@ def feasibility_map(
     request = request_of(link_of(model, rig), rig, specification(wanted), False)
     noise = np.full((angles.size, crossovers.size), np.nan)
     for column, crossover in enumerate(crossovers):
-        solution: Solution | None = None
         for row in np.argsort(angles):
-            cell = request.asking(
-                gain_crossover=float(crossover), phase_margin=float(angles[row])
-            )
-            if solution is None:
-                search = Search(cell, cell.first_links, cell.filter_orders[-1])
-                start = search.starts()[0]
-            # start from the previous cell, and from all links that were worst there
-            else:
-                search, start = replace(solution.search, request=cell), solution.x
-            solution = search.over_links(start)
+            cell = {"gain_crossover": crossover, "phase_margin": angles[row]}
+            solution = solved(request.asking(**cell))
             if not solution.kept:
                 break  # a larger margin is infeasible as well
             noise[row, column] = solution.noise_gain
