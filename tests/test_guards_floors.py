@@ -189,7 +189,7 @@ CEILINGS = {
     "_arm": 1676,
     "_certify": 865,
     "_cli": 1005,
-    "_design": 1481,
+    "_design": 1478,
     "_export": 505,
     "_files": 566,
     "_identify": 2935,

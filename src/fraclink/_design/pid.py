@@ -16,6 +16,7 @@ from fraclink._design.pid_search import (
     searched,
 )
 from fraclink._design.pid_tuning import PERIODS, PidTuning
+from fraclink._design.rows import SENSITIVITY
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
@@ -32,8 +33,6 @@ HORIZON = 40.0
 # the hold and a delay of 1.5 periods.
 LAW_LOSS = math.radians(1.0)
 MARGIN = math.radians(60.0)
-# bound on Ms if only ITAE determines the crossover: ITAE alone leads to Ms of 3 to 6
-SENSITIVITY = 2.0
 # With λ below one half an error decays like t^(−λ), beyond every horizon that ITAE
 # covers.
 _INTEGRAL_ORDERS, _DERIVATIVE_ORDERS = (0.5, 1.6), (0.1, 1.6)
@@ -127,7 +126,7 @@ def tune_pid(
     (True, True)
     """
     if max_sensitivity is None and gain_crossover is None:
-        max_sensitivity = SENSITIVITY
+        max_sensitivity = SENSITIVITY  # ITAE alone leads to Ms of 3 to 6
     own = _plant_of(plant)
     # Hold and computation delay are part of the plant from the start: a margin obtained
     # without them would lose ω_c·1.5 T.

@@ -52,7 +52,6 @@ _ROOM = 1.002  # margin between the scan's value of a bound and the exact one
 _GRID, _WITH_SLOPE = (21, 21, 1, 24), (11, 11, 10, 24)
 # candidates scanned together: a thousand would take 100 MB and more time
 _TOGETHER = 128
-_REFUSED = 1e300  # finite, because the simplex method subtracts its values
 
 
 @dataclass(frozen=True)
@@ -358,7 +357,7 @@ def best_of(problem: PidProblem, found: Candidates, horizon: float) -> Candidate
     def cost(values: Real) -> float:
         candidate = made(values)
         return (
-            float(itae(problem, candidate, horizon)[0]) if candidate.count else _REFUSED
+            float(itae(problem, candidate, horizon)[0]) if candidate.count else math.inf
         )
 
     begin = best.places[0, varied]

@@ -22,7 +22,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design.rows import ROWS, SENSITIVITY, Row
 from fraclink._design.table import Table, stacked, tabulated
 from fraclink._law.modes import MODE_LIMIT, HigherModes, higher_modes
-from fraclink._law.requirement import least_modulus
+from fraclink._law.requirement import PAYLOADS, least_modulus
 from fraclink.errors import FieldError
 from fracsys.checks import Real
 
@@ -32,7 +32,6 @@ __all__ = ["Request"]
 # Mass of a gripper without its load, as a share of the lightest payload, if none is
 # stated.
 _EMPTY_SHARE = 0.4
-_PAYLOADS = 9  # payloads of the model; for an arm of the box only the two ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class Arms:
     def cases(self) -> tuple[Case, ...]:
         """The model at its payloads, the empty gripper, and the corners of the box."""
         low, high = self.natural_frequencies
-        w0 = np.geomspace(low, high, _PAYLOADS)
+        w0 = np.geomspace(low, high, PAYLOADS)
         light, heavy = self.payloads
         inner = [self.model.payload_at(float(w)) for w in w0[1:-1]]
         masses = np.array([heavy, *inner, light])
@@ -348,7 +347,7 @@ class Request:
     @property
     def first_links(self) -> tuple[int, ...]:
         """The heaviest payload, the middle one, the lightest, and the empty gripper."""
-        return 0, _PAYLOADS // 2, _PAYLOADS - 1, _PAYLOADS
+        return 0, PAYLOADS // 2, PAYLOADS - 1, PAYLOADS
 
     @property
     def filter_orders(self) -> tuple[int, ...]:

@@ -76,20 +76,21 @@ def lowest(
     is bounded there.
 
     A descent is given up after twice as many points as it has unknowns without a gain:
-    at a kink, its line search makes no headway. Another one begins where it gained.
+    at a kink, its line search makes no headway. Another one begins where it gained. All
+    of them together try twice as many points as the curvature has entries.
     """
     best = last = start, bounded_at(start)
-    idle = 0
+    idle, left = 0, 2 * (start.size + 1) ** 2
 
     def at(z: Real) -> Bounded:
-        nonlocal best, last, idle
+        nonlocal best, last, idle, left
         if not np.array_equal(z[:-1], last[0]):
             x = z[:-1].copy()
             last = x, bounded_at(x)
-            idle += 1
+            idle, left = idle + 1, left - 1
             if last[1].better(best[1]):
                 best, idle = last, 0
-            if idle >= 2 * z.size:
+            if idle >= 2 * z.size or not left:
                 raise _Stalled
         return last[1]
 
@@ -106,7 +107,7 @@ def lowest(
 
     direction = np.append(np.zeros(start.size), 1.0)
     gains = True
-    while gains:
+    while gains and left:
         (x, bounded), idle, ended = best, 0, False
         near = np.maximum(low, x - _REACH), np.minimum(high, x + _REACH)
         with np.errstate(all="ignore"), suppress(_Stalled):
@@ -157,7 +158,7 @@ class Search:
         delta = math.log(shortest), -math.log(self.table.w.min())
         if own is not None:
             delta = (math.log(max(own, 1e-12)),) * 2
-        pairs = [(-16.0, 16.0), (_LEAST_ORDER, highest - 0.02), delta]
+        pairs = [(-math.inf, math.inf), (_LEAST_ORDER, highest - 0.02), delta]
         if self.notch is not None:
             low, high = self.notch
             pairs += [

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEAST_MODULUS",
+    "PAYLOADS",
     "Requirement",
     "law_rows",
     "least_modulus",
@@ -118,9 +119,8 @@ LAW_MODULUS = "distance to -1, shipped law"
 # Least |1 + L| of a loop that passes: a phase margin of 14.4° and a gain margin of a
 # factor of 1.33, also for deviations not covered by the box.
 LEAST_MODULUS = 0.25
-# Payloads at which the law is checked: each one takes a sampled plant with its aliases
-# for every motor loop.
-_PAYLOADS = 9
+# payloads of the model at which loops are looked at; of an arm of the box only the ends
+PAYLOADS = 9
 
 
 def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Margins:
@@ -231,7 +231,7 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
     """
     model = with_payload(design.model, design.rig)
     if design.box is None:
-        for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS):
+        for w0 in np.geomspace(*design.natural_frequencies, PAYLOADS):
             payload = design.payload(float(w0))
             mode = model_at(model, design.rig, payload).second_mode
             ratio = (model.natural_frequency / float(w0)) ** 2
