@@ -301,7 +301,6 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
         )
 
     monkeypatch.setattr("fraclink.lab._tune.first_moves", moved)
-    monkeypatch.setattr("fraclink.lab._tune.LAWS", 2)
     found = fl.tune(arm().callback, PLAN, out=tmp_path, clock="none")
     assert len(set(tried)) == len(tried) == 2
     assert not found.has_law and found.verdict.promise.state == "failed"

@@ -665,7 +665,7 @@ def test_moves_of_an_arm_that_has_changed_name_the_change(
     def begin(sentence: str) -> None:
         if not changes and sentence.startswith("first moves"):
             # 20 g of 30 g, and a link of 10 g whose share at the tip is a quarter
-            own.events.append((own.t + 9.0, lambda arm: arm.swap(payload=0.020)))
+            own.events.append((own.t + 5.0, lambda arm: arm.swap(payload=0.020)))
 
     tuned = fl.tune(
         Callback(own.read, own.write),

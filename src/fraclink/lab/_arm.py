@@ -10,8 +10,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from fraclink import _kernels
+from fraclink._arm.reference import LONGEST
 from fraclink._display import Overview, Row, displayed, state_of
 from fraclink._files import document
+from fraclink._law import MODES
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
 from fraclink.errors import FieldError, SizeError
@@ -29,15 +31,10 @@ from fracsys.checks.equality import compared
 __all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
 
 
-# Two hours at 4 ms take 80 MB: a longer time is a wrong unit, and would end in
-# swapping.
-MOST_PERIODS = 2_000_000
 # The law bridges 5 missed periods and trips at the 6th; a controller that is silent for
 # 10 will not return.
 WATCHDOG = 10
-_IDLE, _OFF = 0, 4  # modes in which the drive is off, see realtime.h
-# noise is drawn in blocks, since a draw per period takes longer than the period's step
-_CHUNK = 4096
+_DRIVE_OFF = (MODES.index("idle"), MODES.index("off"))
 _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
 
@@ -162,12 +159,12 @@ def serve_arm(
     nanoseconds = period_ns(period)
     Between(period, 1e300, "s").check("duration", duration)
     count = math.ceil(duration / period)
-    if count > MOST_PERIODS:
+    if count > LONGEST:
         raise SizeError(
             "duration",
             duration,
             "too long",
-            allowed=f"<= {MOST_PERIODS} periods",
+            allowed=f"<= {LONGEST} periods",
             remedy="serve a shorter time",
         )
     # A sample goes out and its command comes back; without this period of delay the arm
@@ -251,7 +248,6 @@ class SimulatedArm:
     def __init__(self, twin: Twin, period: float, *, seed: int = 0) -> None:
         self._state = ArmState(twin, period, b"")
         self._random = np.random.default_rng(seed)
-        self._noise = iter(np.zeros(0))
         self._input = np.zeros(_kernels.TWIN_INPUTS)
         # TWIN_ENCODER_GAIN and TWIN_GAUGE_GAIN of twin.h: gains that no fault changes
         # here
@@ -261,17 +257,14 @@ class SimulatedArm:
     def read(self) -> tuple[float, float]:
         """Return what encoder [rad] and gauge [N·m] show now."""
         gauge = self._state.twin.gauge
-        noise = next(self._noise, None)
-        if noise is None:
-            self._noise = iter(self._random.standard_normal(_CHUNK))
-            noise = next(self._noise)
-        self._input[3] = gauge.offset + gauge.noise * noise  # TWIN_GAUGE_ERROR
+        error = gauge.offset + gauge.noise * self._random.standard_normal()
+        self._input[3] = error  # TWIN_GAUGE_ERROR
         return self._state.sense(self._input)
 
     def write(self, command: Command) -> None:
         """Move on for one period under the command's voltage [V]."""
         # A board whose drive is off ignores the voltage.
-        voltage = 0.0 if command.mode in (_IDLE, _OFF) else command.voltage
+        voltage = 0.0 if command.mode in _DRIVE_OFF else command.voltage
         s = self._state
         buffers = (s.rig, s.state, s.gauge, s.voltage, s.sensed, s.counters)
         self._rows.append(_kernels.twin_drive(*s.step.arrays, *buffers, voltage))

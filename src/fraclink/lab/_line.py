@@ -10,16 +10,15 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple, Protocol
 
 from fraclink import _kernels
+from fraclink._law import MODES
+from fraclink._law.limits import Limits
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._connections import Callback, Command, Connection, controller_end
 from fraclink.lab._machine import check_machine, period_ns, real_time
 
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
 
-# mode "off" of law.h: the board switches its drive off regardless of the voltage
-_OFF = 4
 _LOOKS = 16  # polls per period: the time of arrival is known to 6 % of a period
-_LOST = 5  # consecutive missing samples that are allowed, as in law.c
 _NUMBERS = 2**32  # sample numbers, before they wrap around
 _STOPS = 3  # stop messages sent, since one may get lost
 
@@ -91,8 +90,8 @@ class ArmLine:
         periods, sample = 0, None
         while sample is None:
             periods += 1
-            if periods > _LOST:
-                raise ArmLost(_LOST)
+            if periods > Limits.missed_limit:
+                raise ArmLost(Limits.missed_limit)
             sample = self._awaited() if self._way.clocked else self._on_time()
         if self._way.clocked:
             # The sample's own number counts, not the number of polls: a process that
@@ -132,7 +131,7 @@ class ArmLine:
         # Datagrams can be lost, function calls cannot.
         for _ in range(_STOPS if self._way.clocked else 1):
             self._tick += 1
-            self._way.write(0.0, 0.0, self._tick, _OFF, 0, 0)
+            self._way.write(0.0, 0.0, self._tick, MODES.index("off"), 0, 0)
             if self._way.clocked:
                 self._clock.sleep(self.period)
 

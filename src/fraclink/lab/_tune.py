@@ -36,7 +36,6 @@ from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
 
-LAWS = 3  # largest number of laws tried on the arm: each takes a quarter of a minute
 # Largest relative difference between the first guesses of a tuning and of its
 # resumption: those of the same arm scatter by a tenth, half the payload changes ω₀ by
 # 41 %, and another gear changes K/J by more.
@@ -223,15 +222,9 @@ class _Session:
         law = load(self.out / LAW_FILES[1], Law)
         assert self.state.motor is not None  # a law exists  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        move = planned_move(design, law, self.plan.limits)
-        why = (
-            "no move passes in the simulation within 60 % of the limits"
-            if move is None
-            else self._refusal(
-                guard, Built(design.rig, design, law, None, (), move=move)
-            )
-        )
-        if why:
+        move, why = planned_move(design, law, self.plan.limits)
+        built = Built(design.rig, design, law, None, (), move=move)
+        if why := why or self._refusal(guard, built):
             self._withhold(guard, why)
             self._tell(self.state.reasons)
 
@@ -239,7 +232,7 @@ class _Session:
         """First moves under the law; a law that fails on the arm is withdrawn, and the
         next one is tried.
         """
-        for number, candidate in enumerate(itertools.islice(laws, LAWS)):
+        for number, candidate in enumerate(laws):
             if number:
                 self.begin("the arm refused that law, which is withheld; the next one")
                 self._wrote(guard, candidate, link)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
+from fraclink._arm.motor_loop import MotorGain, MotorLoop
 from fraclink._arm.reference import hold, prbs, smooth_step
 from fraclink._arm.rig_parts import Moves
 from fraclink._law import MODES, REASONS, Law
@@ -193,9 +193,10 @@ def _keeps(
     kick: float,
 ) -> bool:
     try:
-        pid = loop.pid(motor, period)
+        nominal = loop.sampled(motor, period)
     except FieldError:
         return False
+    pid = nominal.pid
     at_once = (
         pid.direct
         + pid.angle_direct
@@ -204,9 +205,7 @@ def _keeps(
     )
     if at_once > kick:
         return False
-    true = SampledMotorLoop(
-        pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples
-    )
+    true = replace(nominal, motor=MotorGain(motor.gain * ratio, motor.decay))
     # Poles first: the distance from −1 means nothing for an unstable loop. If the delay
     # adds a pole slower than those that were placed, the loop follows only at the speed
     # of that pole: with three samples of delay, a loop placed too fast has one at 0.1

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fraclink._arm.reference import Path, sampled, smooth_step
+from fraclink._arm.reference import Reference, sampled, smooth_step
 from fraclink._design import Design
 from fraclink._display import Row
 from fraclink._law import Law
+from fraclink._simulate.metrics import BAND
 from fraclink._simulate.simulate import simulate
 from fraclink.lab._tune_build import agree, twins_of
 from fraclink.lab._tune_guard import Guard, Record
@@ -25,10 +26,7 @@ __all__ = ["FirstMove", "first_moves"]
 # Settling time [s], residual vibration [rad], and half of the peak-to-peak motor angle
 # in the last two seconds [rad].
 Judged = tuple[float, float, float]
-# Distance [rad], the record, and its figures.
-Made = tuple[float, Record, Judged]
 
-_BAND = 0.02  # share of the move, as everywhere
 # multiple of the gauge's white noise, as shaped by the loop: noise alone would leave a
 # narrower band
 _ABOVE = 6.0
@@ -36,12 +34,6 @@ _AFTER = 2.5  # [s] observed after a reference has come to rest
 # the first move: a tenth of the speed, two fifths of the distance
 _SLOW, _PART = 10.0, 0.4
 _FIRST = 5  # periods in which a bump of the transfer would show
-# seeds of the promise: in one of ten simulations noise leaves the band long after the
-# move
-_SEEDS = range(7)
-# The full move is made twice, and a third time if the two disagree: the noise of one
-# record shifts its settling time by a sample's band, and two of three decide.
-_TWICE = 2
 _LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
 _REST = 2.0  # [s] at the end in which the motor should rest
 _HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
@@ -109,6 +101,11 @@ class FirstMove:
         )
 
     @property
+    def error(self) -> float:
+        """Difference of the settling time from the promise [s]."""
+        return abs(self.measured_settling - self.promised_settling)
+
+    @property
     def kept(self) -> bool:
         """Whether the settling time was what was promised, within 10 % or 50 ms, and the
         motor came to rest.
@@ -142,63 +139,21 @@ def first_moves(
 ) -> tuple[FirstMove, ...]:
     """Transfer control from the motor loop to the law, move at a tenth of the speed,
     then back and forth at full speed: `move` is its amplitude [rad] and duration [s].
+    Of the two full moves the one counts that differs more from the promise.
     """
+    period, model = guard.period, design.model
     amplitude, duration = move
     # The band of the full move is also used for the slow one: with a smaller band,
     # friction and noise would determine the settling time.
     band = _band(amplitude, design)
     # The slow move first: it shows a wrong law at a tenth of the speed.
-    slow, full = (_PART * amplitude, _SLOW * _PART * duration), move
-    promises = {
-        each: [
-            _judged(
-                *_simulated(design, law, smooth_step(*each), payload, seed=seed),
-                band,
-                each[1],
-                design,
-            )
-            for seed in _SEEDS
-        ]
-        for each in (slow, full)
-    }
-    # All moves in one run under the law, which damps the vibration left for the next
-    # one.
-    motions, jump = _moved(guard, design, law, motor, (slow, full, full), payload, band)
-    while not _decided([judged for *_, judged in motions[1:]], promises[full]):
-        again, more = _moved(guard, design, law, motor, (full,), payload, band)
-        motions, jump = motions + again, max(jump, more)
-    return tuple(
-        _compared(rows, promises[each], each[1], jump, band, payload)
-        for each, rows in ((slow, motions[:1]), (full, motions[1:]))
-    )
-
-
-def _decided(judged: list[Judged], promised: list[Judged]) -> bool:
-    """Whether two moves agree about the promise: both keep it, or both are too slow, or
-    both too fast. Of three moves, at least two agree.
-    """
-    median = _median(promised, 0)
-    words = {
-        "kept" if agree(time, median) else "slow" if time > median else "fast"
-        for time, *_ in judged
-    }
-    return len(judged) > _TWICE or len(words) == 1
-
-
-def _moved(
-    guard: Guard,
-    design: Design,
-    law: Law,
-    motor: MotorResult,
-    moves: tuple[tuple[float, float], ...],
-    payload: float,
-    band: float,
-) -> tuple[list[Made], float]:
-    """Moves (amplitude [rad], duration [s]) after a single transfer to the law, each
-    towards the first position of the arm, and the motion of the arm in the first
-    periods after the transfer.
-    """
-    period, model = guard.period, design.model
+    moves = ((_PART * amplitude, _SLOW * _PART * duration), move, move)
+    promises = [
+        _judged(
+            *_simulated(design, law, smooth_step(*each), payload), band, each[1], design
+        )
+        for each in moves
+    ]
     # The motor loop holds the arm before the law takes over, so that a bump is due to
     # the law and not to sagging. It also damps the link, since vibration left by the
     # previous stage would be taken for that of the move: down to half of the band, √2
@@ -217,37 +172,49 @@ def _moved(
     # Only the first periods count as a bump; later the law responds to the vibration of
     # the link.
     jump = float(np.max(np.abs(waited.angle[:_FIRST] - before)))
-    records = list[tuple[float, float, Record]]()
-    for amplitude, duration in moves:
-        far = math.copysign(amplitude, -at)
-        path = sampled(
-            smooth_step(far, duration),
-            period,
-            duration + _AFTER,
-        )
+    records = list[tuple[float, Record]]()
+    # All moves in one run under the law, which damps the vibration left for the next
+    # one, each towards the first position of the arm.
+    for size, length in moves:
+        far = math.copysign(size, -at)
+        path = sampled(smooth_step(far, length), period, length + _AFTER)
         # The reference starts where the last one ended, not where friction has left the
         # arm.
         record = follow(
             guard, law, path[[0, 2]], follower=runs, origin=guard.origin + at
         )
         at += far
-        records.append((far, duration, record))
+        records.append((far, record))
     # Judged with the drive off, since nothing controls the arm meanwhile.
     guard.release()
-    return [
-        (
-            far,
-            record,
-            _judged(
-                record.angle - record.angle[0], record.torque, band, duration, design
-            ),
+    first = []
+    for (far, record), (_, length), promise in zip(
+        records, moves, promises, strict=True
+    ):
+        turned = record.angle - record.angle[0]
+        measured = _judged(turned, record.torque, band, length, design)
+        first.append(
+            FirstMove(
+                amplitude=far,
+                duration=length,
+                promised_settling=promise[0],
+                measured_settling=measured[0],
+                promised_residual=promise[1],
+                measured_residual=measured[1],
+                promised_unrest=promise[2],
+                measured_unrest=measured[2],
+                band=band,
+                jump=jump,
+                peak_voltage=float(np.max(np.abs(record.voltage))),
+                payload=payload,
+            )
         )
-        for far, duration, record in records
-    ], jump
+    slow, *full = first
+    return slow, max(full, key=lambda each: (each.hunts, each.error))
 
 
 def _simulated(
-    design: Design, law: Law, path: Path, payload: float, *, seed: int
+    design: Design, law: Law, path: Reference, payload: float
 ) -> tuple[Real, Real]:
     """Motor angle and torque of the same move on the model of the measured arm, as read
     by the sensors.
@@ -259,41 +226,8 @@ def _simulated(
         payload=payload,
         told=True,
         duration=path.duration + _AFTER,
-        seed=seed,
     )
     return run.motor_angle_measured, run.torque_measured
-
-
-def _compared(
-    made: list[Made],
-    promised: list[Judged],
-    duration: float,
-    jump: float,
-    band: float,
-    payload: float,
-) -> FirstMove:
-    """The median over some moves, and the median of the same move on the model with
-    different noise.
-    """
-    verdicts = [each for *_, each in made]
-    return FirstMove(
-        amplitude=made[-1][0],
-        duration=duration,
-        promised_settling=_median(promised, 0),
-        measured_settling=_median(verdicts, 0),
-        promised_residual=_median(promised, 1),
-        measured_residual=_median(verdicts, 1),
-        promised_unrest=_median(promised, 2),
-        measured_unrest=max(unrest for _, _, unrest in verdicts),
-        band=band,
-        jump=jump,
-        peak_voltage=max(float(np.max(np.abs(each.voltage))) for _, each, _ in made),
-        payload=payload,
-    )
-
-
-def _median(judged: list[Judged], place: int) -> float:
-    return float(np.median([figures[place] for figures in judged]))
 
 
 def _band(amplitude: float, design: Design) -> float:
@@ -304,7 +238,7 @@ def _band(amplitude: float, design: Design) -> float:
     # The estimate contains the noise of the gauge: it would never stay in a narrower
     # band.
     noise = rig.gauge.noise / model.stiffness / math.sqrt(_width(design))
-    return max(_BAND * abs(amplitude), _ABOVE * noise)
+    return max(BAND * abs(amplitude), _ABOVE * noise)
 
 
 def _width(design: Design) -> int:
@@ -325,19 +259,19 @@ def _judged(
     # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
     # the motor would appear as vibration.
     late = round(max(model.gauge_delay, 0.0) / period)
-    bend = torque[late:] / model.stiffness
-    tip = angle[: bend.size] - (bend - float(np.mean(bend[-round(_LAST / period) :])))
-    smooth = np.convolve(
-        np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same"
-    )[width:-width]
-    final = float(np.mean(smooth[-round(_LAST / period) :]))
+    tip = angle[: angle.size - late] - torque[late:] / model.stiffness
+    # Only means over the whole width: a shorter one at the end would show the noise of
+    # single samples.
+    smooth = np.convolve(tip, np.full(width, 1 / width), "valid")
     # About its final position and not the reference, since friction of the motor leaves
     # a small offset.
+    final = float(np.mean(tip[-round(_LAST / period) :]))
     outside = np.flatnonzero(np.abs(smooth - final) > band)
-    begin = round(ends / period)
+    middle = width // 2
+    begin = round(ends / period) - middle
     ringing = smooth[begin : begin + round(0.5 / period)]
     return (
-        period * float(outside[-1] + 1) if outside.size else 0.0,
+        period * float(outside[-1] + 1 + middle) if outside.size else 0.0,
         0.5 * float(np.ptp(ringing)),
         0.5 * float(np.ptp(angle[-round(_REST / period) :])),
     )

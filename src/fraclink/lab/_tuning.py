@@ -23,16 +23,9 @@ from fracsys.checks import Between, Payload, checked, checked_noun
 
 __all__ = ["FILES", "Tuning", "TuningPlan"]
 
-FILES = (
-    "tuning.json",
-    "rig.toml",
-    "model.json",
-    "design.json",
-    "law.json",
-    "certificate.json",
-    "log.npz",
-)
-LAW_FILES = FILES[3:6]  # removed if the law fails on the arm
+# removed if the law fails on the arm
+LAW_FILES = ("design.json", "law.json", "certificate.json")
+FILES = ("tuning.json", "rig.toml", "model.json", *LAW_FILES, "log.npz")
 
 # [s] after the end of the reference: four vibrations of the paper's arm (12 rad/s); a
 # longer vibration was not damped by the law
@@ -132,8 +125,8 @@ class TuningPlan:
                 f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "
                 "needed, and a random voltage for 2 s; 8 to 25 s",
                 f"4 the drive is off: model, design for {low:.3g} to {high:.3g} g, proof, law; some seconds",
-                f"5 first moves: {math.degrees(PLANNED * limits.angle):.3g}° at a tenth of the speed, then "
-                "two or three times at full speed; 11 to 20 s for each law, three at most",
+                f"5 first moves: up to {math.degrees(PLANNED * limits.angle):.3g}°, at a tenth of the speed and "
+                "twice at full speed; 11 to 17 s for each law, three at most",
             )
         )
 

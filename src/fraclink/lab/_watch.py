@@ -254,10 +254,10 @@ def _fitted(log: Experiment, known: Fit) -> Fit:
 
 
 def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
-    """Sentences on a link that moves otherwise in the second half of a record than when
-    it was fitted, with the cause and its remedy.
+    """Sentences on a link that moves otherwise in the last quarter of a record than
+    when it was fitted, with the cause and its remedy.
     """
-    later = _part(log, log.split(0.5)[1])
+    later = _part(log, log.split(0.75)[1])
     frequency, _, delay, _ = _link_changes(known, _fitted(later, known))
     if frequency.changed:
         share = 100.0 * (frequency.was / frequency.now) ** 2
