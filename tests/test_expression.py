@@ -30,14 +30,12 @@ from fraclink.errors import FieldError
     ],
 )
 def test_the_readings_of_a_tree_agree(text: str) -> None:
-    """Arrays, numerator over denominator, and the exact function."""
+    """Arrays and the exact function."""
     structure = parse_expression(text)
     values = {name: 0.5 + 0.1 * k for k, name in enumerate(structure.names)}
     points = 0.2 + 1j * np.array([0.3, 2.0, 40.0])
-    top, bottom = (part.response(values, points) for part in structure.quotient)
     exact = structure.function(values)(points)
     assert structure.response(values, points) == pytest.approx(exact, rel=1e-12)
-    assert top / bottom == pytest.approx(exact, rel=1e-12)
     many = {name: np.array([[value], [1.1 * value]]) for name, value in values.items()}
     rows = np.broadcast_to(structure.response(many, points), (2, 3))
     assert rows[0] == pytest.approx(exact, rel=1e-12)
@@ -53,19 +51,19 @@ def test_the_readings_of_a_tree_agree(text: str) -> None:
         ("(-2*s)**0.5*k", "(-2) ** 0.5", "no finite real number"),
         ("(-1)**0.5*s*k", "(-1) ** 0.5", "no finite real number"),
         (
-            "k*(s + 1)**-9",
-            "(s + 1) ** (-9)",
-            "a power of a sum that is not a whole number up to 8",
+            "k*(s + 1)**-65",
+            "(s + 1) ** (-65)",
+            "a real power of a sum",
         ),
         (
             "k*(s + 1)**(1/3)",
             "(s + 1) ** (1 / 3)",
-            "a power of a sum that is not a whole number up to 8",
+            "a real power of a sum",
         ),
         ("k*s+" + "1+" * 400 + "1", "characters 1 to 683", "nested too deeply"),
         ("1+" * 400 + "1", "characters 1 to 801", "without s"),
         ("k*exp(-T*s/(2 - 2))", "-T * s / (2 - 2)", "a division by zero"),
-        ("k*exp(-(0 - T)**0.5*s)", "exp(-(0 - T) ** 0.5 * s)", "not a delay"),
+        ("k*exp(-(0 - T)**0.5*s)", "(0 - T) ** 0.5", "no finite real number"),
     ],
 )
 def test_arithmetic_that_has_no_value_is_named(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -18,11 +17,11 @@ from fraclink._identify.problem import (
     interval_ends,
 )
 from fraclink._identify.structure_data import Lines
-from fraclink._identify.structure_problem import GENERAL_POINTS, StructureProblem
+from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
 
-__all__ = ["Certainty", "certainty_of", "in_order"]
+__all__ = ["Certainty", "certainty_of"]
 
 
 # share in an undetermined direction beyond which a parameter belongs to it
@@ -57,17 +56,19 @@ def certainty_of(
     """Standard errors that account for the residual's colour; profile intervals with
     `details`.
     """
-    every = replace(searched, projected=False)
     stuck = tuple(
-        name for name in every.names if _is_at_bound(every, name, best.values[name])
+        name
+        for name in searched.names
+        if _is_at_bound(searched, name, best.values[name])
     )
     # A parameter at a limit is held there for the others.
-    fixed = {**every.fixed, **{name: best.values[name] for name in stuck}}
-    problem = replace(every, fixed=fixed)
-    free, data = problem.names, problem.data
-    if not free:
+    held = {name: best.values[name] for name in stuck}
+    problem = replace(searched, fixed={**searched.fixed, **held})
+    if not problem.names:
         return Certainty({}, {}, stuck, (), (), {})
-    place = problem.places_of(best.values)[0]
+    linear = () if problem.gain is None else (problem.gain,)
+    free, values = (*problem.moving, *linear), best.values
+    place = problem.place_of(values)
     rows, residual = problem.linearised(place)
     perfect = best.cost <= RESOLUTION * problem.power
     covariance = Covariance.of(
@@ -76,7 +77,7 @@ def certainty_of(
         residual,
         best.cost,
         coloured=not perfect,
-        are_lines=isinstance(data, Lines),
+        are_lines=isinstance(problem.data, Lines),
     )
     shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
     blind = tuple(
@@ -84,24 +85,18 @@ def certainty_of(
         for name, share in zip(free, shares, strict=False)  # the offset comes last
         if share > _SHARE
     )
+    errors = {name: covariance.errors[name] for name in free if name not in blind}
     intervals = {
-        name: _straight_interval(
-            problem,
-            name,
-            float(place[k]),
-            QUANTILE * covariance.errors[name],
-            best.values[name],
-        )
-        for k, name in enumerate(free)
-        if name not in blind
+        name: _straight_interval(problem, name, values[name], QUANTILE * error)
+        for name, error in errors.items()
     }
     # A profile cannot determine a parameter that is undetermined by its standard error,
-    # and its valley takes long to follow.
+    # and its valley takes long to follow. The gain is linear in the output: its profile
+    # is a parabola, and the standard error suffices.
     indices = [
         k
-        for k, name in enumerate(free)
-        if name in intervals
-        and _is_known(problem, name, best.values[name], intervals[name])
+        for k, name in enumerate(problem.moving)
+        if name in intervals and _is_known(problem, name, values[name], intervals[name])
     ]
     if details and best.converged and not perfect and indices:
         unit = np.eye(place.size)[indices]
@@ -113,31 +108,33 @@ def certainty_of(
             np.array([covariance.inflation[free[k]] for k in indices]),
         )
         for k, end in zip(indices, ends, strict=True):
-            intervals[free[k]] = _in_values(problem, free[k], end, best.values[free[k]])
-    errors = {
-        name: covariance.errors[name]
-        * (abs(best.values[name]) if problem.is_logarithmic(name) else 1.0)
-        for name in intervals
-    }
+            intervals[free[k]] = _in_values(problem, free[k], end)
     undetermined = tuple(
         name
-        for name in free
-        if name in blind
-        or not _is_known(problem, name, best.values[name], intervals[name])
+        for name in problem.names
+        if name in blind or not _is_known(problem, name, values[name], intervals[name])
     )
     pairs = {
         (free[i], free[j]): float(covariance.correlations[i, j])
         for i, j in combinations(range(len(free)), 2)
     }
     widest = max((covariance.inflation[name] for name in intervals), default=1.0)
-    return Certainty(intervals, errors, stuck, undetermined, blind, pairs, widest)
+    standard_errors = {
+        name: error * float(problem.slope(name, values[name]))
+        for name, error in errors.items()
+    }
+    return Certainty(
+        intervals, standard_errors, stuck, undetermined, blind, pairs, widest
+    )
 
 
 def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
-    low, high = problem.box_of(name)
+    low, high, place = (
+        float(problem.coordinate(name, x)) for x in (*problem.limits[name], value)
+    )
     # Share of the range of the coordinate: for 1e-12 to 1e12 it is a factor of 1 +
     # 5e-6.
-    near, place = AT_LIMIT * (high - low), float(problem.coordinate(name, value))
+    near = AT_LIMIT * (high - low)
     return place <= low + near or place >= high - near
 
 
@@ -159,61 +156,18 @@ def _is_known(
 
 
 def _straight_interval(
-    problem: StructureProblem, name: str, centre: float, reach: float, value: float
+    problem: StructureProblem, name: str, value: float, reach: float
 ) -> Interval:
     """The interval for a cost that is a parabola in the coordinate."""
-    low, high = problem.box_of(name)
+    low, high, centre = (
+        float(problem.coordinate(name, x)) for x in (*problem.limits[name], value)
+    )
     below, above = max(centre - reach, low), min(centre + reach, high)
     ends = Interval(below, above, below <= low, above >= high)
-    return _in_values(problem, name, ends, value)
+    return _in_values(problem, name, ends)
 
 
-def _in_values(
-    problem: StructureProblem, name: str, ends: Interval, value: float
-) -> Interval:
+def _in_values(problem: StructureProblem, name: str, ends: Interval) -> Interval:
     """The interval of a parameter from that of its coordinate."""
-    low, high = (
-        float(problem.value(name, end, math.copysign(1.0, value)))
-        for end in (ends.low, ends.high)
-    )
-    if low > high:  # for a negative coefficient the larger magnitude is the lower end
-        return Interval(high, low, ends.high_open, ends.low_open)
-    return Interval(low, high, ends.low_open, ends.high_open)
-
-
-# --- exchangeable terms -------------------------------------------------------------------------------------
-
-
-def in_order(own: StructureProblem, place: Place) -> Place:
-    """The place with the orders of exchangeable terms decreasing in the order of the
-    text.
-
-    In a2*s**n2 + a1*s**n1 the two terms may be exchanged: which order is called n2 is a
-    convention.
-    """
-    values = dict(place.values)
-    orders = [n for n in own.names if own.structure.roles[n] == "order"]
-    others = [n for n in own.names if own.structure.roles[n] == "coefficient"]
-    partners = [(), *combinations(others, 2)]
-    for first, second in combinations(orders, 2):
-        for partner in partners:
-            if values[first] < values[second] and _exchangeable(
-                own, (first, second), partner
-            ):
-                for one, other in ((first, second), partner or (first, first)):
-                    values[one], values[other] = values[other], values[one]
-    return replace(place, values=values)
-
-
-def _exchangeable(
-    own: StructureProblem, orders: tuple[str, str], others: tuple[str, ...]
-) -> bool:
-    pairs = [orders, others] if others else [orders]
-    if any(own.limits[one] != own.limits[other] for one, other in pairs):
-        return False
-    values = own.middle()
-    swapped = dict(values)
-    for one, other in pairs:
-        swapped[one], swapped[other] = values[other], values[one]
-    here, there = (own.structure.response(x, GENERAL_POINTS) for x in (values, swapped))
-    return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))
+    low, high = (float(problem.value(name, x)) for x in (ends.low, ends.high))
+    return replace(ends, low=low, high=high)

@@ -20,7 +20,7 @@ from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
 from fracsys.checks import Complex, Mask, Real
 
-__all__ = ["Blocks", "Lines", "RecordStart", "Samples", "Spectrum"]
+__all__ = ["Blocks", "Lines", "Samples", "Signals"]
 
 Limits = tuple[float, float]
 
@@ -33,44 +33,28 @@ def _stacked(values: Complex) -> Real:
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """Points s with the transform of input and output there, and the weight of each
-    point's error.
+def _of_many(
+    structure: Expression, values: Mapping[str, Any], points: Complex
+) -> Complex:
+    """G at points (K,) for parameters (M, 1), shape (M, K)."""
+    count = max(np.shape(value)[0] for value in values.values())
+    response = structure.response(values, points)
+    return np.asarray(np.broadcast_to(response, (count, points.size)))
 
-    `of_constant` is the transform of an offset; for a record cut in mid-motion, D Y − N
-    U is not zero but the state at the cut, which is a polynomial for integer orders:
-    `of_state` (2, K) has its terms.
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """A frequency response: points s, the response there, and the weight of each
+    point's error.
     """
 
     points: Complex
-    input: Complex
     output: Complex
     weight: Real
-    of_constant: Complex | None = None
-    of_state: Complex | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Lines(Spectrum):
-    """A frequency response: the input is 1 at every line."""
-
-    @classmethod
-    def of(cls, frequency: Real, response: Complex, weight: Real) -> Lines:
-        """Lines in ascending order of ω [rad/s]."""
-        one = np.ones(frequency.size, dtype=np.complex128)
-        return cls(np.asarray(1j * frequency), one, response, weight)
 
     def part(self, kept: Mask) -> Lines:
         """The selected lines."""
-        return Lines(
-            self.points[kept], self.input[kept], self.output[kept], self.weight[kept]
-        )
-
-    @property
-    def spectrum(self) -> Spectrum:
-        """Itself."""
-        return self
+        return Lines(self.points[kept], self.output[kept], self.weight[kept])
 
     @property
     def screen(self) -> Lines:
@@ -86,11 +70,6 @@ class Lines(Spectrum):
     def shortest(self) -> float:
         """The shortest delay [s] that the data distinguish from zero."""
         return 1.0 / self.band[1]
-
-    @property
-    def tangent(self) -> Samples:
-        """The data whose responses are differenced for the slopes: itself."""
-        return self
 
     @cached_property
     def measured(self) -> Real:
@@ -109,19 +88,6 @@ class Lines(Spectrum):
         return _stacked(self.weight * _of_many(structure, values, self.points))
 
 
-def _of_many(
-    structure: Expression, values: Mapping[str, Any], points: Complex
-) -> Complex:
-    """G at points (K,) for parameters (M, 1), shape (M, K)."""
-    count = max(np.shape(value)[0] for value in values.values())
-    response = structure.response(values, points)
-    return np.asarray(np.broadcast_to(response, (count, points.size)))
-
-
-# points of the transform: in a band of three decades, three of them lie within a
-# resonance of ζ = 0.05
-_POINTS = 160
-_DECAY = 5.0  # e^-5 of the response beyond the record remains in its transform
 # σ·span of the inverse transform: with less, a slow end wraps around; with more, the
 # response is lost in the truncation beyond the lines
 _BACK = 4.0
@@ -131,7 +97,7 @@ _BLOCKS = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class RecordStart:
+class Signals:
     """The first samples of a recording, and the response of a candidate to them.
 
     `earlier` (H,) is the input just before them, for a log that was cut: it moves the
@@ -143,13 +109,11 @@ class RecordStart:
     period: float
     hold: Literal["zero", "first"]
     earlier: Real = field(default_factory=lambda: np.zeros(0))
-    # Slopes from differences of exact responses, free of the errors of a transform.
-    exact: bool = False
 
     @classmethod
     def of(
         cls, record: Recording, hold: Hold, count: int, earlier: Real | None = None
-    ) -> RecordStart:
+    ) -> Signals:
         """The first `count` samples; the input is relative to rest, at the beginning of
         the used part of `earlier`.
         """
@@ -181,7 +145,7 @@ class RecordStart:
 
     @property
     def measured(self) -> Real:
-        """All measured values, weighted, shape (R,)."""
+        """See `Lines`."""
         return self.output
 
     @cached_property
@@ -191,15 +155,8 @@ class RecordStart:
 
     @property
     def shortest(self) -> float:
-        """The shortest delay [s] that the data distinguish from zero."""
+        """See `Lines`."""
         return self.period
-
-    @cached_property
-    def tangent(self) -> Samples:
-        """The data whose responses are differenced for the slopes: transforms, of which
-        a hundred take as long as one exact response.
-        """
-        return self if self.exact else Blocks(self, 1)
 
     @property
     def screen(self) -> Blocks:
@@ -207,9 +164,7 @@ class RecordStart:
         return Blocks(self, max(self.output.size // _BLOCKS, 1))
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
-        """Responses of M candidates with parameters (M, 1), each the exact one to the
-        held input, shape (M, R); not finite where there is no response.
-        """
+        """See `Lines`: each the exact one to the held input."""
         names, columns = [*values], np.broadcast_arrays(*values.values())
         rows = []
         for row in np.concatenate(columns, axis=1).tolist():
@@ -223,44 +178,6 @@ class RecordStart:
                 exact = np.full(self.whole_input.size, np.nan)
             rows.append(exact[self.earlier.size :])
         return np.array(rows)
-
-    @cached_property
-    def spectrum(self) -> Spectrum:
-        """The transform on the line Re s = σ, at the real point and at points spread
-        evenly in ln ω.
-
-        A damped record has a transform although it ends, and the response includes the
-        damping: G is evaluated at σ + jω. Starts are drawn from it.
-        """
-        count, period = self.output.size, self.period
-        damping = _DECAY / (count * period)
-        damped = np.exp(-damping * period * np.arange(count))
-        # Up to |s| Ts = 1, linear interpolation between samples is accurate to 8 %.
-        highest = min(int(count / (2 * math.pi)), count // 2)
-        # Spaced logarithmically, since orders and corners show on that scale; a linear
-        # grid would spend nine tenths of its lines on the last decade.
-        spread = np.geomspace(1.0, max(highest, 2), _POINTS).round().astype(int)
-        lines = np.unique(np.concatenate([[0], spread]))
-        points = damping + 2j * math.pi * lines / (count * period)
-        # Relative to the value at the cut; a record at rest after the cut rings as
-        # after a step there.
-        cut = self.earlier.size > 0 and np.ptp(self.input) > 0
-        drive = self.input - self.input[0] if cut else self.input
-        transforms = [
-            np.fft.rfft(damped * values)[lines] for values in (drive, self.output)
-        ]
-        width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
-        # The real point stands for half the width of a line; its other half is the
-        # mirror image at negative ω.
-        width[0] = max(width[0] / 2, 0.5)
-        into = held_transform(transforms[0], points, period, self.hold, float(drive[0]))
-        out = held_transform(
-            transforms[1], points, period, "first", float(self.output[0])
-        )
-        state = np.stack([np.ones_like(points), points]) if self.earlier.size else None
-        # Each point represents the lines around it: spaced evenly in ln ω, but counted
-        # like the whole record.
-        return Spectrum(points, into, out, np.sqrt(width), 1.0 / points, state)
 
     @property
     def band(self) -> Limits:
@@ -276,21 +193,6 @@ class RecordStart:
         return float(excited[0]), float(excited[-1])
 
 
-def held_transform(
-    samples: Complex, s: Complex, period: float, hold: str, first: float
-) -> Complex:
-    """Transform of the held signal of a transform Σ x_k e^(−skT): steps, or straight
-    lines.
-    """
-    x = s * period
-    if hold == "zero":
-        # expm1: at the lowest lines x is 1e-5, where 1 − e^(−x) would lose five digits.
-        return np.asarray(samples * -np.expm1(-x) / s)
-    # The triangle around the first sample is cut in half, because nothing precedes it.
-    before = first * (np.expm1(x) - x) / (s * x)
-    return np.asarray(samples * period * (np.sinh(x / 2) / (x / 2)) ** 2 - before)
-
-
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """A recording in blocks of `width` samples, such that sums over block means are
@@ -298,7 +200,7 @@ class Blocks:
     the line Re s = σ.
     """
 
-    data: RecordStart
+    data: Signals
     width: int
 
     @cached_property
@@ -315,13 +217,8 @@ class Blocks:
 
     @property
     def shortest(self) -> float:
-        """The shortest delay [s] that the data distinguish from zero."""
+        """See `Lines`."""
         return self.data.period
-
-    @property
-    def tangent(self) -> Samples:
-        """The data whose responses are differenced for the slopes: itself."""
-        return self
 
     @cached_property
     def _lines(self) -> tuple[Complex, Complex, int]:
@@ -334,19 +231,14 @@ class Blocks:
         # the beginning.
         blocks = int(next_fast_len(-(-2 * span // self.width), real=True))
         size = self.width * blocks
-        lines = np.arange(size // 2 + 1)
+        lines = np.arange(blocks // 2)
         points = np.asarray(
             _BACK / (span * period) + 2j * math.pi / (size * period) * lines
         )
-        damped = signal * np.exp(-_BACK / span * np.arange(span))
-        into = held_transform(
-            rfft(damped, size), points, period, own.hold, float(signal[0])
-        )
-        # Divided by the period: the transform of the output's samples, except for the
-        # factor G.
-        centre = into / period * np.exp(2j * math.pi * self._middle / size * lines)
-        half = slice(blocks // 2)
-        return points[half], np.asarray(centre[half]), blocks
+        damped = rfft(signal * np.exp(-_BACK / span * np.arange(span)), size)
+        x = np.asarray(points * period, dtype=np.complex128)
+        into = _held(damped[lines], x, own.hold, float(signal[0]))
+        return points, into * np.exp(2j * math.pi * self._middle / size * lines), blocks
 
     @property
     def _middle(self) -> float:
@@ -354,9 +246,7 @@ class Blocks:
         return self.data.earlier.size + 0.5 * (self.width - 1)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
-        """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
-        where there is no response.
-        """
+        """See `Lines`."""
         points, into, blocks = self._lines
         with np.errstate(all="ignore"):
             output = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
@@ -368,4 +258,16 @@ class Blocks:
         )
 
 
-Samples = RecordStart | Blocks | Lines
+def _held(samples: Complex, x: Complex, hold: str, first: float) -> Complex:
+    """Transform of a held signal at x = s Ts, over Ts, from Σ x_k e^(−kx): steps, or
+    straight lines.
+    """
+    if hold == "zero":
+        # expm1: at the lowest lines x is 1e-5, where 1 − e^(−x) would lose five digits.
+        return np.asarray(samples * -np.expm1(-x) / x)
+    # The triangle around the first sample is cut in half, because nothing precedes it.
+    before = first * (np.expm1(x) - x) / x**2
+    return np.asarray(samples * (np.sinh(x / 2) / (x / 2)) ** 2 - before)
+
+
+Samples = Signals | Blocks | Lines

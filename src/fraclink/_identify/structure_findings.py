@@ -16,7 +16,7 @@ from fraclink._identify.findings import (
 )
 from fraclink._identify.problem import QUANTILE, RESOLUTION
 from fraclink._identify.structure_certainty import Certainty
-from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_search import Place
 from fraclink.findings import Finding, worst_first
@@ -44,7 +44,7 @@ def structure_findings(
     fit: StructureFit,
     certain: Certainty,
     rivals: Sequence[Place],
-    data: RecordStart | Lines,
+    data: Signals | Lines,
 ) -> tuple[Finding, ...]:
     """All findings of a structure's fit, worst first."""
     findings = [
@@ -132,7 +132,7 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
         )
 
 
-def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
+def _of_the_residual(fit: StructureFit, data: Signals | Lines) -> Iterator[Finding]:
     """A residual that is not noise: the measurement contains more than the structure."""
     if fit.nmse < _RESOLUTION:
         return
@@ -166,7 +166,7 @@ def _of_rivals(
     fit: StructureFit,
     certain: Certainty,
     rivals: Sequence[Place],
-    data: RecordStart | Lines,
+    data: Signals | Lines,
 ) -> Iterator[Finding]:
     """Other parameters that fit equally well within the accuracy of the data.
 
@@ -191,12 +191,12 @@ def _of_rivals(
             return
 
 
-def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
-    power = data.measured - (fit.offset if isinstance(data, RecordStart) else 0.0)
+def _cost(fit: StructureFit, data: Signals | Lines) -> float:
+    power = data.measured - (fit.offset if isinstance(data, Signals) else 0.0)
     return fit.nmse * float(power @ power)
 
 
-def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
+def _of_the_band(fit: StructureFit, data: Signals | Lines) -> Iterator[Finding]:
     low, high = data.band
     G = fit.transfer_function
     # A vanished term has no corner frequency; nearly equal orders move it beyond any

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +17,6 @@ from fracsys.checks import Real
 
 __all__ = [
     "COEFFICIENT_LIMITS",
-    "GENERAL_POINTS",
     "ORDER_LIMITS",
     "POSITIVE_LIMITS",
     "StructureProblem",
@@ -32,21 +31,17 @@ Values = Mapping[str, float]
 ORDER_LIMITS = (0.02, 4.0)
 POSITIVE_LIMITS = _LEAST, _MOST = (1e-12, 1e12)
 COEFFICIENT_LIMITS = (-_MOST, _MOST)
-STEP = 1e-6  # step of differences: exact responses are accurate to 1e-12 of their peak
-# Three points s in general position: two functions of the same form that agree there
-# agree everywhere.
-GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
+_STEP = 1e-6  # step of differences: exact responses are accurate to 1e-12 of their peak
 
 
 @dataclass(frozen=True, eq=False)
 class StructureProblem(Problem):
     """The least-squares problem of a structure in its free parameters.
 
-    A place has the coordinates of `moving`: for a coefficient of known sign the
-    logarithm of its magnitude, else the value itself; followed by the fixed signs of
-    the coefficients whose range includes both. The gain, a coefficient that multiplies
-    everything, is not a coordinate if it is `projected` out; `offset` is NaN if it is
-    free.
+    A place has the coordinates of `moving`: for a coefficient c the inverse hyperbolic
+    sine of c/1e-12, a logarithm with either sign; else the value itself. The `gain`, a
+    coefficient that multiplies everything, is no coordinate but is projected out with
+    the offset; `offset` is NaN if it is free.
     """
 
     structure: Expression
@@ -54,7 +49,6 @@ class StructureProblem(Problem):
     limits: Mapping[str, Limits]
     fixed: Values
     offset: float
-    projected: bool = True
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -64,92 +58,70 @@ class StructureProblem(Problem):
     @cached_property
     def gain(self) -> str | None:
         """The free coefficient that multiplies everything, or None."""
-        values = self.middle()
-        once = self.structure.response(values, GENERAL_POINTS)
-        for name in self.structure.of_role("coefficient"):
-            if name in self.names:
-                # Tested numerically instead of on the tree: k/(k·s + k) does not depend
-                # on k, whatever the form of its text.
-                twice = self.structure.response(
-                    {**values, name: 2.0 * values[name]}, GENERAL_POINTS
-                )
-                if np.allclose(twice, 2.0 * once, rtol=1e-12, atol=0.0):
-                    return name
+        # No two values are equal, and no sum of two equals another; all are positive if
+        # they may be, since a negative base has no real powers. Two functions of the
+        # same form that agree at three points in general position agree everywhere.
+        values: dict[str, Any] = {
+            name: np.clip(0.6 + 0.17 * k, *self.limits[name])
+            for k, name in enumerate(self.names)
+        }
+        values |= self.fixed
+        points = np.array([0.5, 1.1, 2.3]) * np.exp(1j * np.array([0.3, 0.9, 1.4]))
+        once = self.structure.response(values, points)
+        for name in self.names:
+            # Tested numerically instead of on the tree: k/(k·s + k) does not depend on
+            # k, whatever the form of its text.
+            twice = self.structure.response(
+                {**values, name: 2.0 * values[name]}, points
+            )
+            if np.allclose(twice, 2.0 * once, rtol=1e-12, atol=0.0):
+                return name
         return None
 
     @cached_property
     def moving(self) -> tuple[str, ...]:
         """Free parameters that are coordinates."""
-        return tuple(
-            name for name in self.names if not (self.projected and name == self.gain)
-        )
+        return tuple(name for name in self.names if name != self.gain)
 
-    @cached_property
-    def signed(self) -> tuple[str, ...]:
-        """Coordinates with a separate sign."""
-        return tuple(name for name in self.moving if self._has_both_signs(name))
-
-    def _has_both_signs(self, name: str) -> bool:
-        """Whether a coefficient's sign is open: no range was given for it."""
-        return (
-            self.structure.roles[name] == "coefficient"
-            and self.limits[name] == COEFFICIENT_LIMITS
-        )
-
-    def is_logarithmic(self, name: str) -> bool:
-        """Whether the coordinate is a logarithm."""
-        return self.structure.roles[name] == "coefficient" and (
-            self.limits[name][0] > 0.0 or self._has_both_signs(name)
-        )
+    def is_coefficient(self, name: str) -> bool:
+        """Whether a parameter is a coefficient, with a logarithmic coordinate."""
+        return self.structure.roles[name] == "coefficient"
 
     def coordinate(self, name: str, value: Any) -> Any:
         """The coordinate of a value."""
-        return (
-            np.log(np.maximum(np.abs(value), 1e-300))
-            if self.is_logarithmic(name)
-            else value
-        )
+        return np.arcsinh(value / _LEAST) if self.is_coefficient(name) else value
 
-    def value(self, name: str, coordinate: Any, sign: Any = 1.0) -> Any:
+    def value(self, name: str, coordinate: Any) -> Any:
         """The value at a coordinate."""
-        return sign * np.exp(coordinate) if self.is_logarithmic(name) else coordinate
+        if self.is_coefficient(name):
+            return _LEAST * np.sinh(coordinate)
+        return coordinate
 
-    def box_of(self, name: str) -> Limits:
-        """Lower and upper limit of a coordinate."""
-        low, high = self.limits[name]
-        if self._has_both_signs(name):
-            low = _LEAST
-        return float(self.coordinate(name, low)), float(self.coordinate(name, high))
-
-    def middle(self) -> dict[str, Any]:
-        """Values inside the limits, different enough that nothing cancels."""
-        values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
-        for k, name in enumerate(self.names):
-            low, high = self.box_of(name)
-            # 0.6, 0.77, 0.94 …: no two are equal, and no sum of two equals another.
-            # Positive in any case, since a negative base has no real powers.
-            place = float(np.clip(0.6 + 0.17 * k, low, high))
-            values[name] = np.array([[self.value(name, place)]])
-        return values
+    def slope(self, name: str, value: Any) -> Any:
+        """The derivative of a value with respect to its coordinate."""
+        if self.is_coefficient(name):
+            return np.hypot(value, _LEAST)
+        return np.ones_like(value)
 
     def places_of(self, values: Mapping[str, Any]) -> Real:
         """Places (M, p) of parameters (M,)."""
-        count = np.size(values[self.names[0]])
-        rows = [self.coordinate(name, values[name]) for name in self.moving]
-        rows += [np.copysign(1.0, values[name]) for name in self.signed]
-        places = np.zeros((count, len(rows)))
-        for k, row in enumerate(rows):
-            places[:, k] = row
-        return places
+        columns = [
+            self.coordinate(name, np.ravel(values[name])) for name in self.moving
+        ]
+        # With the gain alone, one place without coordinates.
+        return np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+
+    def place_of(self, values: Mapping[str, float]) -> Real:
+        """The place (p,) of single values."""
+        return np.asarray(self.places_of(values)[0])
 
     def values(self, places: Real) -> dict[str, Any]:
-        """Parameters (M, 1) at places (M, p); a projected gain is 1."""
-        signs = dict(zip(self.signed, places.T[len(self.moving) :], strict=True))
+        """Parameters (M, 1) at places (M, p); a gain is 1."""
         values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
-        if self.projected and self.gain is not None:
+        if self.gain is not None:
             values[self.gain] = np.ones((len(places), 1))
-        for name, column in zip(self.moving, places.T, strict=False):
-            values[name] = self.value(name, column, signs.get(name, 1.0))[:, None]
+        for name, column in zip(self.moving, places.T, strict=True):
+            values[name] = self.value(name, column)[:, None]
         return values
 
     # --- as of `Problem`
@@ -157,21 +129,18 @@ class StructureProblem(Problem):
     @cached_property
     def low(self) -> Real:
         """See `Problem`."""
-        rows = [self.box_of(name)[0] for name in self.moving]
-        return np.array([*rows, *(-1.0 for _ in self.signed)])
+        return self.place_of({n: low for n, (low, _) in self.limits.items()})
 
     @cached_property
     def high(self) -> Real:
         """See `Problem`."""
-        rows = [self.box_of(name)[1] for name in self.moving]
-        return np.array([*rows, *(1.0 for _ in self.signed)])
+        return self.place_of({n: high for n, (_, high) in self.limits.items()})
 
     @cached_property
     def reach(self) -> Real:
         """See `Problem`."""
         return np.array(
-            [1.0 if self.is_logarithmic(n) else math.inf for n in self.moving]
-            + [math.inf for _ in self.signed]
+            [1.0 if self.is_coefficient(n) else math.inf for n in self.moving]
         )
 
     @property
@@ -210,64 +179,52 @@ class StructureProblem(Problem):
         return replace(quadratic, slope=quadratic.gain[:, None] * np.nan_to_num(slope))
 
     def linearised(self, place: Real) -> tuple[Real, Real]:
-        """∂(measured)/∂(coordinates, then the offset if free), shape (q, R), and the
-        residual (R,), with the gain as a coordinate.
+        """∂(measured)/∂(coordinates, then those of gain and offset if free), shape (q,
+        R), and the residual (R,).
         """
         columns = self._columns(place[None, :])
-        rows = columns[0, 1 : 1 + len(self.moving)]
+        quadratic, residual = self._projected(columns)
+        rows = [*(quadratic.gain * columns[0, 1:])]
+        if self.gain is not None:
+            rows.append(self.slope(self.gain, quadratic.gain) * columns[0, 0])
         if math.isnan(self.offset):
-            rows = np.concatenate([rows, self.data.constant[None, :]])
-        return rows, self._projected(columns)[1][0]
+            rows.append(self.data.constant)
+        return np.array(rows), residual[0]
 
     def _columns(self, places: Real) -> Real:
         """Responses and their slopes along the coordinates, shape (M, 1 + p, R)."""
-        values, tangent = self.values(places), self.data.tangent
-        here = base = self.data.response(self.structure, values)
-        if not self.moving:
-            return here[:, None]
-        if tangent is not self.data:
-            base = tangent.response(self.structure, values)
+        values, count = self.values(places), len(places)
+        rows = {
+            name: np.tile(np.broadcast_to(value, (count, 1)), (1 + len(self.moving), 1))
+            for name, value in values.items()
+        }
         steps = [self._step(name, values[name]) for name in self.moving]
-        slopes = self._differences(values, steps, base)
-        # In the other direction where the domain ends.
-        if gaps := [k for k, each in enumerate(slopes) if not np.isfinite(each).all()]:
-            back = self._differences(values, [-step for step in steps], base)
-            slopes[gaps] = np.where(np.isfinite(slopes), slopes, back)[gaps]
-        for k, name in enumerate(self.moving):
-            if self.is_logarithmic(name):
-                slopes[k] *= values[name]
-        columns = np.zeros((len(here), 1 + places.shape[1], here.shape[1]))
-        columns[:, 0] = here
-        columns[:, 1 : 1 + len(slopes)] = np.nan_to_num(slopes).transpose(1, 0, 2)
-        return columns
+        for k, (name, step) in enumerate(zip(self.moving, steps, strict=True), start=1):
+            rows[name][k * count : (k + 1) * count] += step
+        response = self.data.response(self.structure, rows)
+        columns = response.reshape(1 + len(self.moving), count, -1)
+        with np.errstate(all="ignore"):
+            for k, (name, step) in enumerate(
+                zip(self.moving, steps, strict=True), start=1
+            ):
+                slope = self.slope(name, values[name]) / step
+                columns[k] = np.nan_to_num((columns[k] - columns[0]) * slope)
+        return columns.transpose(1, 0, 2)
 
     def _step(self, name: str, value: Real) -> Real:
         """Step of a difference.
 
         A held input jumps at a sample: the response is smooth up to a delay that ends
-        there, and another piece begins beyond it. Delays are therefore decreased.
+        there, and another piece begins beyond it. Delays are therefore decreased,
+        except at zero.
         """
         role = self.structure.roles[name]
         if role == "coefficient":
-            return np.where(value == 0.0, STEP, STEP * value)
-        size = -self.data.tangent.shortest if role == "delay" else 1.0
-        return np.full_like(value, size * STEP)
-
-    def _differences(
-        self, values: Mapping[str, Any], steps: Sequence[Real], here: Real
-    ) -> Real:
-        """One-sided differences of responses (M, R), shape (p, M, R)."""
-        count = len(here)
-        rows = {
-            name: np.tile(np.broadcast_to(value, (count, 1)), (len(steps), 1))
-            for name, value in values.items()
-        }
-        for k, (name, step) in enumerate(zip(self.moving, steps, strict=True)):
-            rows[name][k * count : (k + 1) * count] += step
-        there = self.data.tangent.response(self.structure, rows)
-        with np.errstate(all="ignore"):
-            change = there.reshape(len(steps), count, -1) - here
-            return np.asarray(change / np.array(steps))
+            return np.asarray(_STEP * self.slope(name, value))
+        if role == "order":
+            return np.full_like(value, _STEP)
+        step = _STEP * self.data.shortest
+        return np.where(value < step, step, -step)
 
     def _projected(self, columns: Real) -> tuple[Quadratic, Real]:
         """The quadratic model of columns (M, 1 + p, R), and the residuals (M, R)."""
@@ -282,9 +239,7 @@ class StructureProblem(Problem):
             ],
             axis=1,
         )
-        limits = (1.0, 1.0)
-        if self.gain is not None and self.projected:
-            limits = self.limits[self.gain]
+        limits = (1.0, 1.0) if self.gain is None else self.limits[self.gain]
         with np.errstate(all="ignore"):
             gram = rows @ rows.transpose(0, 2, 1)
             quadratic = reduced(gram, limits, self.offset)

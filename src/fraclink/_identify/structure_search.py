@@ -1,7 +1,7 @@
 """The best parameters of a structure, without a start value.
 
-1. Orders and delays are drawn over their ranges; coefficients follow by linear least
-   squares where possible, and are drawn as well (see `structure_starts`).
+1. Parameters are drawn over their ranges; the gain and the offset follow by linear
+   least squares.
 2. The best draws descend together on the screen: a recording in a thousand blocks, at
    a few microseconds per candidate.
 3. The best of these descend on the samples, each candidate by its exact response.
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -21,15 +22,15 @@ from fraclink._identify.problem import (
     descend,
     descend_within_samples,
 )
-from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_problem import StructureProblem
-from fraclink._identify.structure_starts import drawn_starts
 from fraclink.errors import NotConvergedError
+from fracsys.checks import Real
 
-__all__ = ["Place", "best_places", "place_of"]
+__all__ = ["Place", "best_places", "in_order", "place_of"]
 
-
-_DESCENTS = 16
+_DRAWS, _DESCENTS = 540, 16
+_USUAL_ORDERS = (0.1, 2.5)  # range of the draws: a descent covers the rest by itself
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
 _TRIED = 4  # number of descents followed to their end
 # closer costs belong to the same function, found twice or with its parameters exchanged
@@ -47,18 +48,15 @@ class Place:
 
 
 def best_places(
-    problem: StructureProblem,
-    data: RecordStart | Lines,
-    start: Mapping[str, float] | None,
+    problem: StructureProblem, data: Signals | Lines, start: Mapping[str, float] | None
 ) -> tuple[list[Place], int]:
     """Places that no step improves, best first, and the number of candidates used."""
-    places = problem.clip(problem.places_of(drawn_starts(problem, data.spectrum)))
-    screen = replace(problem, data=data.screen)
+    screen, places = replace(problem, data=data.screen), _drawn_places(problem, data)
     costs = screen.costs(places)
     evaluations, candidates = len(places), []
     # Positive coefficients separately: most functions with a negative one are unstable,
     # which a transform does not show, and they would crowd out the others.
-    positive = np.all(places[:, len(problem.moving) :] > 0, axis=1)
+    positive = np.all(places >= 0.0, axis=1)
     for group in (positive, ~positive):
         rows = places[group & np.isfinite(costs)]
         rows = rows[np.argsort(costs[group & np.isfinite(costs)])[:_DESCENTS]]
@@ -71,8 +69,7 @@ def best_places(
         evaluations += first.evaluations + last.evaluations
     if start is not None:
         # In addition to the others: a wrong start only costs one descent.
-        begin = {name: start.get(name, 1.0) for name in problem.names}
-        candidates += [*problem.clip(problem.places_of(begin))]
+        candidates += [*problem.clip(problem.places_of(start))]
     # A transform does not distinguish unstable functions from stable ones; the samples
     # do.
     rows = np.reshape(candidates, (len(candidates), len(problem.low)))
@@ -89,19 +86,46 @@ def best_places(
     first = descend(problem, rows[near], iterations=FIRST_STEPS)
     lowest, *others = _distinct(problem, first)
     ends = [descend(problem, first.places[[lowest]])]
-    if isinstance(data, RecordStart):
-        # The last steps with exact slopes: those of a transform are up to 1 % off.
-        exact = replace(problem, data=replace(data, exact=True))
-        ends += [descend(exact, ends[0].places)]
+    if isinstance(data, Signals) and data.hold == "zero":
         ends += [
-            descend_within_samples(exact, ends[1].places[0], k, data.period)
+            descend_within_samples(problem, ends[0].places[0], k, data.period)
             for k, name in enumerate(problem.moving)
-            if problem.structure.roles[name] == "delay" and data.hold == "zero"
+            if problem.structure.roles[name] == "delay"
         ]
     evaluations += len(rows) + first.evaluations + sum(e.evaluations for e in ends)
     end = Descent.together(ends)
     best = place_of(problem, end, int(np.argmin(end.costs)))
     return [best, *(place_of(problem, first, k) for k in others)], evaluations
+
+
+def _drawn_places(problem: StructureProblem, data: Signals | Lines) -> Real:
+    """Places (M, p) spread over the ranges of orders, delays and coefficients."""
+    # The same in every run.
+    generator = np.random.default_rng(0)
+    slowest, fastest = data.band
+    values = {}
+    for name in problem.moving:
+        low, high = problem.limits[name]
+        even, other, chance = generator.random((3, _DRAWS))
+        if problem.structure.roles[name] == "order":
+            least = max(low, min(_USUAL_ORDERS[0], high))
+            most = min(high, max(_USUAL_ORDERS[1], low))
+            values[name] = least + (most - least) * even
+        elif problem.structure.roles[name] == "delay":
+            # Small delays matter most, and no delay at all is the most usual case.
+            longest = min(high, 1.0 / slowest)
+            delay = longest * (slowest / fastest) ** even
+            values[name] = np.where(chance < 0.25, low, np.maximum(delay, low))
+        else:
+            # ω^(−4 … 4) for a frequency of the band: coefficients are powers of a
+            # frequency, whatever the structure.
+            size = (slowest * (fastest / slowest) ** other) ** (8.0 * even - 4.0)
+            value = np.where(chance < 0.25, -size, size)
+            inside = (value >= low) & (value <= high)
+            ends = problem.coordinate(name, np.array([low, high]))
+            anywhere = problem.value(name, ends[0] + (ends[1] - ends[0]) * even)
+            values[name] = np.where(inside, value, anywhere)
+    return problem.places_of(values)
 
 
 def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
@@ -111,7 +135,7 @@ def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
         name: float(np.ravel(value)[0])
         for name, value in problem.values(found.places[k : k + 1]).items()
     }
-    if problem.projected and problem.gain is not None:
+    if problem.gain is not None:
         values[problem.gain] = float(at.gain[0])
     ordered = {name: values[name] for name in problem.structure.names}
     return Place(
@@ -137,3 +161,34 @@ def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
         elif rises[k] < rises[best[-1]]:
             best[-1] = k
     return best
+
+
+def in_order(problem: StructureProblem, place: Place) -> Place:
+    """The place with the orders of exchangeable terms decreasing in the order of the
+    text.
+
+    In a2*s**n2 + a1*s**n1 the two terms may be exchanged: which order is called n2 is a
+    convention.
+    """
+
+    def output(values: Mapping[str, float]) -> Real:
+        single = {name: np.array([[value]]) for name, value in values.items()}
+        return np.asarray(problem.data.response(problem.structure, single)[0])
+
+    values, structure = dict(place.values), problem.structure
+    orders = [n for n in structure.of_role("order") if n in problem.names]
+    others = [n for n in structure.of_role("coefficient") if n in problem.names]
+    for first, second in combinations(orders, 2):
+        for partner in [(), *combinations(others, 2)]:
+            pairs = [(first, second), *([partner] if partner else [])]
+            if values[first] >= values[second] or any(
+                problem.limits[one] != problem.limits[other] for one, other in pairs
+            ):
+                continue
+            swapped = dict(values)
+            for one, other in pairs:
+                swapped[one], swapped[other] = values[other], values[one]
+            here, there = output(values), output(swapped)
+            if np.allclose(there, here, rtol=0.0, atol=_SAME * float(np.ptp(here))):
+                values = swapped
+    return replace(place, values=values)

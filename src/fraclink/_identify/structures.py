@@ -15,8 +15,8 @@ from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, fitted_samples
 from fraclink._identify.problem import descend
 from fraclink._identify.shape import Hold
-from fraclink._identify.structure_certainty import certainty_of, in_order
-from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_certainty import certainty_of
+from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_findings import structure_findings
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import (
@@ -24,7 +24,7 @@ from fraclink._identify.structure_problem import (
     ORDER_LIMITS,
     StructureProblem,
 )
-from fraclink._identify.structure_search import Place, best_places, place_of
+from fraclink._identify.structure_search import Place, best_places, in_order, place_of
 from fraclink.errors import FieldError, LogError
 from fracsys.checks import Between, Real, checked
 
@@ -101,8 +101,7 @@ def identify_structure(
 
     References
     ----------
-    Sanathanan and Koerner (1963); Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)
-    413.
+    Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
 
     Examples
     --------
@@ -118,7 +117,7 @@ def identify_structure(
     _check_names(structure, values, bounds or {}, start or {})
     offset = values.pop("offset", math.nan)
     if isinstance(data, FrequencyResponse):
-        samples: RecordStart | Lines = _lines_of(data, weighting)
+        samples: Signals | Lines = _lines_of(data, weighting)
         # A constant in the output is not a line of a response.
         longest, offset = _TURNS / data.band[1], 0.0
         whole, fitted = samples, data.frequency.size
@@ -127,7 +126,7 @@ def identify_structure(
         fitted = _fitted(record, heldout)
         earlier = data.earlier_angle if isinstance(data, Experiment) else None
         samples, whole = (
-            RecordStart.of(record, hold, count, earlier)
+            Signals.of(record, hold, count, earlier)
             for count in (fitted, record.input.size)
         )
         longest = _LONGEST_DELAY * record.period * fitted
@@ -142,7 +141,7 @@ def identify_structure(
     single = {name: np.array([[value]]) for name, value in best.values.items()}
     predicted = best.offset * whole.constant + whole.response(structure, single)[0]
     power = samples.measured - best.offset * samples.constant
-    timed = isinstance(whole, RecordStart)
+    timed = isinstance(whole, Signals)
     # Real parts first, then imaginary parts, each with the weight of its line, which is
     # divided out for plots.
     unweighted = np.tile(whole.weight, 2) if isinstance(whole, Lines) else 1.0
@@ -157,13 +156,13 @@ def identify_structure(
         undetermined=certain.undetermined,
         offset=best.offset,
         domain="time" if timed else "frequency",
-        period=whole.period if isinstance(whole, RecordStart) else None,
-        hold=whole.hold if isinstance(whole, RecordStart) else None,
+        period=whole.period if isinstance(whole, Signals) else None,
+        hold=whole.hold if isinstance(whole, Signals) else None,
         fitted=fitted,
         nmse=best.cost / float(power @ power),
         heldout_nmse=_heldout(problem, samples, whole, best, fitted, predicted),
         place=np.arange(whole.output.size, dtype=np.float64) * whole.period
-        if isinstance(whole, RecordStart)
+        if isinstance(whole, Signals)
         else whole.points.imag,
         measured=whole.measured / unweighted,
         predicted=predicted / unweighted,
@@ -186,7 +185,7 @@ def _fitted(record: Recording, heldout: float | None) -> int:
     return fitted_samples(Experiment(record.period, record.input, record.output))
 
 
-def _check_motion(samples: RecordStart) -> None:
+def _check_motion(samples: Signals) -> None:
     # Not the range of the input: a step at the first sample never changes and excites
     # everything.
     for name, still in (
@@ -235,7 +234,8 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
         weight = 1.0 / np.abs(h) if kind == "relative" else np.ones(h.size)
     # Scaled to a sum of squares of 1: the error is then a share, as used by the gates
     # and limits of the search.
-    return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
+    points = np.asarray(1j * measured.frequency[order])
+    return Lines(points, h, weight / np.linalg.norm(weight * h))
 
 
 def _check_used(
@@ -298,7 +298,7 @@ def _check_names(
 
 def _problem(
     structure: Expression,
-    samples: RecordStart | Lines,
+    samples: Signals | Lines,
     known: Values,
     bounds: Bounds,
     longest: float,
@@ -381,14 +381,14 @@ def _check_start(
 
 def _heldout(
     problem: StructureProblem,
-    samples: RecordStart | Lines,
-    whole: RecordStart | Lines,
+    samples: Signals | Lines,
+    whole: Signals | Lines,
     best: Place,
     count: int,
     predicted: Real,
 ) -> float | None:
     """Error over the data not used for the parameters."""
-    if isinstance(whole, RecordStart):
+    if isinstance(whole, Signals):
         if count == whole.output.size:
             return None
         # Relative to (output − offset)² as for the fitted part, so that a constant
