@@ -26,7 +26,6 @@ Role = Literal["order", "delay", "coefficient"]
 
 _LONGEST = 1000  # characters; a structure written by hand has about fifty
 _DEEPEST = 60  # nesting depth, since the evaluation below is recursive
-_MOST = 12  # parameters; a log cannot separate more
 _FORMS = "numbers, names, s, + - * / **, and exp(-T*s)"
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -204,14 +203,6 @@ def parse_expression(text: str) -> Expression:
         )
     _check(tree, 0)
     roles = _roles(tree)
-    if len(roles) > _MOST:
-        raise FieldError(
-            "expression",
-            len(roles),
-            "too many parameters",
-            allowed=f"<= {_MOST} parameters",
-            remedy="write known values as numbers",
-        )
     expression = Expression(" ".join(text.split()), roles, _Distributed().visit(tree))
     # At values of which no two are equal and no sum is zero: a piece without a value
     # there is none of a transfer function.

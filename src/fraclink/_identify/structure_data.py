@@ -16,6 +16,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from fraclink._arm.recording import Recording
 from fraclink._identify.expression import Expression
 from fraclink._identify.shape import Hold, chosen_hold, last_of
+from fraclink._identify.welch import EXCITED
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
 from fracsys.checks import Complex, Mask, Real
@@ -91,7 +92,6 @@ class Lines:
 # σ·span of the inverse transform: with less, a slow end wraps around; with more, the
 # response is lost in the truncation beyond the lines
 _BACK = 4.0
-_EXCITED = 1e-3  # fraction of the largest line, below which the input does not excite
 # blocks of a screen: orders, corners and delays show in its lowest 500 lines
 _BLOCKS = 1000
 
@@ -185,11 +185,11 @@ class Signals:
         # Of the differences: a step excites all frequencies equally, but would appear
         # to excite only the lowest.
         signal = self.whole_input
-        power = np.abs(np.fft.rfft(np.diff(signal, prepend=0.0)))[1:]
+        power = np.abs(np.fft.rfft(np.diff(signal, prepend=0.0)))[1:] ** 2
         frequency = (
             2 * math.pi * np.arange(1, power.size + 1) / (signal.size * self.period)
         )
-        excited = frequency[power > _EXCITED * power.max()]
+        excited = frequency[power > EXCITED * power.max()]
         return float(excited[0]), float(excited[-1])
 
 

@@ -43,18 +43,19 @@ _LARGEST = math.log(sys.float_info.max)
 def structure_findings(
     fit: StructureFit,
     certain: Certainty,
-    rivals: Sequence[Place],
+    places: Sequence[Place],
     data: Signals | Lines,
 ) -> tuple[Finding, ...]:
-    """All findings of a structure's fit, worst first."""
-    findings = [
-        *_of_the_parameters(fit, certain),
-        *_of_the_error(fit),
-        *_of_the_residual(fit, data),
-        *_of_rivals(fit, certain, rivals, data),
-    ]
-    findings += _of_the_band(fit, data)
-    return worst_first(findings)
+    """All findings of a structure's fit at the first of its `places`, worst first."""
+    return worst_first(
+        [
+            *_of_the_parameters(fit, certain),
+            *_of_the_error(fit),
+            *_of_the_residual(fit, data),
+            *_of_rivals(fit, certain, places, data.measured.size),
+            *_of_the_band(fit, data),
+        ]
+    )
 
 
 def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
@@ -163,37 +164,28 @@ def _of_the_residual(fit: StructureFit, data: Signals | Lines) -> Iterator[Findi
 
 
 def _of_rivals(
-    fit: StructureFit,
-    certain: Certainty,
-    rivals: Sequence[Place],
-    data: Signals | Lines,
+    fit: StructureFit, certain: Certainty, places: Sequence[Place], samples: int
 ) -> Iterator[Finding]:
     """Other parameters that fit equally well within the accuracy of the data.
 
     An interval covers one valley of the cost; another valley may be as good by the same
-    measure.
+    measure. If the fit is perfect, every rival is perfect too: these are two parameter
+    sets for the same function.
     """
-    least = fit.nmse
+    if fit.nmse <= RESOLUTION:
+        return
+    best, *rivals = places
     for rival in rivals:
-        ratio = likelihood_ratio(
-            rival.cost, _cost(fit, data), data.measured.size, certain.inflation
-        )
+        ratio = likelihood_ratio(rival.cost, best.cost, samples, certain.inflation)
         apart = [
             name
             for name, interval in fit.intervals.items()
             if not interval.contains(rival.values[name])
             and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
         ]
-        # If the fit is perfect, every rival is perfect too: these are two parameter
-        # sets for the same function.
-        if ratio < QUANTILE**2 and apart and least > RESOLUTION:
+        if ratio < QUANTILE**2 and apart:
             yield rival_finding({name: rival.values[name] for name in apart})
             return
-
-
-def _cost(fit: StructureFit, data: Signals | Lines) -> float:
-    power = data.measured - (fit.offset if isinstance(data, Signals) else 0.0)
-    return fit.nmse * float(power @ power)
 
 
 def _of_the_band(fit: StructureFit, data: Signals | Lines) -> Iterator[Finding]:

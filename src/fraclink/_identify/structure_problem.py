@@ -124,6 +124,11 @@ class StructureProblem(Problem):
             values[name] = self.value(name, column)[:, None]
         return values
 
+    def output(self, values: Values) -> Real:
+        """The response (R,) with single values of all parameters."""
+        single = {name: np.array([[value]]) for name, value in values.items()}
+        return np.asarray(self.data.response(self.structure, single)[0])
+
     # --- as of `Problem`
 
     @cached_property

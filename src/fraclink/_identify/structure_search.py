@@ -30,11 +30,8 @@ from fracsys.checks import Real
 __all__ = ["Place", "best_places", "in_order", "place_of"]
 
 _DRAWS, _DESCENTS = 540, 16
-_USUAL_ORDERS = (0.1, 2.5)  # range of the draws: a descent covers the rest by itself
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
 _TRIED = 4  # number of descents followed to their end
-# closer costs belong to the same function, found twice or with its parameters exchanged
-_SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +105,7 @@ def _drawn_places(problem: StructureProblem, data: Signals | Lines) -> Real:
         low, high = problem.limits[name]
         even, other, chance = generator.random((3, _DRAWS))
         if problem.structure.roles[name] == "order":
-            least = max(low, min(_USUAL_ORDERS[0], high))
-            most = min(high, max(_USUAL_ORDERS[1], low))
-            values[name] = least + (most - least) * even
+            values[name] = low + (high - low) * even
         elif problem.structure.roles[name] == "delay":
             # Small delays matter most, and no delay at all is the most usual case.
             longest = min(high, 1.0 / slowest)
@@ -151,12 +146,15 @@ def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
     """
     roles = problem.structure.roles
     orders = [k for k, name in enumerate(problem.moving) if roles[name] == "order"]
+    # Within the precision of a descent, costs belong to the same function, found twice
+    # or with its parameters exchanged.
+    same = 1.0 + problem.precision
     rises = np.count_nonzero(np.diff(found.places[:, orders]) > 0, axis=1)
     best: list[int] = []
     for k in np.argsort(found.costs).tolist():
         if not math.isfinite(found.costs[k]):
             break
-        if not best or found.costs[k] > found.costs[best[-1]] * (1 + _SAME):
+        if not best or found.costs[k] > found.costs[best[-1]] * same:
             best.append(k)
         elif rises[k] < rises[best[-1]]:
             best[-1] = k
@@ -170,11 +168,6 @@ def in_order(problem: StructureProblem, place: Place) -> Place:
     In a2*s**n2 + a1*s**n1 the two terms may be exchanged: which order is called n2 is a
     convention.
     """
-
-    def output(values: Mapping[str, float]) -> Real:
-        single = {name: np.array([[value]]) for name, value in values.items()}
-        return np.asarray(problem.data.response(problem.structure, single)[0])
-
     values, structure = dict(place.values), problem.structure
     orders = [n for n in structure.of_role("order") if n in problem.names]
     others = [n for n in structure.of_role("coefficient") if n in problem.names]
@@ -188,7 +181,9 @@ def in_order(problem: StructureProblem, place: Place) -> Place:
             swapped = dict(values)
             for one, other in pairs:
                 swapped[one], swapped[other] = values[other], values[one]
-            here, there = output(values), output(swapped)
-            if np.allclose(there, here, rtol=0.0, atol=_SAME * float(np.ptp(here))):
+            here, there = problem.output(values), problem.output(swapped)
+            if np.allclose(
+                there, here, rtol=0.0, atol=problem.precision * float(np.ptp(here))
+            ):
                 values = swapped
     return replace(place, values=values)

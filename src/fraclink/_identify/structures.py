@@ -26,7 +26,7 @@ from fraclink._identify.structure_problem import (
 )
 from fraclink._identify.structure_search import Place, best_places, in_order, place_of
 from fraclink.errors import FieldError, LogError
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Between, Real, checked, checked_choice
 
 __all__ = ["Weighting", "identify_structure"]
 
@@ -34,6 +34,13 @@ Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
 Values = Mapping[str, float]
 Bounds = Mapping[str, tuple[float, float]]
 
+# Wider than any use, and narrow enough for s^order to stay a double over six decades of
+# frequency.
+_ADMITTED = {
+    "order": Between(-20.0, 20.0, remedy="give finite numbers in this range"),
+    "delay": Between(0.0, 1e6, "s", remedy="give finite numbers in this range"),
+    "coefficient": Between(-1e15, 1e15, remedy="give finite numbers in this range"),
+}
 _LEAST_EACH = 5  # measured numbers per free parameter, at least
 _EVERY = 4  # every fourth line of a frequency response is predicted from the others
 # share of a record: an output with a longer delay is hardly visible
@@ -134,17 +141,25 @@ def identify_structure(
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)
     places, evaluations = best_places(problem, samples, start)
-    best, *rivals = (in_order(problem, place) for place in places)
+    places = [in_order(problem, place) for place in places]
+    best = places[0]
     # Everything on the fitted part; the held-out part is predicted once and influences
     # nothing.
     certain = certainty_of(problem, best, details=details)
-    single = {name: np.array([[value]]) for name, value in best.values.items()}
-    predicted = best.offset * whole.constant + whole.response(structure, single)[0]
+    predicted = best.offset * whole.constant + dataclasses.replace(
+        problem, data=whole
+    ).output(best.values)
     power = samples.measured - best.offset * samples.constant
-    timed = isinstance(whole, Signals)
-    # Real parts first, then imaginary parts, each with the weight of its line, which is
-    # divided out for plots.
-    unweighted = np.tile(whole.weight, 2) if isinstance(whole, Lines) else 1.0
+    if isinstance(whole, Signals):
+        heldout_error = _heldout(whole, fitted, best.offset, predicted)
+        place = whole.period * np.arange(whole.output.size, dtype=np.float64)
+        weight = np.ones(1)
+    else:
+        heldout_error = _lines_held(problem, whole, best)
+        # Real parts first, then imaginary parts, each with the weight of its line,
+        # which is divided out for plots.
+        place = whole.points.imag
+        weight = np.tile(whole.weight, 2)
     fit = StructureFit(
         expression=structure.text,
         parameters=best.values,
@@ -155,24 +170,22 @@ def identify_structure(
         at_bound=certain.at_bound,
         undetermined=certain.undetermined,
         offset=best.offset,
-        domain="time" if timed else "frequency",
+        domain="time" if isinstance(whole, Signals) else "frequency",
         period=whole.period if isinstance(whole, Signals) else None,
         hold=whole.hold if isinstance(whole, Signals) else None,
         fitted=fitted,
         nmse=best.cost / float(power @ power),
-        heldout_nmse=_heldout(problem, samples, whole, best, fitted, predicted),
-        place=np.arange(whole.output.size, dtype=np.float64) * whole.period
-        if isinstance(whole, Signals)
-        else whole.points.imag,
-        measured=whole.measured / unweighted,
-        predicted=predicted / unweighted,
+        heldout_nmse=heldout_error,
+        place=place,
+        measured=whole.measured / weight,
+        predicted=predicted / weight,
         converged=best.converged,
         evaluations=evaluations,
         source=data.source,
         sha256=data.sha256,
     )
     return dataclasses.replace(
-        fit, findings=structure_findings(fit, certain, rivals, samples)
+        fit, findings=structure_findings(fit, certain, places, samples)
     )
 
 
@@ -270,21 +283,13 @@ def _check_names(
 ) -> None:
     # `offset` is the constant of the output and occurs in no formula: it may be fixed,
     # but has neither range nor start.
-    for field, names in (
-        ("fixed", {**fixed}),
-        ("bounds", {**bounds}),
-        ("start", {**start}),
-    ):
-        for name in names:
-            if name not in structure.names and (field, name) != ("fixed", "offset"):
-                choices = ", ".join(structure.names) or "(none)"
-                raise FieldError(
-                    field,
-                    name,
-                    "no parameter of the expression",
-                    allowed=choices,
-                    remedy="correct the name",
-                )
+    remedy = "name a parameter of the expression"
+    for name in fixed:
+        checked_choice("fixed", name, (*structure.names, "offset"), remedy=remedy)
+    for name in bounds:
+        checked_choice("bounds", name, structure.names, remedy=remedy)
+    for name in start:
+        checked_choice("start", name, structure.names, remedy=remedy)
     for name in bounds:
         if name in fixed:
             raise FieldError(
@@ -310,16 +315,9 @@ def _problem(
         "coefficient": COEFFICIENT_LIMITS,
     }
     limits = {name: usual[role] for name, role in structure.roles.items()}
-    # Wider than any use, and narrow enough for s^order to stay a double over six
-    # decades of frequency.
-    widest = {"order": 20.0, "delay": 1e6, "coefficient": 1e15}
     for name, pair in bounds.items():
-        role = structure.roles[name]
-        least = 0.0 if role == "delay" else -widest[role]
-        inside = Between(
-            least, widest[role], remedy="give (low, high), finite, the lower one first"
-        )
-        low, high = (inside.check(f"bounds[{name!r}]", value) for value in pair)
+        admitted = _ADMITTED[structure.roles[name]]
+        low, high = (admitted.check(f"bounds[{name!r}]", value) for value in pair)
         if not low < high:
             raise FieldError(
                 f"bounds[{name!r}]",
@@ -329,15 +327,10 @@ def _problem(
                 remedy="give the lower one first; a known value belongs into fixed",
             )
         limits[name] = (low, high)
-    for name, value in known.items():
-        remedy = (
-            "give a number"
-            if structure.roles[name] != "delay"
-            else "a delay is never negative"
-        )
-        least = 0.0 if structure.roles[name] == "delay" else -1e15
-        Between(least, 1e15, remedy=remedy).check(f"fixed[{name!r}]", value)
-    fixed = {name: float(value) for name, value in known.items()}
+    fixed = {
+        name: _ADMITTED[structure.roles[name]].check(f"fixed[{name!r}]", value)
+        for name, value in known.items()
+    }
     problem = StructureProblem(structure, samples, limits, fixed, offset)
     if not problem.names:
         raise FieldError(
@@ -380,29 +373,16 @@ def _check_start(
 
 
 def _heldout(
-    problem: StructureProblem,
-    samples: Signals | Lines,
-    whole: Signals | Lines,
-    best: Place,
-    count: int,
-    predicted: Real,
+    whole: Signals, count: int, offset: float, predicted: Real
 ) -> float | None:
-    """Error over the data not used for the parameters."""
-    if isinstance(whole, Signals):
-        if count == whole.output.size:
-            return None
-        # Relative to (output − offset)² as for the fitted part, so that a constant
-        # error of the gauge explains nothing.
-        error, power = (
-            whole.output[count:] - predicted[count:],
-            whole.output[count:] - best.offset,
-        )
-        return (
-            float(error @ error / (power @ power))
-            if np.any(power) and np.isfinite(error).all()
-            else None
-        )
-    return _lines_held(problem, samples, best) if isinstance(samples, Lines) else None
+    """Error over the samples not used for the parameters."""
+    # Relative to (output − offset)² as for the fitted part, so that a constant error of
+    # the gauge explains nothing.
+    error = whole.output[count:] - predicted[count:]
+    power = whole.output[count:] - offset
+    if not np.any(power) or not np.isfinite(error).all():
+        return None
+    return float(error @ error / (power @ power))
 
 
 def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float | None:
@@ -415,12 +395,10 @@ def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float |
     # Real and imaginary part of each line: two numbers.
     if 2 * np.count_nonzero(~heldout) < _LEAST_EACH * len(problem.names):
         return None
-    rest, basis = lines.part(heldout), lines.part(~heldout)
     # From the best parameters: a new search could end in another valley, and the error
     # would be that of the search.
-    others = dataclasses.replace(problem, data=basis)
+    others = dataclasses.replace(problem, data=lines.part(~heldout))
     end = descend(others, others.places_of(best.values))
-    values = place_of(others, end, 0).values
-    single = {name: np.array([[value]]) for name, value in values.items()}
-    error = rest.measured - rest.response(problem.structure, single)[0]
-    return float(error @ error / (rest.measured @ rest.measured))
+    rest = dataclasses.replace(problem, data=lines.part(heldout))
+    error = rest.data.measured - rest.output(place_of(others, end, 0).values)
+    return float(error @ error / rest.power)
