@@ -174,7 +174,7 @@ def truth(
     """
     model, modes = design.model, drawn.twin.beam.modes(2)
     # Γ/θm of each mode far above its frequency [N·m/rad]
-    sizes = modes.participation * modes.curvature
+    sizes = (modes.participation * modes.frequencies) ** 2
     second = float(modes.frequencies[-1])
     damped, other = drawn.ratios
     real = fl.LinkModel(

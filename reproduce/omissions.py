@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import closed_poles, place_pid
+from fraclink._arm.motor import place_pid
+from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._design import Design
 from fracsys._margins import margins
 from reproduce import designs
@@ -188,7 +189,7 @@ def _inner_radii() -> str:
     )
     rules = {"tustin": tustin, "backward": backward, "zero-order-hold": held}
     return ", ".join(
-        f"{name} {abs(closed_poles(rig.motor, pid, 1)[0]):.3f}"
+        f"{name} {abs(SampledMotorLoop(pid, rig.motor, 1).poles()[0]):.3f}"
         for name, pid in rules.items()
     )
 

@@ -11,9 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import chirp
 
-from fraclink import Experiment, LinkModel, Rig, bundled_log, chirp, prbs, read_log
-from fraclink.extend import bundled_logs, pulse, simulated_torque
+from fraclink import (
+    Experiment,
+    LinkModel,
+    Rig,
+    bundled_log,
+    prbs,
+    read_log,
+    smooth_step,
+    spline,
+)
+from fraclink.extend import bundled_logs, simulated_torque
 from fraclink.findings import Finding
 from fraclink.logs import diagnose
 from made_logs import made_experiment, made_motion, made_output
@@ -302,8 +312,8 @@ def test_signs_are_judged_right_on_links_of_any_order(kind: str, seed: int) -> N
     time = 0.004 * np.arange(5000)
     reference = {
         "prbs": prbs(0.2, float(rng.uniform(0.05, 0.3)), start=0.5),
-        "pulse": pulse(1.0, 7.0, start=0.5, rise=0.05),
-        "chirp": chirp(0.3, 0.2, 6.0, 18.0),
+        "pulse": smooth_step(1.0, 0.05, 0.5).then(smooth_step(-1.0, 0.05, 6.95)),
+        "chirp": spline(time[:4501], 0.3 * chirp(time[:4501], 0.2, 18.0, 6.0, phi=-90)),
     }[kind]
     order, frequency = float(rng.uniform(1.75, 2.0)), float(rng.uniform(4, 30))
     if seed % 2:

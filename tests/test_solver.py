@@ -240,7 +240,7 @@ def test_a_second_mode_that_no_notch_quiets_over_the_payload_is_kept_from_minus_
     masses, order = (0.020, 0.025, 0.034), 2.0 - 0.0014
     beams = [Beam.from_rig(rig, payload=mass).modes(2) for mass in masses]
     first, second = beams[1].frequencies ** (2.0 / order)
-    shares = beams[1].participation * beams[1].curvature / MODEL.stiffness
+    shares = (beams[1].participation * beams[1].frequencies) ** 2 / MODEL.stiffness
     link = replace(
         MODEL,
         order=2.0,

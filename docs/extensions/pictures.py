@@ -167,7 +167,7 @@ def second_mode() -> Figure:
     link = rig().link
     beam = fl.extend.Beam(link.length, link.stiffness * link.length / 3, 0.00735, 0.030)
     modes = beam.modes(3)
-    shares = modes.participation * modes.curvature / link.stiffness
+    shares = (modes.participation * modes.frequencies) ** 2 / link.stiffness
     w = np.unique(
         np.concatenate(
             [
@@ -210,7 +210,7 @@ def mode_gain() -> Figure:
         heavy.link.length, heavy.link.stiffness * heavy.link.length / 3, 0.00735, 0.030
     )
     modes = beam.modes(3)
-    shares = modes.participation * modes.curvature / heavy.link.stiffness
+    shares = (modes.participation * modes.frequencies) ** 2 / heavy.link.stiffness
     w = np.unique(
         np.concatenate(
             [

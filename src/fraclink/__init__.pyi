@@ -14,7 +14,6 @@ from fraclink._arm.log_columns import LogColumns as LogColumns
 from fraclink._arm.motor_loop import MotorLoop as MotorLoop
 from fraclink._arm.recording import FrequencyResponse as FrequencyResponse
 from fraclink._arm.reference import Reference as Reference
-from fraclink._arm.reference import chirp as chirp
 from fraclink._arm.reference import prbs as prbs
 from fraclink._arm.reference import smooth_step as smooth_step
 from fraclink._arm.reference import spline as spline

@@ -42,7 +42,6 @@ __all__ += [
     "model_at",
     "modes_of",
     "residual_inertia",
-    "rigid_rotation",
     "unmodelled_modes",
 ]
 
@@ -200,15 +199,13 @@ class BeamModes:
 
     frequencies: ωi [rad/s]; participation: Γi [√kg·m], the modal load of a unit hub
     acceleration; tip: φi(L)/L [1/(√kg·m)], the tip's angle per modal coordinate;
-    curvature: EI φi''(0) [N·m/(√kg·m)], what a strain gauge at the base reads per modal
-    coordinate; shapes: nodal values of the finite elements (2·ELEMENTS × modes:
+    shapes: nodal values of the finite elements (2·ELEMENTS × modes:
     deflection and slope of each node but the clamped one).
     """
 
     frequencies: Real
     participation: Real
     tip: Real
-    curvature: Real
     shapes: Real
 
     @property
@@ -258,15 +255,6 @@ def residual_inertia(beam: Beam, modes: BeamModes) -> float:
     return max(beam.inertia - float(np.sum(modes.participation**2)), 0.0)
 
 
-def rigid_rotation(beam: Beam) -> Real:
-    """Return the nodal values of w = x, the straight link rotated by one radian."""
-    size = beam.length / ELEMENTS
-    rigid = np.full(2 * ELEMENTS, size)
-    # The slope of w = x is 1; in the coordinate h·w′ it is h.
-    rigid[0::2] = size * np.arange(1, ELEMENTS + 1)
-    return rigid
-
-
 @lru_cache(
     maxsize=256
 )  # every run of a twin needs its period of vibration, half of the cost of the run
@@ -290,18 +278,12 @@ def _modes(beam: Beam, count: int) -> BeamModes:
     # The sign of an eigenvector is arbitrary. With the tip moving forward, the modes of
     # two payloads can be compared and the state of one projected onto the other.
     shapes = shapes * np.where(shapes[-2] < 0.0, -1.0, 1.0)
-    rigid = rigid_rotation(beam)
-    # EI φ''(0) from the base moment under the inertia load: it has the same order of
-    # accuracy as the eigenvalue, while differentiating the cubic twice would lose two
-    # orders. It is the moment K φ at the clamp.
-    curvature = frequencies**2 * (rigid @ (mass @ shapes))
-    result = BeamModes(
-        frequencies,
-        rigid @ (mass @ shapes),
-        shapes[-2] / beam.length,
-        curvature,
-        shapes,
-    )
+    # Nodal values of w = x, the straight link rotated by one radian; its slope is 1,
+    # which is h in the coordinate h·w′.
+    rigid = np.full(2 * ELEMENTS, beam.length / ELEMENTS)
+    rigid[0::2] *= np.arange(1, ELEMENTS + 1)
+    participation = rigid @ (mass @ shapes)
+    result = BeamModes(frequencies, participation, shapes[-2] / beam.length, shapes)
     # Results are shared through caches; a change in place would affect all users.
     for array in vars(result).values():
         array.flags.writeable = False
@@ -324,7 +306,11 @@ def modal_shares(beam: Beam) -> tuple[Real, Real]:
     request for a rig needs them.
     """
     modes = beam.modes(_MODES)
-    return modes.frequencies, modes.participation * modes.curvature
+    # EI φ''(0), what a gauge at the base reads of a mode, is ω² Γ: the moment of the
+    # inertia load, as accurate as the eigenvalue, where differentiating the cubic twice
+    # would lose two orders.
+    curvature = modes.frequencies**2 * modes.participation
+    return modes.frequencies, modes.participation * curvature
 
 
 def modes_of(model: LinkModel) -> int:

@@ -392,37 +392,6 @@ class Loop(GaugedLink):
         alone[rows] = crossings.slope[near][first] > 0.0
         return near & alone[crossings.row]
 
-    def gain_margin(self, natural_frequency: ArrayLike) -> Real:
-        """Return the factor by which |L| may grow for each ω₀: 1/|L| where the phase
-        passes -180° below one, infinite where it never does.
-        """
-        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
-        w = self._grid(w0)
-        half = (self.log(w, w0[:, None]).imag + math.pi) / (2.0 * math.pi)
-        turn = np.floor(half)
-        row, i = np.nonzero(turn[:, :-1] != turn[:, 1:])
-        line = 2.0 * math.pi * np.maximum(turn[row, i], turn[row, i + 1]) - math.pi
-        at = bracketed_roots(
-            lambda x: self.log(np.exp(x), w0[row]).imag - line,
-            np.log(w[row, i]),
-            np.log(w[row, i + 1]),
-        )
-        level = self.log(np.exp(at), w0[row]).real
-        margin = np.full(w0.size, math.inf)
-        np.minimum.at(margin, row, np.where(level < 0.0, np.exp(-level), math.inf))
-        return margin
-
-    def delay_margin(self, natural_frequency: ArrayLike) -> Real:
-        """Return the delay [s] that takes the phase of some crossing to -180° for each
-        ω₀; infinite without a crossing, and of a loop that is stable without it.
-        """
-        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
-        crossings = self.crossings(w0)
-        room = np.remainder(crossings.phase + math.pi, 2.0 * math.pi)
-        margin = np.full(w0.size, math.inf)
-        np.minimum.at(margin, crossings.row, room / crossings.frequency)
-        return margin
-
     def margins_at(self, natural_frequency: float) -> Margins:
         """Return every crossing and margin at one ω₀, from the general engine
         `fracsys.margins`.

@@ -11,36 +11,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
-import numpy as np
-
+from fraclink._arm.rig_parts import Motor
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._terms import Term
-from fracsys.checks import Complex, Real
 
 __all__ = [
     "ContinuousPid",
     "DiscretePid",
     "MotorConstants",
-    "closed_poles",
+    "MotorGain",
     "held_motor",
     "place_pid",
 ]
 
 
-class MotorConstants(Protocol):
-    """The constants of a motor: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the
-    gear's output.
-    """
+@dataclass(frozen=True)
+class MotorGain:
+    """A = K/J [rad/(s²·V)] and B = ν/J [1/s] of a motor, both at the gear's output."""
 
-    @property
-    def gain(self) -> float: ...
-    @property
-    def decay(self) -> float: ...
-    # Corrections of motor loops are cached by motor.
-    def __hash__(self) -> int: ...
+    gain: float
+    decay: float
+
+
+MotorConstants = Motor | MotorGain
 
 
 @dataclass(frozen=True)
@@ -225,53 +220,3 @@ def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, floa
         return 0.5 * gain * period**2, 0.5 * gain * period**2, e
     weight = -math.expm1(-decay * period) / decay
     return gain * (period - weight) / decay, gain * (weight - period * e) / decay, e
-
-
-def closed_poles(
-    motor: MotorConstants, pid: DiscretePid, delay_samples: int
-) -> Complex:
-    """Return the poles in z of the sampled PID around its motor, largest modulus first.
-
-    Computed as eigenvalues: for a short period four poles coincide near 1, which
-    polynomial roots do not resolve.
-    """
-    poles = np.linalg.eigvals(_closed_matrix(motor, pid, delay_samples))
-    return np.asarray(poles[np.argsort(-np.abs(poles))], dtype=np.complex128)
-
-
-def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) -> Real:
-    """State matrix of the sampled motor loop with θm* = 0: θ, θ̇, two filters, delayed
-    voltages.
-    """
-    a, b, period = motor.gain, motor.decay, d.period
-    weight = period if b == 0 else -math.expm1(-b * period) / b
-    # A held unit voltage changes the angle by A·second and the speed by A·weight within
-    # a period.
-    second = period**2 / 2 if b == 0 else (period - weight) / b
-    n = 4 + delay_samples
-    # The voltage of this tick as a row over the state. Both filters store their delayed
-    # part s: output = s + now·input, next s = decay·output + before·input.
-    integral_in = np.zeros(n)
-    integral_in[0] = -d.integral_gain
-    filter_in = np.zeros(n)
-    filter_in[0] = -d.filter_gain - d.angle_filter_gain
-    integral_out = d.integral_now * integral_in
-    integral_out[2] += 1.0
-    filter_out = d.filter_now * filter_in
-    filter_out[3] += 1.0
-    voltage = integral_out + filter_out
-    voltage[0] -= d.direct + d.angle_direct
-    # With a delay the motor receives the oldest voltage of the queue (states 4
-    # onwards), otherwise that of this tick.
-    applied = np.eye(n)[4] if delay_samples else voltage
-    matrix = np.zeros((n, n))
-    matrix[0, :2] = 1.0, weight
-    matrix[1, 1] = math.exp(-b * period)
-    matrix[0] += a * second * applied
-    matrix[1] += a * weight * applied
-    matrix[2] = integral_out + d.integral_before * integral_in
-    matrix[3] = d.filter_decay * filter_out + d.filter_before * filter_in
-    for k in range(4, n):
-        # The queue moves up; the new voltage enters at its end.
-        matrix[k] = np.eye(n)[k + 1] if k + 1 < n else voltage
-    return matrix

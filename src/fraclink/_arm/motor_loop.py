@@ -14,23 +14,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
 from fraclink._arm.motor import (
     DiscretePid,
     MotorConstants,
-    closed_poles,
+    MotorGain,
     held_motor,
     place_pid,
 )
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Complex, Frequency, Real, checked
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = [
     "MotorGain",
@@ -122,14 +120,6 @@ def _correction(
 
 
 @dataclass(frozen=True)
-class MotorGain:
-    """A and B of a motor other than the one for which the PID was placed."""
-
-    gain: float
-    decay: float
-
-
-@dataclass(frozen=True)
 class SampledMotorLoop:
     """The sampled PID with its motor.
 
@@ -173,7 +163,23 @@ class SampledMotorLoop:
 
     def poles(self) -> Complex:
         """Poles of the closed motor loop in z, largest modulus first."""
-        return closed_poles(self.motor, self.pid, self.delay_samples)
+        k = self.pid
+        m1, m2, e = held_motor(self.motor, k.period)
+        # Polynomials in δ = z − 1: at a short period four poles meet near z = 1, where
+        # powers of z do not resolve them.
+        delta, motor = Polynomial([0.0, 1.0]), Polynomial([1.0 - e, 1.0])
+        lag = Polynomial([1.0 - k.filter_decay, 1.0])
+        integral = Polynomial([k.integral_now + k.integral_before, k.integral_now])
+        filtered = Polynomial([k.filter_now + k.filter_before, k.filter_now])
+        controller = (
+            (k.direct + k.angle_direct) * delta * lag
+            + k.integral_gain * integral * lag
+            + (k.filter_gain + k.angle_filter_gain) * filtered * delta
+        )
+        late = Polynomial([1.0, 1.0]) ** self.delay_samples
+        closed = late * delta**2 * motor * lag + Polynomial([m1 + m2, m1]) * controller
+        poles = 1.0 + np.asarray(closed.roots(), dtype=np.complex128)
+        return poles[np.argsort(-np.abs(poles))]
 
     def ratio(self, pole: float, frequency: ArrayLike) -> Complex:
         """Return the ratio of hold, PID and motor to the approximation

@@ -1,6 +1,6 @@
 """References of tip or motor, with exact velocity and acceleration.
 
-A reference is a piecewise polynomial of time (or a chirp), so that the feed-forward of
+A reference is a piecewise polynomial of time, so that the feed-forward of
 the law gets the true acceleration instead of differences of samples, or a table of
 samples that includes the acceleration.
 """
@@ -20,11 +20,9 @@ from fracsys.checks import Array, Between, Period, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = [
-    "Chirp",
     "Path",
     "Reference",
     "SampledReference",
-    "chirp",
     "hold",
     "prbs",
     "pulse",
@@ -56,7 +54,7 @@ class Reference(ABC):
     """
 
     __made_by__ = (
-        "smooth_step, pulse, prbs, chirp, hold, SampledReference, two arrays (time, angle), or "
+        "smooth_step, pulse, prbs, hold, SampledReference, two arrays (time, angle), or "
         "spline(time, f(time)) for a function"
     )
 
@@ -161,37 +159,6 @@ class Path(Reference):
             np.concatenate([first[keep], second + np.eye(1, width) * end]),
             self.duration + later.duration,
         )
-
-
-@dataclass(frozen=True)
-class Chirp(Reference):
-    """A sine whose frequency rises linearly: a sin(2π(f₀ t + (f₁ − f₀)t²/(2T))), 0
-    before and after.
-    """
-
-    amplitude: float
-    start_frequency_hz: float
-    end_frequency_hz: float
-    duration: float
-    kind: str = "chirp"
-
-    def derivative(self, time: ArrayLike, order: int) -> Real:
-        """Return the derivative of `order` [rad/s^order] at `time` [s]."""
-        t = np.asarray(time, dtype=float)
-        rate = (
-            2
-            * math.pi
-            * (self.end_frequency_hz - self.start_frequency_hz)
-            / self.duration
-        )
-        speed = 2 * math.pi * self.start_frequency_hz + rate * t
-        phase = 2 * math.pi * self.start_frequency_hz * t + 0.5 * rate * t**2
-        inside = np.where((t >= 0) & (t <= self.duration), self.amplitude, 0.0)
-        if order == 0:
-            return np.asarray(inside * np.sin(phase))
-        if order == 1:
-            return np.asarray(inside * speed * np.cos(phase))
-        return np.asarray(inside * (rate * np.cos(phase) - speed**2 * np.sin(phase)))
 
 
 @checked
@@ -369,32 +336,15 @@ def smooth_step(amplitude: Angle, duration: Length, start: Start = 0.0) -> Path:
 
 
 @checked
-def pulse(
-    amplitude: Angle, width: Length, start: Start = 0.0, *, rise: Start = 0.0
-) -> Path:
-    """Return a pulse of `amplitude` [rad] and `width` [s] > 0; its edges take `rise`
-    [s], 0 for jumps.
+def pulse(amplitude: Angle, width: Length, start: Start = 0.0) -> Path:
+    """Return a pulse of `amplitude` [rad] and `width` [s] > 0, from jump to jump. One
+    with smooth edges is two moves: ``smooth_step(…).then(smooth_step(…))``.
 
     >>> bool(pulse(1.0, 7.0).angle(3.0) == 1.0), float(pulse(1.0, 7.0).angle(7.5))
     (True, 0.0)
     """
-    # A jump instead of an edge: a quintic of zero duration would divide by zero.
-    if rise < _SHORTEST:
-        return _steps(
-            "pulse", [0.0, start, start + width], [0.0, amplitude, 0.0], start + width
-        )
-    if rise > width:
-        raise FieldError(
-            "rise",
-            rise,
-            "longer than the pulse",
-            allowed=f"<= {width} s",
-            remedy="widen the pulse",
-        )
-    path = smooth_step(amplitude, rise, start).then(
-        smooth_step(-amplitude, rise, width - rise)
-    )
-    return Path("pulse", path.breaks, path.coefficients, path.duration)
+    end = start + width
+    return _steps("pulse", [0.0, start, end], [0.0, amplitude, 0.0], end)
 
 
 @checked
@@ -437,22 +387,6 @@ def prbs(
     return _steps(
         "prbs", before[0] + times, [*before[1], *levels, 0.0], start + bit * bits
     )
-
-
-@checked
-def chirp(
-    amplitude: Angle,
-    start_frequency_hz: Annotated[float, Between(0.0, _LARGEST, "Hz")],
-    end_frequency_hz: Annotated[float, Between(_SHORTEST, _LARGEST, "Hz")],
-    duration: Length,
-) -> Chirp:
-    """Return a sine sweep of `amplitude` [rad] from one frequency [Hz] to another in
-    `duration` [s], all > 0.
-
-    >>> round(float(chirp(0.1, 0.1, 5.0, 20.0).angle(0.5)), 4)
-    0.0485
-    """
-    return Chirp(amplitude, start_frequency_hz, end_frequency_hz, duration)
 
 
 def sampled(reference: Reference, period: float, length: float) -> Real:

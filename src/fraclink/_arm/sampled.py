@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import zeta
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
@@ -26,37 +25,28 @@ from fracsys.checks import Complex, Real
 __all__ = ["SampledPlant", "sampled_plant"]
 
 
-# aliases summed one by one on either side; the rest, 1e-7 of the sum, is summed in
-# closed form
-_TERMS = 12
-# where there is no closed form for the rest: F/s falls like s^-3, and 3e-9 of the sum
-# is left out
-_UNSUMMED = 60
+# aliases on either side: F/s falls at least like s^-3, and 3e-9 of the sum is left out
+_TERMS = 60
 
 
 @dataclass(frozen=True)
 class SampledPlant:
     """``P_d``: hold, computation delay, motor loop and link, sampled at `period` [s].
 
-    ``response(s)`` is F(s), vectorised over complex s; ``decay`` and ``leading`` its
-    asymptote ``F(s)/s → leading · s^(-decay)``, which sums the far aliases, or
-    ``leading`` is None if its asymptote is not a power (a delayed gauge). ``delay`` [s]
-    need not be a whole number of samples. ``before`` is the part before the hold, a
-    function of ω.
+    ``response(s)`` is F(s), vectorised over complex s. ``delay`` [s] need not be a whole
+    number of samples. ``before`` is the part before the hold, a function of ω.
     """
 
     response: Callable[[Complex], Complex]
     period: float
     delay: float
-    decay: float
-    leading: float | None
     before: Callable[[Real], Complex] | None = None
 
     def __call__(self, frequency: ArrayLike) -> Complex:
         """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, in the shape of
         `frequency`.
         """
-        return self._summed(frequency, _UNSUMMED if self.leading is None else _TERMS)
+        return self._summed(frequency, _TERMS)
 
     def near(self, frequency: ArrayLike) -> Complex:
         """Return P_d with the nearest aliases only, for coarse tables: the error is
@@ -71,10 +61,6 @@ class SampledPlant:
         # 1/s comes from the integral of the hold; its factor 1 − e^(−sT) is the same
         # for every alias and is factored out of the sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
-        if terms == _TERMS and self.leading is not None and self._whole_samples:
-            total = total + self.leading * self._far(w, rate) * np.exp(
-                -1j * self.delay * w
-            )
         # The factor 1 − z⁻¹ of the hold by expm1: at low frequencies the alias sum is
         # large and this factor small.
         response = -np.expm1(-1j * self.period * w) / self.period * total
@@ -82,22 +68,6 @@ class SampledPlant:
             response if self.before is None else response * self.before(w),
             dtype=np.complex128,
         )
-
-    @property
-    def _whole_samples(self) -> bool:
-        # e^{-τ s_k} varies with k unless τ is a whole number of samples; the tail is
-        # then bounded instead of summed.
-        return abs(self.delay / self.period - round(self.delay / self.period)) < 1e-12
-
-    def _far(self, w: Real, rate: float) -> Complex:
-        """Both tails of the alias sum from the asymptote: ``(±j)^(-q) ω_s^(-q) ζ(q, K +
-        1 ± ω/ω_s)``.
-        """
-        q = self.decay
-        turn = np.exp(-0.5j * math.pi * q)
-        above = zeta(q, _TERMS + 1.0 + w / rate)
-        below = zeta(q, _TERMS + 1.0 - w / rate)
-        return np.asarray(rate**-q * (turn * above + np.conj(turn) * below))
 
 
 def sampled_plant(
@@ -153,16 +123,10 @@ def sampled_plant(
         gauge = model.gauge_gain * np.exp(-model.gauge_delay * s)
         return np.asarray((1.0 - gauge * torque) / drive, dtype=np.complex128)
 
-    # At high frequency B falls like s^(−λ), or like s^(α−λ) where μ s^α exceeds ω₀².
-    softest = model.order - (model.damping_order if model.damping else 0.0)
-    strength = model.damping if model.damping else spring
     # The voltage of the PID already includes the computation delay.
     return SampledPlant(
         response=response,
         period=period,
         delay=0.0 if sampled else motor_loop.delay_samples * period,
-        # Two powers from the motor loop (or the motor), one from the hold.
-        decay=3.0 + softest,
-        leading=strength * (motor.gain if sampled else lag**-2) if exact else None,
         before=sampled.voltage if sampled else None,
     )

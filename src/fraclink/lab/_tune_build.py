@@ -403,7 +403,9 @@ def _mass_ratio(excess: Callable[[Real, Real], float]) -> float:
 
     def at(log_ratio: float) -> float:
         modes = Beam(1.0, 1.0, math.exp(log_ratio), 1.0).modes(2)
-        return float(excess(modes.frequencies, modes.participation * modes.curvature))
+        return float(
+            excess(modes.frequencies, (modes.participation * modes.frequencies) ** 2)
+        )
 
     low, high = math.log(_LIGHTEST), math.log(_HEAVIEST)
     if at(low) > 0.0:
