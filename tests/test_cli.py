@@ -332,10 +332,6 @@ def test_a_rig_without_a_model_says_what_to_do(
     ("line", "said"),
     [
         (
-            "shape design.json --amplitude 2 --follow p.csv",
-            "amplitude: given beside --follow (got 2.0)",
-        ),
-        (
             "simulate design.json --payload 0.03 --reference p.csv --amplitude 0",
             "amplitude: given beside --reference (got 0.0)",
         ),

@@ -224,14 +224,6 @@ class SampledReference(Reference):
             value if order == 0 else np.where((place < 0) | (place > last), 0.0, value)
         )
 
-    def through(self) -> Path:
-        """Return the cubic spline through the table's angles, with its own velocity and
-        acceleration.
-        """
-        return spline(
-            self.period * np.arange(float(self.values.shape[1])), self.values[0]
-        )
-
 
 @checked
 def spline(

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
-from fraclink._arm.reference import Path as MovePath
-from fraclink._arm.reference import SampledReference
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
@@ -19,11 +17,8 @@ from fraclink._cli.options import (
     refuse_beside,
 )
 from fraclink._export.board import export_reference
-from fraclink._reading.responses import read_reference
 from fraclink._simulate.shape import shape as shape_move
 from fracsys import checks as ranges
-
-FollowedPath = MovePath | SampledReference
 
 app = group()
 
@@ -40,10 +35,6 @@ def shape(
     ] = None,
     told: Annotated[bool, "The law is given the payload"] = False,
     estimate: Estimate = False,
-    follow: Annotated[
-        Path | None,
-        "Table of times and angles that the tip shall follow, instead of --amplitude",
-    ] = None,
     out: Annotated[Path, "File to write the move to", Writes()] = Path("move.json"),
     table: Annotated[
         Path | None, "Write its samples, too: .csv, or .h for C", Writes()
@@ -60,11 +51,7 @@ def shape(
         # A range of one payload: the same shaping, without a compromise.
         request["payloads"] = (payload, payload)
     refuse_beside("--estimate", "its estimate", told=(told and estimate) or None)
-    goal: float | FollowedPath = 1.0 if amplitude is None else amplitude
-    if follow is not None:
-        refuse_beside("--follow", "the angles of the file", amplitude=amplitude)
-        # A file contains one of these two: other references have no points to follow.
-        goal = cast(FollowedPath, read_reference(follow))
+    goal = 1.0 if amplitude is None else amplitude
     subject = load_design(design_file)
     with steps(1) as begin:
         begin("shaping the move")

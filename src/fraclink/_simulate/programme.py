@@ -7,8 +7,8 @@ c_j is a smooth step of c_j rad in three knots. One run of law.c for such a step
 arm without friction, noise and limits, determines the response to every reference: the
 sum of c_j times that run, delayed by j knots.
 
-    minimise e  subject to  |Σ c_j y_a(t − jh) − target(t)| <= e
-                       and  |Σ c_j V_a(t − jh)| <= V             for all arms a, all t
+    minimise e  subject to  |Σ c_j y_a(t − jh) − end| <= e     from the settling time on
+                       and  |Σ c_j V_a(t − jh)| <= V           for all arms a, all t
 """
 
 from __future__ import annotations
@@ -164,28 +164,26 @@ class Programme:
             [self._moved(answer[0], count) @ coefficients for answer in self.answers]
         )
 
-    def nearest(
-        self, count: int, target: Real, first: int, last: int
-    ) -> tuple[Real, float] | None:
-        """Return the `count` coefficients whose tips are nearest to `target` from row
-        first to last, and their largest distance [rad]; None if no reference keeps the
-        limits. The reference ends where the target ends.
+    def least_distance(self, count: int, end: float, first: int, last: int) -> float:
+        """Return the largest distance of any tip to `end` [rad] from row first to last,
+        least of all references of `count` coefficients; infinite if none keeps the
+        limits.
         """
-        rows, sides = self._rows(count, target, first, last)
+        rows, sides = self._rows(count, end, first, last)
         bounds: Bounds = [(None, None)] * count + [(0.0, None)]
         ends = np.append(np.ones(count), 0.0)
         # The last unknown is e, the distance, which is the only cost.
-        solution = _least(1.0 - ends, rows, sides, ends, float(target[-1]), bounds)
-        return None if solution is None else (solution[:count], float(solution[-1]))
+        solution = _least(1.0 - ends, rows, sides, ends, end, bounds)
+        return math.inf if solution is None else float(solution[-1])
 
     def gentlest(
-        self, count: int, target: Real, first: int, last: int, within: float
+        self, count: int, end: float, first: int, last: int, within: float
     ) -> Real | None:
         """Return, of all references whose tips keep the distance `within` [rad], the
         one whose acceleration varies least; the nearest one switches between its
         limits.
         """
-        rows, sides = self._rows(count, target, first, last)
+        rows, sides = self._rows(count, end, first, last)
         # Σ |differences of the acceleration| as a linear programme: each one is bounded
         # by an unknown of its own.
         jerk = np.diff(_differences(count), axis=0, prepend=0.0, append=0.0)
@@ -203,12 +201,10 @@ class Programme:
         ends = np.append(np.ones(count), np.zeros(1 + more))
         bounds: Bounds = [(None, None)] * count + [(0.0, within)]
         bounds += [(0.0, None)] * more
-        solution = _least(cost, rows, sides, ends, float(target[-1]), bounds)
+        solution = _least(cost, rows, sides, ends, end, bounds)
         return None if solution is None else solution[:count]
 
-    def _rows(
-        self, count: int, target: Real, first: int, last: int
-    ) -> tuple[Real, Real]:
+    def _rows(self, count: int, end: float, first: int, last: int) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
         # After the reference has come to rest the loop only decays: its peaks lie
         # before, or within a tenth of a second.
@@ -219,7 +215,6 @@ class Programme:
             np.eye(count) / (step * self.velocity),
             _differences(count) / (step**2 * self.acceleration),
         ]
-        goal = target[first:last]
         rows, sides = [], []
         for tip, *signals in self.answers:
             response = self._moved(tip, count)[first:last]
@@ -228,7 +223,7 @@ class Programme:
                 np.hstack([response, -distance]),
                 np.hstack([-response, -distance]),
             ]
-            sides += [goal, -goal]
+            sides += [np.full(len(response), end), np.full(len(response), -end)]
             limited += [self._moved(signal, count)[:until] for signal in signals]
         every = np.pad(np.vstack(limited), ((0, 0), (0, 1)))
         rows += [every, -every]

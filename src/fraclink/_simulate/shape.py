@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from fraclink._arm.reference import Path, SampledReference
+from fraclink._arm.reference import Path
 from fraclink._display import Overview, Row, displayed, number, quantity, state_of
 from fraclink._files import Saved, document
 from fraclink._law.design import Design
@@ -36,13 +36,12 @@ KNOTS = 30
 # the programme grow with their number, and the time of a solution more than
 # quadratically.
 MOST = 60
-FAR = 0.1  # fraction of the span of a path: a tip farther away does not follow it
 
 
 @displayed
 @document(
     "shaped-move",
-    version=2,
+    version=3,
     sources=lambda move: {"law": move.worst_case.law_sha256},
 )
 @compared
@@ -57,9 +56,6 @@ class ShapedMove(Saved):
         of the tip: a piecewise cubic with its knots on the law's periods.
     period
         of the law [s].
-    target
-        where the tip shall be: None for a move from rest to rest, else the path that is
-        followed.
     voltage
         that is kept [V], noise and friction included.
     reserve
@@ -67,12 +63,9 @@ class ShapedMove(Saved):
         noise [1].
     promised
         what the linear loops say: when the tip of every arm stays within 2 % of the
-        move [s]; along a path its largest distance to the path [rad].
+        move [s].
     worst_case
         what the arms made of it, with friction and noise.
-    farthest
-        largest measured distance of a tip to the path [rad]; NaN for a move from rest
-        to rest.
     tip_angle, motor_voltage
         of each arm of the set with the payload with which it settles last, one value a
         period, shape (A, N) [rad], [V].
@@ -92,12 +85,10 @@ class ShapedMove(Saved):
 
     reference: Path
     period: float
-    target: Path | None
     voltage: float
     reserve: float
     promised: float
     worst_case: WorstCase
-    farthest: float
     tip_angle: Real
     motor_voltage: Real
     findings: tuple[Finding, ...] = ()
@@ -108,10 +99,8 @@ class ShapedMove(Saved):
 
     @property
     def amplitude(self) -> float:
-        """The move from the reference's first angle to its last [rad]."""
-        return float(
-            self.reference.angle(self.reference.duration) - self.reference.angle(0.0)
-        )
+        """The move [rad]; the reference begins at 0."""
+        return float(self.reference.angle(self.reference.duration))
 
     @property
     def settling_time(self) -> float:
@@ -124,16 +113,9 @@ class ShapedMove(Saved):
         return not any(finding.severity != "info" for finding in self.findings)
 
     def overview(self) -> Overview:
-        """The longest settling time, or along a path the largest distance, as promised
-        and as measured.
-        """
+        """The longest settling time, as promised and as measured."""
         case = self.worst_case
-        if self.target is not None:
-            result = (
-                f"the tip stays within {quantity(self.farthest, 'mrad')} of the path "
-                f"({quantity(self.promised, 'mrad')} promised)"
-            )
-        elif math.isfinite(self.settling_time):
+        if math.isfinite(self.settling_time):
             promise = quantity(self.promised, "s", 3)
             result = f"every arm settles within {quantity(self.settling_time, 's', 3)} ({promise} promised)"
         else:
@@ -146,7 +128,6 @@ class ShapedMove(Saved):
             Row("duration", "", self.reference.duration),
             Row("promised", "", self.promised),
             Row("settling_time", "", self.settling_time),
-            Row("farthest", "", self.farthest),
             Row("worst_case", "", case),
         )
         return Overview(
@@ -162,7 +143,7 @@ class ShapedMove(Saved):
 @checked
 def shape(
     design: Design,
-    move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path | SampledReference,
+    move: Annotated[float, Between(-1e3, 1e3, "rad")],
     *,
     payloads: Payloads | None = None,
     told: Told = False,
@@ -174,15 +155,14 @@ def shape(
     seeds: Annotated[int, Between(1, 1000)] = 1,
 ) -> ShapedMove:
     """Return the reference from rest to rest with which every arm of a set settles
-    first, or the one with which every tip follows a path best.
+    first.
 
     The closed loop of the shipped law and an arm is linear as long as no limit acts, so
     the coefficients of a spline follow from a linear programme: the tips of all arms
     with all payloads within 2 % of the move, less a reserve, from the settling time on,
     and every voltage within its limit. The shortest settling time is found by
     bisection, and of all references that reach it, or the time that is asked for, the
-    one whose acceleration varies least is taken. Along a path the largest distance of
-    any tip is made least.
+    one whose acceleration varies least is taken.
 
     What is returned was then run on the arms with friction, noise and all their modes;
     where they do not do what was promised, a finding says so.
@@ -192,8 +172,7 @@ def shape(
     design
         whose law runs.
     move
-        size of the move [rad], not 0, or the path of the tip that is followed: a
-        `spline`, or samples.
+        size of the move [rad], not 0.
     payloads
         lightest and heaviest payload [kg], one reference for all; the design's where it
         is left out. Twice the same where it is known.
@@ -221,7 +200,7 @@ def shape(
     ------
     FieldError
         a value out of its range, a limit with which no arm can be moved in the time
-        that is wanted, a path that the limits do not let the tips follow.
+        that is wanted.
 
     Examples
     --------
@@ -233,57 +212,39 @@ def shape(
     >>> move.settling_time <= 0.6, move.worst_case.worst.peak_voltage < 8.0
     (True, True)
     """
-    move = move.through() if isinstance(move, SampledReference) else move
     arms = ArmSet.of(design, payloads, told=told, over=over, on=on)
     limits, amplifier = arms.law.limits, arms.rig.motor.voltage_limit
     # The amplifier limits the voltage, whatever is allowed.
     most = amplifier if voltage is None else min(voltage, amplifier)
-    share = 1.0 - reserve
-    if isinstance(move, Path):
-        search = _Search(arms, share, most, float(move.angle(move.duration)))
-        coefficients, programme = search.following(move)
-        promise = _farthest(programme.tips(coefficients), move, programme.period)
-    else:
-        # Beyond the law's own angle limit, its guard would reject the reference.
-        if move == 0.0 or abs(move) >= limits.angle_limit:
-            raise FieldError(
-                "move",
-                move,
-                "no move of this law",
-                allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
-                remedy="derive the law's limits for it",
-            )
-        search = _Search(arms, share, most, move)
-        coefficients, programme = search.settling(settle)
-        outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
-        promise = programme.period * float(np.flatnonzero(outside)[-1] + 1)
+    # Beyond the law's own angle limit, its guard would reject the reference.
+    if move == 0.0 or abs(move) >= limits.angle_limit:
+        raise FieldError(
+            "move",
+            move,
+            "no move of this law",
+            allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
+            remedy="derive the law's limits for it",
+        )
+    search = _Search(arms, 1.0 - reserve, most, move)
+    coefficients, programme = search.settling(settle)
+    outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
+    promise = programme.period * float(np.flatnonzero(outside)[-1] + 1)
     reference = programme.path(coefficients)
     figures = arms.figures(reference, seeds)
     runs = [arms.run(arms.links[each.arm], each.payload, reference) for each in figures]
-    tips = np.stack([run.tip_angle for run in runs])
-    target = move if isinstance(move, Path) else None
     shaped = ShapedMove(
         reference=reference,
         period=arms.law.period,
-        target=target,
         voltage=most,
         reserve=reserve,
         promised=promise,
         worst_case=WorstCase(
             figures, (arms.payloads[0], arms.payloads[-1]), told, on, arms.law.digest
         ),
-        farthest=math.nan
-        if target is None
-        else _farthest(tips, target, arms.law.period),
-        tip_angle=tips,
+        tip_angle=np.stack([run.tip_angle for run in runs]),
         motor_voltage=np.stack([run.voltage for run in runs]),
     )
     return replace(shaped, findings=_findings(shaped))
-
-
-def _farthest(tips: Real, path: Path, period: float) -> float:
-    """Largest distance of any tip to a path [rad]."""
-    return float(np.abs(tips - path.angle(period * np.arange(tips.shape[1]))).max())
 
 
 # ── the search
@@ -331,10 +292,7 @@ class _Search:
 
         def distance(settled: int) -> float:
             count = programme.count(settled * period)
-            nearest = programme.nearest(
-                count, self._target(programme), settled, settled + tail
-            )
-            return math.inf if nearest is None else nearest[1]
+            return programme.least_distance(count, self.end, settled, settled + tail)
 
         low, high = 0, math.floor((settle or self.arms.vibration) / period)
         while distance(high) > allowed:
@@ -353,14 +311,10 @@ class _Search:
             else:
                 low = middle
         count = programme.count(high * period)
-        target = self._target(programme)
-        coefficients = programme.gentlest(count, target, high, high + tail, allowed)
+        coefficients = programme.gentlest(count, self.end, high, high + tail, allowed)
         if coefficients is None:
             raise self._out_of_reach(high * period)
         return coefficients, programme
-
-    def _target(self, programme: Programme) -> Real:
-        return np.full(programme.length, self.end)
 
     def _out_of_reach(self, time: float) -> FieldError:
         return FieldError(
@@ -372,40 +326,9 @@ class _Search:
             "narrow the payloads",
         )
 
-    def following(self, path: Path) -> tuple[Real, Programme]:
-        """Return the reference whose tips are nearest to a path, and its programme."""
-        programme = self.programme(path.duration)
-        count = programme.count(path.duration)
-        # The loop is at rest at zero; a path that starts elsewhere would begin with a
-        # jump.
-        if float(path.angle(0.0)) != 0.0:
-            raise FieldError(
-                "move",
-                float(path.angle(0.0)),
-                "not at 0 at first",
-                allowed="a path from 0 rad",
-                remedy="count the path from where the arm stands",
-            )
-        target = path.angle(programme.period * np.arange(programme.length))
-        nearest = None
-        if count * programme.knot < programme.length:
-            nearest = programme.nearest(count, target, 0, programme.length)
-        if nearest is None:
-            longest = programme.length * programme.period
-            raise FieldError(
-                "move",
-                path.kind,
-                "not to be followed",
-                allowed=f"a path within the limits, shorter than {longest:.3g} s",
-                remedy="make it slower, cut it into parts, or allow more voltage",
-            )
-        return nearest[0], programme
-
 
 def _findings(move: ShapedMove) -> tuple[Finding, ...]:
-    """W501: the arms do not behave as the linear loops predict; W504: the path is too
-    fast.
-    """
+    """W501: the arms do not behave as the linear loops predict."""
     worst, figures = move.worst_case.worst, move.worst_case.arms
     findings = []
 
@@ -414,33 +337,13 @@ def _findings(move: ShapedMove) -> tuple[Finding, ...]:
             values = {"measured": measured, "allowed": allowed}
             findings.append(Finding("W501", "warning", what, values, remedy))
 
-    if move.target is None:
-        doubt(
-            f"the arm ({worst.arm}) settles later than the linear loop promises",
-            worst.settling_time,
-            # both times are counted in periods, and each may round
-            move.promised + 1.5 * move.period,
-            "keep a larger reserve: friction or noise takes more of the band",
-        )
-    else:
-        span = float(np.ptp(move.target.angle(move.target.breaks)))
-        doubt(
-            "the tip is farther from the path than the linear loop promises",
-            move.farthest,
-            move.promised + move.reserve * BAND * span,
-            "noise or friction moves the arm: make the path larger",
-        )
-        if move.promised > FAR * span:
-            findings.append(
-                Finding(
-                    "W504",
-                    "warning",
-                    "the path is faster than the limits allow",
-                    {"farthest": move.promised, "span": span},
-                    "make it slower, begin it at rest, allow more voltage, or tell the "
-                    "law the payload",
-                )
-            )
+    doubt(
+        f"the arm ({worst.arm}) settles later than the linear loop promises",
+        worst.settling_time,
+        # both times are counted in periods, and each may round
+        move.promised + 1.5 * move.period,
+        "keep a larger reserve: friction or noise takes more of the band",
+    )
     doubt(
         "noise and friction take the voltage beyond its limit",
         max(each.peak_voltage for each in figures),

@@ -80,14 +80,10 @@ def shaped_figure(move: ShapedMove) -> Figure:
     end = min(float(time[-1]), 2.0 * reference.duration)
     part = time <= end * (1 + 1e-9)
     time = time[part]
-    tip: list[Mark] = []
-    if move.target is None:
-        low, high = (1 - _BAND) * move.amplitude, (1 + _BAND) * move.amplitude
-        tip.append(Zone(low, high, lying=True))
-        if math.isfinite(move.settling_time) and move.settling_time < end:
-            tip.append(Upright(move.settling_time, "all settled"))
-    else:
-        tip.append(Curve(*envelope(time, move.target.angle(time)), 0, "path"))
+    low, high = (1 - _BAND) * move.amplitude, (1 + _BAND) * move.amplitude
+    tip: list[Mark] = [Zone(low, high, lying=True)]
+    if math.isfinite(move.settling_time) and move.settling_time < end:
+        tip.append(Upright(move.settling_time, "all settled"))
     tip.append(
         Curve(*envelope(time, reference.angle(time)), 0, "reference", dashed=True)
     )
