@@ -96,7 +96,7 @@ def energy_matrix(plant: Any, hub_inertia: float) -> Real:
     for i, (omega, load) in enumerate(
         zip(modes.frequencies, modes.participation, strict=True)
     ):
-        at = plant.mode_slice(i).start
+        at = 2 + i * (2 + chain.rates.size)
         bend = np.zeros(n)
         bend[at], bend[0] = 1.0, -load
         energy[at + 1, at + 1] += 0.5

@@ -537,12 +537,13 @@ def test_the_second_mode_is_its_transfer_function() -> None:
     )
 
 
-def test_a_law_without_a_motor_loop_is_said() -> None:
+def test_a_law_without_a_motor_loop_drives_no_motor() -> None:
     bare = replace(law(), motor_loop=None)
-    equipped = simulate(
-        bare, STEP, rig=EXACT, model=MODEL, motor_loop="sampled", duration=1.0
-    )
-    assert [finding.code for finding in equipped.findings] == ["W602"]
+    options = {"rig": EXACT, "model": MODEL, "motor_loop": "sampled", "duration": 1.0}
+    with pytest.raises(FieldError, match=r"law.motor_loop: missing"):
+        simulate(bare, STEP, **options)
+    equipped = simulate(fl.extend.equip(bare, EXACT, MODEL), STEP, **options)
+    assert equipped.verdict.passed
     assert simulate(bare, STEP, rig=EXACT, model=MODEL, duration=1.0).findings == ()
     assert (
         simulate(law(), STEP, rig=EXACT, model=MODEL, duration=1.0).about["motor_loop"]

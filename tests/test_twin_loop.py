@@ -11,7 +11,6 @@ import fraclink as fl
 from fraclink import Run, Twin, smooth_step
 from fraclink._simulate.events import healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.on_twin import with_motor_loop
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import (
     Encoder,
@@ -142,9 +141,7 @@ def test_free_swing_loses_energy_with_friction(law):
     period.
     """
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    off = with_motor_loop(
-        replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9)), twin=twin
-    )[0]
+    off = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9))
     vessel = ArmState(twin, law.period, off.initial_state())
     vessel.state[1], vessel.counters[0] = 3.0, 0
     matrix = energy_matrix(vessel.plant, twin.hub_inertia)
@@ -198,14 +195,13 @@ def test_payload_lost_mid_move(law):
     assert np.abs(run.error).max() < 0.25 and abs(run.error[-1]) < 0.02
 
 
-def test_a_law_without_a_motor_loop_gets_that_of_the_twins_motor(law):
+def test_a_law_without_a_motor_loop_is_refused(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    run = fl.simulate(replace(law, motor_loop=None), MOVE, arm=twin, duration=4.0)
-    assert "W602" in [finding.code for finding in run.findings]
-    own = fl.simulate(law, MOVE, arm=twin, duration=4.0)
-    assert run.verdict.passed and run.motor_angle[-1] == pytest.approx(
-        own.motor_angle[-1], abs=5e-3
-    )
+    bare = replace(law, motor_loop=None)
+    with pytest.raises(FieldError, match=r"law.motor_loop: missing"):
+        fl.simulate(bare, MOVE, arm=twin, duration=4.0)
+    equipped = fl.extend.equip(bare, RIG, RIG.model)
+    assert fl.simulate(equipped, MOVE, arm=twin, duration=4.0).verdict.passed
 
 
 def test_obstacle_stops_the_tip_and_pushes_one_way(law):
@@ -255,7 +251,7 @@ def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
     twin = Twin.from_rig(rig, link_mass=LINK_MASS)
     assert [f.code for f in twin.findings] == ["W601"]
     assert Twin.from_rig(RIG, link_mass=LINK_MASS).findings == ()
-    printed = replace(law, motor_loop=None)
+    printed = equip(law, rig, rig.model)
     run = fl.simulate(printed, MOVE, arm=twin, duration=4.0)
     assert run.mode[-1] == 4 or np.abs(run.error).max() > 0.5
 

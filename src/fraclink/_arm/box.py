@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from itertools import product
 
 from fraclink._arm.controller import Controller
@@ -337,17 +337,9 @@ def outward(low: float, high: float) -> tuple[float, float]:
     """
     if low == high:
         return float(low), float(high)
-    return _rounded(low, math.floor), _rounded(high, math.ceil)
+    return _rounded(low, ROUND_FLOOR), _rounded(high, ROUND_CEILING)
 
 
-def _rounded(value: float, towards: Callable[[float], int]) -> float:
-    if not value:
-        return 0.0
-    digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
-    multiple = value * digit
-    # A value of at most six digits stays unchanged: its product with a power of ten is
-    # an integer up to rounding.
-    whole = (
-        round(multiple) if abs(multiple - round(multiple)) < 1e-6 else towards(multiple)
-    )
-    return float(f"{whole / digit:.6g}")
+def _rounded(value: float, way: str) -> float:
+    # Twelve digits first: 0.30000000000000004 is 0.3, not 0.300001.
+    return float(Context(prec=6, rounding=way).create_decimal(f"{value:.12g}"))

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
 
 __all__ = [
-    "Achieved",
     "Crossings",
     "Loop",
     "noise_points",
@@ -89,22 +88,6 @@ class Crossings:
         return np.asarray(
             -np.remainder(-(self.phase + np.pi) + np.pi, 2 * np.pi) + np.pi
         )
-
-
-@dataclass(frozen=True)
-class Achieved:
-    """The figures achieved by a loop, one value for each ω₀.
-
-    Upper gain crossover [rad/s], phase margin [rad] (negative where the loop is
-    unstable), sensitivity peak Ms = max 1/|1 + L| (infinite where it is unstable), and
-    noise gain.
-    """
-
-    natural_frequency: Real
-    gain_crossover: Real
-    phase_margin: Real
-    sensitivity_peak: Real
-    noise_gain: Real
 
 
 @dataclass(frozen=True)
@@ -401,37 +384,6 @@ class Loop(GaugedLink):
             lambda s: self(np.imag(s), natural_frequency), limit=limit, unstable_poles=0
         )
 
-    def sensitivity_peak(self, natural_frequency: ArrayLike) -> Real:
-        """Return Ms = 1/min|1 + L| for each ω₀: a scan over two decades about the mode,
-        refined twice.
-        """
-        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
-        mode = self.peak(w0)[:, None]
-        # A scan from half to three times the mode misses Ms by 1 %, since the crossover
-        # may lie far from it.
-        w = np.minimum(mode * np.geomspace(0.2, 30.0, 240), self.highest)
-        if not self.exact_gauge:
-            points = self._gauge_points(w0)
-            w = np.sort(
-                np.concatenate(
-                    [w, np.broadcast_to(points, (w0.size, points.size))], axis=1
-                ),
-                axis=1,
-            )
-            w = np.minimum(w, self.highest)
-        # Steps of 2 %, then two refinements to sixteenths between the neighbours of the
-        # minimum: 8e-5 of ω, 1e-6 of Ms.
-        rows = np.arange(w0.size)
-        for _ in range(3):
-            distance = np.abs(1.0 + self(w, w0[:, None]))
-            best = np.argmin(distance, axis=1)
-            low, high = (
-                w[rows, np.maximum(best - 1, 0)],
-                w[rows, np.minimum(best + 1, w.shape[1] - 1)],
-            )
-            w = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 33)
-        return np.asarray(1.0 / np.min(distance, axis=1))
-
     def noise_gain(self, natural_frequency: ArrayLike, period: float) -> Real:
         """Return the noise gain for each ω₀, ``(∫₀^{ωN} |Ĉ/(1+L)|² dω / ωN)^½`` (30),
         ωN = π/`period`.
@@ -447,13 +399,6 @@ class Loop(GaugedLink):
                 np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights))
             )
         return np.asarray(gains, dtype=float)
-
-    def achieved(self, natural_frequency: ArrayLike, period: float) -> Achieved:
-        """Return what the loop achieves at each ω₀; noise is white up to π/`period`."""
-        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
-        crossover, margin = self.margins(w0)
-        peak = np.where(margin > 0.0, self.sensitivity_peak(w0), math.inf)
-        return Achieved(w0, crossover, margin, peak, self.noise_gain(w0, period))
 
 
 def _turns(crossings: Crossings, rows: int) -> Real:

@@ -118,7 +118,7 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
 @compared
 @dataclass(frozen=True, eq=False)
 class MarginCurve:
-    """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s, rad and 1.
+    """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s and rad.
 
     ``phase_margin`` is the smallest over all gain crossings, below zero where the loop
     is unstable.
@@ -128,7 +128,6 @@ class MarginCurve:
     payload: Real
     gain_crossover: Real
     phase_margin: Real
-    modulus_margin: Real
 
 
 @checked
@@ -159,7 +158,6 @@ def margin_curve(
             masses,
             np.array([f.gain_crossover for f in margins]),
             sign * np.array([min(abs(f.phase_margin), math.pi) for f in margins]),
-            np.array([f.modulus_margin for f in margins]),
         )
     loops = {
         # Up to the Nyquist frequency like the others: no controller realises a crossing
@@ -176,14 +174,7 @@ def margin_curve(
         "loop": whole,
     }
     w0 = np.array([design.natural_frequency(float(m)) for m in masses])
-    figures = loops[kind].achieved(w0, design.rig.period)
-    return MarginCurve(
-        kind,
-        masses,
-        figures.gain_crossover,
-        figures.phase_margin,
-        1.0 / figures.sensitivity_peak,
-    )
+    return MarginCurve(kind, masses, *loops[kind].margins(w0))
 
 
 def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:

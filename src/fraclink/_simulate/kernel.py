@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import matrices
-from fraclink._arm.motor import place_pid
 from fraclink._arm.rig import Rig
-from fraclink._law import DiscreteMotorLoop, Law
-from fraclink._law.discretization import COULOMB_SPEED
+from fraclink._law import Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import estimated_over
@@ -279,7 +277,9 @@ class ArmState:
         # A straight link at rest: the hub at its angle, and the absolute coordinate of
         # each mode at Γi θm.
         self.state[0] = start_angle
-        self.state += _straight(self.plant, start_angle, self.state.size)
+        self.plant.modal(self.state)[:, 0] = (
+            self.plant.modes.participation * start_angle
+        )
         # The queues hold zeros: the link is straight, and no voltage was commanded.
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
@@ -392,14 +392,6 @@ def _discretised(twin: Twin, step: float) -> tuple[Plant, StepMatrices]:
     return plant, plant.discretise(step)
 
 
-def _straight(plant: Plant, angle: float, size: int) -> Real:
-    """The absolute modal coordinates Γi θm of a straight link with its hub at `angle`."""
-    state = np.zeros(size)
-    for i in range(plant.modes.count):
-        state[plant.mode_slice(i).start] = plant.modes.participation[i] * angle
-    return state
-
-
 def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     """Project link, velocity and every Maxwell element from the old modes onto the new
     ones.
@@ -410,27 +402,10 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     projection = new.modes.shapes.T @ mass @ old.modes.shapes
     result = step.rest()
     result[:2] = state[:2]
-    blocks = np.array([state[old.mode_slice(i)] for i in range(old.modes.count)])
+    bending, moved = old.modal(state).copy(), new.modal(result)
     # From absolute to bending coordinates and back, because the rigid rotation Γi θm
     # depends on the Γi of the payload.
-    blocks[:, 0] -= old.modes.participation * state[0]
-    blocks[:, 1] -= old.modes.participation * state[1]
-    projected = projection @ blocks
-    projected[:, 0] += new.modes.participation * state[0]
-    projected[:, 1] += new.modes.participation * state[1]
-    for i in range(new.modes.count):
-        result[new.mode_slice(i)] = projected[i]
+    bending[:, :2] -= np.outer(old.modes.participation, state[:2])
+    moved[:] = projection @ bending
+    moved[:, :2] += np.outer(new.modes.participation, state[:2])
     return result
-
-
-def motor_loop_of(twin: Twin, law: Law) -> DiscreteMotorLoop:
-    motor = twin.motor
-    return DiscreteMotorLoop(
-        pid=place_pid(motor, law.motor_loop_pole).discretize(law.period),
-        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
-        # The link's torque acts at the output: a voltage of 1/(nK) per torque balances
-        # it.
-        torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
-        coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
-        coulomb_speed=COULOMB_SPEED,
-    )

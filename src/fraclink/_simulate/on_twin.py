@@ -6,16 +6,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference
-from fraclink._arm.rig import Rig
-from fraclink._law import Law, equip
+from fraclink._law import Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import (
@@ -33,42 +30,28 @@ from fraclink._simulate.events import (
     given_payload,
     healthy_inputs,
 )
-from fraclink._simulate.kernel import RECORD, ArmState, motor_loop_of
+from fraclink._simulate.kernel import RECORD, ArmState
 from fraclink._simulate.run import Run, judged_run
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import Real
 
-__all__ = ["acted", "on_twin", "twin_run", "with_motor_loop"]
+__all__ = ["acted", "check_motor_loop", "on_twin", "twin_run"]
 
 
-def with_motor_loop(
-    law: Law,
-    *,
-    rig: Rig | None = None,
-    link: LinkModel | None = None,
-    twin: Twin | None = None,
-) -> tuple[Law, tuple[Finding, ...]]:
-    """Return the law with the motor loop of its rig, or of the twin's motor, and W602
-    if it had none.
-    """
+def check_motor_loop(law: Law) -> None:
+    """Refuse a law that does not drive a motor, or drives it at another period."""
     if law.motor_loop is None:
-        finding = Finding(
-            "W602",
-            "warning",
-            "the law has no motor loop: it ran with the motor loop of its arm, so it is not the law you have",
-            {},
-            "simulate design.law(), which has the motor loop that is shipped",
+        raise FieldError(
+            "law.motor_loop",
+            None,
+            "missing: the law gives a motor angle, and this arm's motor takes a voltage",
+            allowed="a law with a motor loop",
+            remedy="simulate design.law(), or fraclink.extend.equip(law, rig, model)",
         )
-        # With rig and link the law also gets the guards of its sensors; the motor of
-        # the twin alone gives a motor loop without limits.
-        if rig is not None and link is not None:
-            return equip(law, rig, link), (finding,)
-        if twin is not None:
-            return replace(law, motor_loop=motor_loop_of(twin, law)), (finding,)
     # Both are recursions of their own period: at another period the poles would move
     # without notice.
-    elif not math.isclose(law.motor_loop.pid.period, law.period, rel_tol=1e-9):
+    if not math.isclose(law.motor_loop.pid.period, law.period, rel_tol=1e-9):
         raise FieldError(
             "period",
             law.period,
@@ -76,7 +59,6 @@ def with_motor_loop(
             allowed=f"{law.motor_loop.pid.period} s",
             remedy="discretise controller and motor loop at one period",
         )
-    return law, ()
 
 
 def on_twin(
@@ -89,7 +71,7 @@ def on_twin(
     told: bool | float | str | PayloadEstimator,
     estimator: PayloadEstimator | None,
 ) -> Run:
-    law, findings = with_motor_loop(law, twin=twin)
+    check_motor_loop(law)
     inputs = healthy_inputs(
         twin.gauge, reference, law.period, length, np.random.default_rng(seed)
     )
@@ -125,7 +107,7 @@ def on_twin(
             "payload_given": ESTIMATED if estimator else _said(told),
             "events": "; ".join(map(repr, events)),
         },
-        findings=(*twin.findings, *findings),
+        findings=twin.findings,
         estimates=None if estimator is None else (estimator, joined(estimates)),
     )
 

@@ -96,12 +96,11 @@ class Plant:
         """Number of states."""
         return int(self.dynamics.shape[0])
 
-    def mode_slice(self, mode: int) -> slice:
-        """Return where the states of one mode are: its coordinate, its velocity, its
-        Maxwell elements.
+    def modal(self, state: Real) -> Real:
+        """Return a view of the modes' part of a state, a row for each mode: its
+        coordinate, its velocity, its Maxwell elements.
         """
-        width = 2 + self.chain.rates.size
-        return slice(2 + mode * width, 2 + (mode + 1) * width)
+        return state[2 : self.order].reshape(self.modes.count, -1)
 
     def discretise(self, step: float) -> StepMatrices:
         """Return the exact step of length `step` [s] for inputs held over it."""

@@ -44,7 +44,7 @@ from fraclink._simulate.kernel import (
     shared_rig,
 )
 from fraclink._simulate.links import link_weights
-from fraclink._simulate.on_twin import on_twin, with_motor_loop
+from fraclink._simulate.on_twin import check_motor_loop, on_twin
 from fraclink._simulate.run import Run, judged_run
 from fraclink.errors import FieldError, required
 from fraclink.findings import Finding
@@ -193,9 +193,8 @@ def simulate(
     # A law without a motor loop outputs a motor angle: it is run with the M(s) for
     # which it was designed.
     kind = motor_loop or ("ideal" if law.motor_loop is None else "sampled")
-    law, findings = (
-        with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
-    )
+    if kind == "sampled":
+        check_motor_loop(law)
     own = replace(
         own,
         gauge=_changed(own.gauge, **own_gauge),
@@ -219,9 +218,7 @@ def simulate(
         "payload_given": ESTIMATED if estimator else given_payload(told, link.payload),
     }
     about |= {"events": "; ".join(map(repr, faults))} if faults else {}
-    return _on_model(
-        law, link, own, reference, length, about, findings, faults, estimator
-    )
+    return _on_model(law, link, own, reference, length, about, faults, estimator)
 
 
 def _changed(part: Part, **values: Any) -> Part:
@@ -279,7 +276,6 @@ def _on_model(
     reference: Reference,
     length: float,
     about: Mapping[str, Any],
-    findings: tuple[Finding, ...],
     faults: tuple[SensorFault, ...],
     estimator: PayloadEstimator | None,
 ) -> Run:
@@ -328,7 +324,6 @@ def _on_model(
         # A run cut off before its reference rests is judged by its last tenth.
         ended=min(reference.duration, (count - 1) * law.period),
         about=about,
-        findings=findings,
         estimator=estimator,
         faults=broken,
     )
@@ -341,13 +336,13 @@ def model_run(
     *,
     ended: float,
     about: Mapping[str, Any],
-    findings: tuple[Finding, ...] = (),
     growth: float | None = None,
     estimator: PayloadEstimator | None = None,
     faults: Real | None = None,
 ) -> Run:
     """Return the run of one arm from the signals of `run_lumped` and the reference."""
-    extras = None
+    extras: dict[str, Real] | None = None
+    findings: tuple[Finding, ...] = ()
     if estimator is not None:
         angle, torque = signals["motor_angle_measured"], signals["torque_measured"]
         missed = np.zeros(angle.size) if faults is None else faults[:, FAULT_BITS]
@@ -360,7 +355,7 @@ def model_run(
             np.arange(angle.size),
             active,
         )
-        findings += estimate_findings(estimator, estimates, law.period)
+        findings = estimate_findings(estimator, estimates, law.period)
         extras = estimate_signals(estimates)
     return judged_run(
         signals,

@@ -20,7 +20,7 @@ from fraclink._simulate import Twin, kernel
 from fraclink._simulate import events as columns
 from fraclink._simulate.events import FAULTS, healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.on_twin import acted, twin_run, with_motor_loop
+from fraclink._simulate.on_twin import acted, check_motor_loop, twin_run
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, checked
@@ -101,7 +101,7 @@ class Bench:
         """
         arm = design.rig if rig is None else rig
         twin = Twin.from_rig(arm, link_mass=link_mass)
-        law, _ = with_motor_loop(replace(design, rig=arm).law(), twin=twin)
+        law = replace(design, rig=arm).law()
         low, high = design.payloads
         nominal = arm.payloads.nominal
         # A design for payloads other than those of its rig is tested in the middle of
@@ -125,7 +125,8 @@ class Bench:
                 allowed=f"{self.law.period} s",
                 remedy="discretise at the rig's period",
             )
-        return replace(self, law=with_motor_loop(law, twin=self.twin)[0])
+        check_motor_loop(law)
+        return replace(self, law=law)
 
 
 class Trial:

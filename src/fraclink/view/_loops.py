@@ -215,9 +215,7 @@ def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
     loops = (
         arm.loop(design.controller, design.rig) for arm in arms_of(box, design.model)
     )
-    angles = np.degrees(
-        [loop.achieved(w0, design.rig.period).phase_margin for loop in loops]
-    )
+    angles = np.degrees([loop.margins(w0)[1] for loop in loops])
     return np.min(angles, axis=0), np.max(angles, axis=0)
 
 
