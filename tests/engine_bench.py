@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import Design, Law, Reference
 from fraclink._simulate.engine import (
-    RIG_NUMBERS,
     engine_link,
     engine_noise,
     engine_rig,
@@ -166,12 +165,10 @@ class Engine:
         count = round(duration / law.period) + 1
         model = design.model.at_payload(payload)
         link = engine_link(model, law.period, duration)
-        numbers = engine_rig(design.rig, law, model)
-        for name, value in {**changed, "payload": told}.items():
-            numbers[RIG_NUMBERS.index(name)] = value
+        numbers = engine_rig(design.rig, law, model) | changed | {"payload": told}
         angle, acceleration = path(reference, law, count)
         self.write(self.call("block"), law.block)
-        self.fill(self.call("rig"), numbers)
+        self.fill(self.call("rig"), np.array(list(numbers.values())))
         self.write(self.call("link"), link.numbers.tobytes())
         for row, values in enumerate((angle, acceleration, engine_noise(seed, count))):
             self.write(self.call("path", row), values.tobytes())

@@ -105,9 +105,7 @@ def test_b30_a_stiffness_that_contradicts_the_beam_is_a_warning_that_names_both(
     (finding,) = Rig.named("paper-2023").warnings
     assert finding.code == "W101"
     assert "1.56" in finding.message and "1.2 " in finding.message
-    assert dict(finding.evidence) == pytest.approx(
-        {"stiffness": 1.56, "beam_stiffness": 1.2}
-    )
+    assert dict(finding.evidence) == pytest.approx({"stated": 1.56, "expected": 1.2})
     unmeasured = dataclasses.replace(
         Rig.named("paper-2023"), link=Link(0.65, 0.260), model=None
     )

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 from fraclink._display import number, quantity
 from fraclink._files import document
 from fraclink.errors import FieldError
-from fracsys._fractional import FractionalTransferFunction
-from fracsys._terms import Term
+from fracsys._fractional import FractionalTransferFunction, s
 from fracsys.checks import Between, Complex, Real, Where, checked, checked_choice
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
@@ -315,7 +314,7 @@ class LinkModel:
         >>> abs(LinkModel(1.56, 10.0, order=1.9).tip()(0.001j)).__round__(6)
         1.0
         """
-        return self._over_denominator(1.0, inertia=False)
+        return self._restoring / (s**self.order + self._restoring)
 
     def torque(self) -> FractionalTransferFunction:
         """Return Γ/θm = c s^λ/(s^λ + μ s^α + ω₀²) [N·m/rad], the paper's (6), (10),
@@ -324,21 +323,12 @@ class LinkModel:
         >>> abs(LinkModel(1.56, 10.0, order=1.9).torque()(1e6j)).__round__(4)
         1.56
         """
-        return self._over_denominator(self.stiffness, inertia=True)
+        return self.stiffness * s**self.order / (s**self.order + self._restoring)
 
-    def _over_denominator(
-        self, gain: float, *, inertia: bool
-    ) -> FractionalTransferFunction:
-        restoring = (
-            [Term(self.natural_frequency**2, 0.0)] if self.natural_frequency else []
-        )
-        restoring += [Term(self.damping, self.damping_order)] if self.damping else []
-        moving = Term(1.0, self.order)
-        numerator = [moving] if inertia else restoring
-        top = tuple(
-            replace(term, coefficient=gain * term.coefficient) for term in numerator
-        )
-        return FractionalTransferFunction(top, (*restoring, moving))
+    @property
+    def _restoring(self) -> FractionalTransferFunction:
+        """μ s^α + ω₀²."""
+        return self.damping * s**self.damping_order + self.natural_frequency**2
 
     @property
     def pole(self) -> complex:

@@ -241,7 +241,10 @@ class Loop(GaugedLink):
         w = self._grid(w0)
         level = self.level(w, w0[:, None])
         row, column = np.nonzero((level[:, :-1] > 0.0) != (level[:, 1:] > 0.0))
-        frequency = self._polish(w[row, column], w[row, column + 1], w0[row])
+        ends = np.log(w[row, column]), np.log(w[row, column + 1])
+        frequency = np.exp(
+            bracketed_roots(lambda x: self.level(np.exp(x), w0[row]), *ends)
+        )
         value = self.log(frequency, w0[row])
         return Crossings(
             row, frequency, value.imag, self.slope(frequency, w0[row]).real
@@ -334,16 +337,6 @@ class Loop(GaugedLink):
         root = (-half + math.sqrt(half * half + rest * self.order)) / rest
         return np.asarray((root * w0**2) ** (1.0 / self.link_order))
 
-    def _polish(self, low: Real, high: Real, w0: Real) -> Real:
-        """The crossing inside each bracket, computed in ln ω."""
-        return np.exp(
-            bracketed_roots(
-                lambda x: self.level(np.exp(x), w0),
-                np.log(low),
-                np.log(high),
-            )
-        )
-
     def margins(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
         """Return (upper gain crossover, signed phase margin) for each ω₀.
 
@@ -362,7 +355,14 @@ class Loop(GaugedLink):
         first = ~self._at_mode(crossings, w0)
         np.maximum.at(crossover, crossings.row[first], crossings.frequency[first])
         np.minimum.at(margin, crossings.row, np.abs(crossings.phase_margin))
-        return crossover, np.where(_turns(crossings, w0.size) == 0.0, margin, -margin)
+        # Clockwise encirclements of -1 for each ω₀.
+        turns, encirclements = (
+            crossings.phase / (2.0 * math.pi) + 0.5,
+            np.zeros(w0.size),
+        )
+        passed = np.where(crossings.slope > 0.0, np.floor(turns), -np.floor(turns))
+        np.add.at(encirclements, crossings.row, passed)
+        return crossover, np.where(encirclements == 0.0, margin, -margin)
 
     def _at_mode(self, crossings: Crossings, w0: Real) -> Mask:
         """Flags of the crossings that belong to the resonance of the second mode."""
@@ -399,14 +399,6 @@ class Loop(GaugedLink):
                 np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights))
             )
         return np.asarray(gains, dtype=float)
-
-
-def _turns(crossings: Crossings, rows: int) -> Real:
-    """Clockwise encirclements of -1 for each row of ω₀."""
-    turns = np.floor((crossings.phase + math.pi) / (2.0 * math.pi))
-    total = np.zeros(rows)
-    np.add.at(total, crossings.row, np.where(crossings.slope > 0.0, turns, -turns))
-    return total
 
 
 def noise_points(

@@ -218,29 +218,33 @@ class Rig:
     def warnings(self) -> tuple[Finding, ...]:
         """Contradictions between the rig's own values, each with both of them."""
         link, model = self.link, self.model
+        stiffness = ("link.stiffness", link.stiffness)
         # Each contradiction is reported with both values, since only a person can tell
         # which is wrong.
-        findings = [self._stiffness_finding()]
+        findings = _contradiction(*stiffness, "3EI/L", link.beam_stiffness, "N·m/rad")
         if model is not None:
-            stiffness = ("model.stiffness", model.stiffness)
-            findings.append(
-                _contradiction("W101", *stiffness, "link.stiffness", link.stiffness)
+            findings += _contradiction(
+                "model.stiffness", model.stiffness, *stiffness, "N·m/rad"
             )
         if model is not None and model.payload is not None:
-            lumped = (
+            findings += _contradiction(
+                "model.natural_frequency",
+                model.natural_frequency,
                 f"eq. (5) at {model.payload:g} kg",
                 self.natural_frequency(model.payload),
+                "s^(−λ/2)",
             )
-            findings.append(
-                _contradiction(
-                    "W101", "model.natural_frequency", model.natural_frequency, *lumped
-                )
+        if link.mass > self.payloads.low:
+            heavy = Finding(
+                "W104",
+                "info",
+                f"the link ({link.mass:g} kg) outweighs the lightest payload ({self.payloads.low:g} kg): "
+                "one vibration mode may not be enough",
+                {"link_mass": link.mass, "lightest_payload": self.payloads.low},
+                "look at the residual of the fit above the first resonance",
             )
-        return tuple(
-            finding
-            for finding in (*findings, self._mass_finding())
-            if finding is not None
-        )
+            findings += (heavy,)
+        return findings
 
     def overview(self) -> Overview:
         """Everything that the rig states."""
@@ -288,47 +292,25 @@ class Rig:
         )
         return Overview(self.name, rows=rows, findings=self.warnings)
 
-    def _stiffness_finding(self) -> Finding | None:
-        stiffness, computed = self.link.stiffness, self.link.beam_stiffness
-        if abs(stiffness - computed) <= _AGREEMENT * computed:
-            return None
-        return Finding(
-            "W101",
-            "warning",
-            f"link.stiffness = {stiffness:.6g} N·m/rad contradicts 3EI/L = {computed:.6g} N·m/rad",
-            {"stiffness": stiffness, "beam_stiffness": computed},
-            "fraclink uses the stated stiffness; measure it, or correct EI or L",
-        )
-
-    def _mass_finding(self) -> Finding | None:
-        if self.link.mass <= self.payloads.low:
-            return None
-        return Finding(
-            "W104",
-            "info",
-            f"the link ({self.link.mass:g} kg) outweighs the lightest payload ({self.payloads.low:g} kg): "
-            "one vibration mode may not be enough",
-            {"link_mass": self.link.mass, "lightest_payload": self.payloads.low},
-            "look at the residual of the fit above the first resonance",
-        )
-
 
 def _lumped_frequency(stiffness: float, mass: float, length: float) -> float:
     return math.sqrt(stiffness / (mass * length**2))
 
 
 def _contradiction(
-    code: str, first: str, value: float, second: str, other: float
-) -> Finding | None:
+    first: str, value: float, second: str, other: float, unit: str
+) -> tuple[Finding, ...]:
+    """W101 where two values of one quantity differ, or nothing."""
     if abs(value - other) <= _AGREEMENT * other:
-        return None
-    return Finding(
-        code,
+        return ()
+    contradiction = Finding(
+        "W101",
         "warning",
-        f"{first} = {value:.6g} contradicts {second} = {other:.6g}",
+        f"{first} = {value:.6g} {unit} contradicts {second} = {other:.6g} {unit}",
         {"stated": value, "expected": other},
         f"fraclink uses {first}; correct the one that is wrong",
     )
+    return (contradiction,)
 
 
 # --- the file: what a person may write otherwise than the rig has it ---------------------------------------

@@ -27,7 +27,6 @@ from fracsys.checks import Real
 
 __all__ = [
     "LONGEST",
-    "RIG_NUMBERS",
     "TWIN_MODES",
     "EngineLink",
     "EngineTwin",
@@ -48,31 +47,6 @@ MOST_ROWS, MOST_GAUGE = (96, 1024)
 # A third mode would double the time of a run and change the tip by at most 1.3 mrad in
 # a move of 1 rad.
 TWIN_MODES = 2
-
-# The numbers of the rig in the order of loop_rig. A page changes delay, offset, noise
-# and payload.
-RIG_NUMBERS = (
-    "sampled",
-    "substeps",
-    "delay",
-    "period",
-    "pole",
-    "gain",
-    "decay",
-    "friction",
-    "encoder",
-    "offset",
-    "noise",
-    "limit",
-    "quantum",
-    "gauge_delay",
-    "gauge_gain",
-    "payload",
-    "start",
-    "keep",
-    "first",
-    "second",
-)
 
 
 def engine_bytes() -> bytes:
@@ -129,12 +103,13 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     )
 
 
-def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
-    """Return the numbers of the rig as in `simulate` for the model: the rig's own
-    delay, offset, noise.
+def engine_rig(rig: Rig, law: Law, model: LinkModel) -> dict[str, float]:
+    """Return the numbers of the rig as in `simulate` for the model, in the order of
+    loop_rig: the rig's own delay, offset, noise, which a page changes, and payload.
     """
     motor, gauge = rig.motor, rig.gauge
-    numbers = {
+    weights = _kernels.loop_weights(motor.decay, law.period, SUBSTEPS)
+    return {
         "sampled": 1.0,
         "substeps": float(SUBSTEPS),
         "delay": float(rig.motor_loop.delay_samples),
@@ -154,10 +129,8 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
         "gauge_gain": model.gauge_gain,
         "payload": 0.0,
         "start": 0.0,
+        **dict(zip(("keep", "first", "second"), weights, strict=True)),
     }
-    weights = _kernels.loop_weights(motor.decay, law.period, SUBSTEPS)
-    numbers |= dict(zip(("keep", "first", "second"), weights, strict=True))
-    return np.array([numbers[name] for name in RIG_NUMBERS])
 
 
 @dataclass(frozen=True)

@@ -5,19 +5,15 @@ them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import with_payload
-from fraclink._arm.rig import Rig
 from fraclink._law import Law
 from fraclink._law.design import Design
-from fraclink._law.estimator import Estimates, PayloadEstimator, payload_estimator
+from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import Mask, Real
@@ -28,7 +24,6 @@ __all__ = [
     "estimate_signals",
     "estimated_over",
     "estimator_for",
-    "joined",
 ]
 
 
@@ -65,11 +60,6 @@ def estimated_over(
     return after, Estimates(*(column[row] for column in columns))
 
 
-def joined(parts: Sequence[Estimates]) -> Estimates:
-    """Return the estimates of consecutive parts of a run as those of the whole run."""
-    return Estimates(*map(np.concatenate, zip(*parts, strict=True)))
-
-
 def estimate_signals(estimates: Estimates) -> dict[str, Real]:
     """Return the signals in the form of a run: given, estimate, low and high [kg],
     flags.
@@ -83,14 +73,12 @@ def estimate_signals(estimates: Estimates) -> dict[str, Real]:
 def estimator_for(
     design: Design | Law,
     told: bool | float | str | PayloadEstimator,
-    rig: Rig | None = None,
-    model: LinkModel | None = None,
 ) -> PayloadEstimator | None:
     """Return the payload estimator in the law's precision; None if the payload is
     given, or not used.
 
-    FieldError if the motion of the link is unknown, or if the estimator was made for
-    another period.
+    FieldError for the estimate of a law alone, which does not state link and payloads,
+    and for an estimator that was made for another period.
     """
     if isinstance(told, PayloadEstimator):
         law = design.law() if isinstance(design, Design) else design
@@ -108,22 +96,16 @@ def estimator_for(
         return told.in_precision(law.precision)
     if told != ESTIMATED:
         return None
-    if isinstance(design, Design):
-        return design.estimator()
-    link = model or (rig.model if rig is not None else None)
-    if rig is None or link is None:
+    if not isinstance(design, Design):
         raise FieldError(
             "told",
             told,
-            "without a model of the link",
-            allowed="a design, or a law with rig= and model=",
-            remedy="give the design in place of its law",
+            "of a law alone, which does not state its payloads",
+            allowed="a design, or an estimator",
+            remedy="give the design in place of its law, or "
+            "told=fraclink.extend.payload_estimator(model, rig, law, payloads)",
         )
-    # A law alone does not state the payloads of its design, so those of its rig are
-    # used.
-    return payload_estimator(
-        with_payload(link, rig), rig, design, (rig.payloads.low, rig.payloads.high)
-    )
+    return design.estimator()
 
 
 def estimate_findings(

@@ -236,39 +236,28 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
     if many["passed"][0]:
         return MoveVerdict(True, f"settled in {metrics.settling_time:.3g} s")
     stop = int(_first_abnormal(signals.mode)[0])
-    tripped = stop < signals.mode.shape[1]
+    tripped, share = stop < signals.mode.shape[1], float(_driven(signals)[0])
+    at = f"at {signals.period * stop:.3g} s"
     if metrics.growth > 0.0 or not np.all(np.isfinite(signals.tip_angle)):
-        growth = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
-        return MoveVerdict(
-            False,
-            f"{growth}; the law trips at {signals.period * stop:.3g} s"
-            if tripped
-            else growth,
+        cause = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
+        cause += f"; the law trips {at}" if tripped else ""
+    elif tripped:
+        mode, reason = MODES[int(many["mode"][0])], REASONS[int(many["reason"][0])]
+        cause = f"tripped: the law goes to {mode} ({reason}) {at}"
+    elif share > _AT_LIMIT:
+        cause = (
+            "the voltage does not come to rest: it is at its limit in "
+            f"{100 * share:.0f} % of the periods after the move"
         )
-    if tripped:
-        what = f"{MODES[int(many['mode'][0])]} ({REASONS[int(many['reason'][0])]})"
-        return MoveVerdict(
-            False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s"
+    else:
+        error = np.abs(signals.tip_angle[0] - signals.reference[0])
+        saturated = metrics.saturated > 0.2
+        cause = "saturated: the voltage is at its limit" if saturated else "not settled"
+        cause += (
+            f"; the tip is still {error[-_tenth(error.size) :].max():.3g} rad "
+            f"away at {signals.period * (error.size - 1):.3g} s"
         )
-    share = float(_driven(signals)[0])
-    if share > _AT_LIMIT:
-        what = (
-            f"it is at its limit in {100 * share:.0f} % of the periods after the move"
-        )
-        return MoveVerdict(False, f"the voltage does not come to rest: {what}")
-    lasting = (
-        "saturated: the voltage is at its limit"
-        if metrics.saturated > 0.2
-        else "not settled"
-    )
-    error = signals.tip_angle[0] - signals.reference[0]
-    away, end = (
-        float(np.max(np.abs(error[-_tenth(len(error)) :]))),
-        signals.period * (len(error) - 1),
-    )
-    return MoveVerdict(
-        False, f"{lasting}; the tip is still {away:.3g} rad away at {end:.3g} s"
-    )
+    return MoveVerdict(False, cause)
 
 
 def _tenth(count: int) -> int:

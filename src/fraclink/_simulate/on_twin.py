@@ -19,7 +19,6 @@ from fraclink._simulate.estimates import (
     ESTIMATED,
     estimate_findings,
     estimate_signals,
-    joined,
 )
 from fraclink._simulate.events import (
     PAYLOAD,
@@ -36,11 +35,11 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import Real
 
-__all__ = ["acted", "check_motor_loop", "on_twin", "twin_run"]
+__all__ = ["acted", "checked_motor_loop", "on_twin", "twin_run"]
 
 
-def check_motor_loop(law: Law) -> None:
-    """Refuse a law that does not drive a motor, or drives it at another period."""
+def checked_motor_loop(law: Law) -> Law:
+    """Return the law, which drives a motor at its own period; FieldError otherwise."""
     if law.motor_loop is None:
         raise FieldError(
             "law.motor_loop",
@@ -59,6 +58,7 @@ def check_motor_loop(law: Law) -> None:
             allowed=f"{law.motor_loop.pid.period} s",
             remedy="discretise controller and motor loop at one period",
         )
+    return law
 
 
 def on_twin(
@@ -71,7 +71,7 @@ def on_twin(
     told: bool | float | str | PayloadEstimator,
     estimator: PayloadEstimator | None,
 ) -> Run:
-    check_motor_loop(law)
+    law = checked_motor_loop(law)
     inputs = healthy_inputs(
         twin.gauge, reference, law.period, length, np.random.default_rng(seed)
     )
@@ -108,7 +108,9 @@ def on_twin(
             "events": "; ".join(map(repr, events)),
         },
         findings=twin.findings,
-        estimates=None if estimator is None else (estimator, joined(estimates)),
+        estimates=None
+        if estimator is None
+        else (estimator, Estimates(*map(np.concatenate, zip(*estimates, strict=True)))),
     )
 
 

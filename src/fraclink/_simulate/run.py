@@ -21,22 +21,6 @@ __all__ = ["Run", "judged_run", "payload_rejected"]
 
 Bits = NDArray[np.uint32]
 
-SIGNALS = (
-    "time",
-    "reference",
-    "tip_angle",
-    "motor_angle",
-    "motor_reference",
-    "torque",
-    "motor_angle_measured",
-    "torque_measured",
-    "tip_estimate",
-    "voltage",
-    "mode",
-    "reason",
-    "flags",
-)
-
 
 @displayed
 @document(
@@ -129,12 +113,10 @@ class Run(Saved):
     finished: bool = True
 
     def __post_init__(self) -> None:
-        for name in SIGNALS:
-            # Plots, reports and comparisons share a run: to change a signal, take a
-            # copy.
-            getattr(self, name).flags.writeable = False
-        for values in self.extras.values():
-            values.flags.writeable = False
+        # Plots, reports and comparisons share a run: to change a signal, take a copy.
+        for values in (*vars(self).values(), *self.extras.values()):
+            if isinstance(values, np.ndarray):
+                values.flags.writeable = False
 
     @property
     def period(self) -> float:

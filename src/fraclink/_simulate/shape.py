@@ -225,8 +225,7 @@ def shape(
             allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
             remedy="derive the law's limits for it",
         )
-    search = _Search(arms, 1.0 - reserve, most, move)
-    coefficients, programme = search.settling(settle)
+    coefficients, programme = _fastest(arms, move, 1.0 - reserve, most, settle)
     outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
     promise = programme.period * float(np.flatnonzero(outside)[-1] + 1)
     reference = programme.path(coefficients)
@@ -251,80 +250,61 @@ def shape(
 # ───────────────────────────────────────────────────────────────────────────────────────────
 
 
-@dataclass(frozen=True)
-class _Search:
-    """The search for a reference that ends at `end` [rad] for a set of arms.
+def _fastest(
+    arms: ArmSet, end: float, left: float, voltage: float, settle: float | None
+) -> tuple[Real, Programme]:
+    """Return the smoothest reference to `end` [rad] that settles at `settle` [s], or as
+    early as possible, and its programme.
 
-    left: share of the band and of the voltage available to the linear loops. voltage:
-    limit [V].
+    left: share of the band and of `voltage` [V] available to the linear loops.
     """
+    period, allowed, limits = arms.law.period, left * BAND * abs(end), arms.law.limits
+    tail = math.ceil(TAIL * arms.vibration / period)
 
-    arms: ArmSet
-    left: float
-    voltage: float
-    end: float
-
-    def programme(self, duration: float) -> Programme:
-        """Return the programme for references of `duration` [s]."""
-        limits, period = self.arms.law.limits, self.arms.law.period
-        knot = max(
-            1,
-            round(self.arms.vibration / (KNOTS * period)),
-            math.ceil(duration / (MOST * period)),
-        )
-        torque = min(self.arms.rig.gauge.limit, limits.torque_limit)
+    def programme_for(time: float) -> Programme:
+        knots = arms.vibration / (KNOTS * period), time / (MOST * period)
         return Programme.of(
-            self.arms,
-            knot,
-            LONGEST * self.arms.vibration,
-            voltage=self.left * self.voltage,
-            motor_step=self.left * limits.motor_step,
-            torque=self.left * torque,
+            arms,
+            max(1, round(knots[0]), math.ceil(knots[1])),
+            LONGEST * arms.vibration,
+            voltage=left * voltage,
+            motor_step=left * limits.motor_step,
+            torque=left * min(arms.rig.gauge.limit, limits.torque_limit),
         )
 
-    def settling(self, settle: float | None) -> tuple[Real, Programme]:
-        """Return the smoothest reference that settles at `settle` [s], or as early as
-        possible, and its programme.
-        """
-        period, allowed = self.arms.law.period, self.left * BAND * abs(self.end)
-        tail = math.ceil(TAIL * self.arms.vibration / period)
-        programme = self.programme(settle or self.arms.vibration)
+    def distance(settled: int) -> float:
+        count = programme.count(settled * period)
+        return programme.least_distance(count, end, settled, settled + tail)
 
-        def distance(settled: int) -> float:
-            count = programme.count(settled * period)
-            return programme.least_distance(count, self.end, settled, settled + tail)
-
-        low, high = 0, math.floor((settle or self.arms.vibration) / period)
-        while distance(high) > allowed:
-            # Increase by half until the goal is within reach; the fastest move then
-            # lies between the last two values.
-            low, high = high, math.ceil(1.5 * high)
-            if settle is not None or high + tail > programme.length:
-                raise self._out_of_reach(low * period)
-            programme = self.programme(high * period)
-        # To within a period, or one per cent: finer steps are below the effect of noise
-        # on the settling time.
-        while settle is None and high - low > max(1, high // 100):
-            middle = (low + high) // 2
-            if distance(middle) <= allowed:
-                high = middle
-            else:
-                low = middle
-        count = programme.count(high * period)
-        coefficients = programme.gentlest(count, self.end, high, high + tail, allowed)
-        if coefficients is None:
-            raise self._out_of_reach(high * period)
-        return coefficients, programme
-
-    def _out_of_reach(self, time: float) -> FieldError:
+    def out_of_reach(settled: int) -> FieldError:
         return FieldError(
             "move",
-            self.end,
-            f"does not settle within {time:.3g} s on every arm of the set",
+            end,
+            f"does not settle within {settled * period:.3g} s on every arm of the set",
             allowed="a move within the limits of voltage, speed and torque",
             remedy="allow more time or voltage, move less, tell the law the payload, or "
             "narrow the payloads",
         )
+
+    programme = programme_for(settle or arms.vibration)
+    low, high = 0, math.floor((settle or arms.vibration) / period)
+    while distance(high) > allowed:
+        # Increase by half until the goal is within reach; the fastest move then lies
+        # between the last two values.
+        low, high = high, math.ceil(1.5 * high)
+        if settle is not None or high + tail > programme.length:
+            raise out_of_reach(low)
+        programme = programme_for(high * period)
+    # To within a period, or one per cent: finer steps are below the effect of noise on
+    # the settling time.
+    while settle is None and high - low > max(1, high // 100):
+        middle = (low + high) // 2
+        low, high = (low, middle) if distance(middle) <= allowed else (middle, high)
+    count = programme.count(high * period)
+    coefficients = programme.gentlest(count, end, high, high + tail, allowed)
+    if coefficients is None:
+        raise out_of_reach(high)
+    return coefficients, programme
 
 
 def _findings(move: ShapedMove) -> tuple[Finding, ...]:

@@ -44,7 +44,7 @@ from fraclink._simulate.kernel import (
     shared_rig,
 )
 from fraclink._simulate.links import link_weights
-from fraclink._simulate.on_twin import check_motor_loop, on_twin
+from fraclink._simulate.on_twin import checked_motor_loop, on_twin
 from fraclink._simulate.run import Run, judged_run
 from fraclink.errors import FieldError, required
 from fraclink.findings import Finding
@@ -162,7 +162,7 @@ def simulate(
     (True, True)
     """
     law, events = design.law() if isinstance(design, Design) else design, tuple(events)
-    estimator = estimator_for(design, told, rig, model)
+    estimator = estimator_for(design, told)
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, math.inf, "s").check("duration", length)
     own_gauge: dict[str, Any] = {"offset": gauge_offset, "noise": noise}
@@ -193,8 +193,7 @@ def simulate(
     # A law without a motor loop outputs a motor angle: it is run with the M(s) for
     # which it was designed.
     kind = motor_loop or ("ideal" if law.motor_loop is None else "sampled")
-    if kind == "sampled":
-        check_motor_loop(law)
+    law = checked_motor_loop(law) if kind == "sampled" else law
     own = replace(
         own,
         gauge=_changed(own.gauge, **own_gauge),

@@ -20,7 +20,7 @@ from fraclink._simulate import Twin, kernel
 from fraclink._simulate import events as columns
 from fraclink._simulate.events import FAULTS, healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.on_twin import acted, check_motor_loop, twin_run
+from fraclink._simulate.on_twin import acted, checked_motor_loop, twin_run
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, checked
@@ -125,8 +125,7 @@ class Bench:
                 allowed=f"{self.law.period} s",
                 remedy="discretise at the rig's period",
             )
-        check_motor_loop(law)
-        return replace(self, law=law)
+        return replace(self, law=checked_motor_loop(law))
 
 
 class Trial:

@@ -197,7 +197,7 @@ def _data(
         # rig, noise and moves, then the links one after another
         "numbers": _base64(
             [
-                engine_rig(rig, law, model),
+                np.array(list(engine_rig(rig, law, model).values())),
                 engine_noise(_SEED, periods + 1),
                 *(_move(time, half) for time in times),
                 *(link.numbers for link in links),
