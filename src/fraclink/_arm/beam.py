@@ -23,7 +23,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from fraclink._arm.link import LinkModel
+from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Rig
 from fraclink._arm.rig_parts import at_least_zero, positive
 from fraclink.errors import FieldError
@@ -292,9 +292,6 @@ def _modes(beam: Beam, count: int) -> BeamModes:
 
 # ---- the modes that a model of the link does not have -----------------------------------------------------
 
-# damping ratio for a model without damping, whose higher modes would have infinite
-# peaks
-ASSUMED_RATIO = 0.02
 # The fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold
 # suppresses it.
 _MODES = 3
@@ -353,7 +350,9 @@ def assumed_ratio(model: LinkModel) -> float | None:
     mode = model.second_mode
     if mode is not None and mode.damping_ratio > -math.cos(math.pi / model.order) > 0.0:
         return mode.damping_ratio
-    return ASSUMED_RATIO if model.order == 2.0 and model.damping == 0.0 else None
+    # Without damping the higher modes would have infinite peaks.
+    undamped = model.order == 2.0 and model.damping == 0.0
+    return SecondMode.damping_ratio if undamped else None
 
 
 def material_law(

@@ -79,6 +79,7 @@ def on_twin(
         twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE])
     )
     actions = actions_of(events, law.period, inputs)
+    given = "the arm's own" if told is True else given_payload(told, None)
     estimates: list[Estimates] = []
 
     def period(first: int, last: int) -> Real:
@@ -104,7 +105,7 @@ def on_twin(
             "damping": twin.damping.label,
             "link_mass": twin.beam.link_mass,
             "payload": twin.beam.payload,
-            "payload_given": ESTIMATED if estimator else _said(told),
+            "payload_given": ESTIMATED if estimator else given,
             "events": "; ".join(map(repr, events)),
         },
         findings=twin.findings,
@@ -134,11 +135,6 @@ def acted(
         if len(records[-1]) < last - first:
             break
     return np.vstack(records), np.concatenate(payloads)
-
-
-def _said(told: bool | float | str | PayloadEstimator) -> str | float:
-    """The record of the payload given to the law in a run of the twin."""
-    return "the arm's own" if told is True else given_payload(told, None)
 
 
 def twin_run(
