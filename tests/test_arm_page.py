@@ -206,28 +206,6 @@ def test_the_command_writes_the_page_and_leaves_a_file_alone(
     assert main([*command, "--force"]) == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("found", [True, False])
-def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, found):
-    save_study(study, tmp_path / "results")
-    asked = []
-
-    def opened(address: str) -> bool:
-        asked.append(address)
-        return found
-
-    monkeypatch.setattr("webbrowser.open", opened)
-    out = tmp_path / "arm.html"
-    assert (
-        main(
-            ["report", "--arm", str(tmp_path / "results"), "--out", str(out), "--open"]
-        )
-        == 0
-    )
-    assert asked == [out.as_uri()]
-    assert ("open " in capsys.readouterr().err) == (not found)
-
-
 # Settings that the address of the page can hold; together they cover every slider,
 # every fault and both precisions.
 RUNS = (

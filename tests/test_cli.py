@@ -340,10 +340,6 @@ def test_a_rig_without_a_model_says_what_to_do(
             "move_time: given beside --reference (got 1.0)",
         ),
         (
-            "simulate design.json --on model --link-mass 0.05",
-            "link_mass: given beside --on model (got 0.05)",
-        ),
-        (
             "run-realtime design.json --io udp:127.0.0.1:9 --reference p.csv --amplitude 1",
             "amplitude: given beside --reference (got 1.0)",
         ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -31,9 +32,9 @@ def test_assess_tells_budget_margins_and_spillover(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = _design(tmp_path / "design.json")
-    code = main(
-        ["assess", str(tmp_path / "design.json"), "--link-mass", "0.00735", "--json"]
-    )
+    link = replace(design.rig.link, mass=0.00735)
+    replace(design, rig=replace(design.rig, link=link)).save(tmp_path / "design.json")
+    code = main(["assess", str(tmp_path / "design.json"), "--json"])
     found = json.loads(capsys.readouterr().out)
     assert math.pi + sum(found["phase_budget"].values()) == pytest.approx(
         design.at(0.020).phase_margin

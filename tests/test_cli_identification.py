@@ -133,7 +133,7 @@ def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
         ("demo --rig paper-2023 --ring-down", "given beside the fit of one log"),
         ("a.csv b.csv --rig paper-2023 --heldout 0.4", "the fit of several logs"),
         ("a.csv b.csv --structure motor", "several files"),
-        ("demo --structure motor --fix k=1", "expected --column"),
+        ("demo --structure motor --band 1 2", "expected --column"),
     ],
 )
 def test_an_option_of_another_kind_of_fit_is_refused(

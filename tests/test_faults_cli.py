@@ -14,38 +14,40 @@ import fraclink as fl
 from fraclink import main as run
 from fraclink.trials import Case, FaultTable, Outcome
 
-ARM = [
-    "campaign",
-    "faults",
-    "--rig",
-    "paper-2023",
-    "--gear",
-    "50",
-    "--link-mass",
-    "0.00735",
-]
 ONE = ["--severity", "2", "--payload", "0.03", "--phase", "mid", "--seed", "1"]
 
 
+@pytest.fixture
+def arm(tmp_path: Path) -> list[str]:
+    """The words of the campaign of a design on an arm with a gear and a massive link."""
+    place = str(tmp_path / "design.json")
+    assert run(["design", "--rig", "paper-2023-geared", "--out", place]) == 0
+    return ["campaign", "faults", "--design", place]
+
+
 def test_a_fault_that_is_met_exits_with_0(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arm: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "met"
-    assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 0
+    assert run([*arm, *ONE, "--only", "F02", "--out", str(out)]) == 0
     assert "1 of 1 faults" in capsys.readouterr().out
     assert fl.load(out / "faults.json", FaultTable).passed
     assert not (out / "figures").exists()
     kept = fl.load(out / "run.npz")
     assert kept.about["case"] == "F02-2-30g-mid-1" and len(kept.tip_angle) == 1751
     # A result is only overwritten on request.
-    assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 2
+    assert run([*arm, *ONE, "--only", "F02", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    arm: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    capsys.readouterr()
     monkeypatch.chdir(tmp_path)
     given = [
         "--only",
@@ -59,7 +61,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
         "--payload",
         "0.03",
     ]
-    assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
+    assert run([*arm, *given, "--seed", "3", "--out", "first", "--json"]) == 1
     said = capsys.readouterr()
     told = json.loads(said.out)
     assert told["passed"] is False and told["faults"] == {
@@ -98,17 +100,20 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
 @pytest.mark.parametrize(
     ("words", "field"),
     [
-        ([*ARM, "--only", "F99"], "only"),
-        ([*ARM, "--only", "F08", "--phase", "start"], "phase"),
-        ([*ARM, "--severity", "0"], "severities[0]"),
-        (["campaign", "faults"], "design"),
-        (["campaign", "faults", "--design", "missing.json"], "missing.json"),
+        (["--only", "F99"], "only"),
+        (["--only", "F08", "--phase", "start"], "phase"),
+        (["--severity", "0"], "severities[0]"),
+        (["--design", "missing.json"], "missing.json"),
     ],
 )
 def test_bad_requests_exit_with_2(
-    words: list[str], field: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arm: list[str],
+    words: list[str],
+    field: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run([*words, "--out", str(tmp_path / "none")]) == 2
+    assert run([*arm, *words, "--out", str(tmp_path / "none")]) == 2
     assert field in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
@@ -138,9 +143,9 @@ def test_a_replay_names_what_it_misses(
 
 
 def test_a_replay_refuses_another_law(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arm: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    about = {"rig": "paper-2023", "gear": "50.0", "link_mass": "0.00735"}
+    about = {"design": arm[-1]}
     case = Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1)
     table = FaultTable((case,), about | {"law_sha256": "0" * 64})
     fl.save(table, tmp_path / "faults.json")

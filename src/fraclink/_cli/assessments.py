@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +14,6 @@ from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     DesignFile,
-    Gear,
-    LinkMass,
     in_seconds,
     load_design,
 )
@@ -90,7 +88,9 @@ class Assessment:
             Row("phase_margin", "", {c.kind: c.phase_margin for c in self.curves}),
             Row("payloads", "", self.payloads),
         )
-        massless = "higher modes: none, as the link has no mass; give --link-mass [kg]"
+        massless = (
+            "higher modes: none, as the link has no mass: state mass_kg in the rig"
+        )
         sampled = next(curve for curve in self.curves if curve.kind == "sampled")
         least = quantity(float(min(sampled.phase_margin)), "rad")
         spillover = not all(item.passed for item in self.modes)
@@ -111,29 +111,24 @@ class Assessment:
 @command(app)
 def assess(
     design_file: DesignFile,
-    link_mass: LinkMass = None,
     mode_damping: Annotated[
         float | None, "Damping ratio of modes 2 and 3; default: the model's damping"
     ] = None,
 ) -> Answer:
     """Assess a design: phase budget, margins, higher modes.
 
-    $ fraclink assess design.json --link-mass 0.00735
+    $ fraclink assess design.json
     """
     design = Design.load(design_file)
     low, high = design.payloads
     # Both ends, and the middle on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
-    link = design.rig.link
-    if link_mass is not None:
-        link = replace(link, mass=link_mass)
-    massive = replace(design, rig=replace(design.rig, link=link))
     assessment = Assessment(
         design,
         payloads,
         tuple(phase_budget(design, low)),
         tuple(margin_curve(design, payloads, kind=kind) for kind in _KINDS),
-        tuple(mode_gains(massive, damping_ratio=mode_damping)),
+        tuple(mode_gains(design, damping_ratio=mode_damping)),
     )
     return Answer(assessment, assessment.passed)
 
@@ -149,8 +144,6 @@ def compare(
         typer.Option(metavar="TEXT"),
         "Run rivals whose name contains this",
     ] = None,
-    gear: Gear = None,
-    link_mass: LinkMass = None,
 ) -> Answer:
     """Run a design and its rivals on one twin, each tuned by a stated rule.
 
@@ -158,8 +151,7 @@ def compare(
     """
     with steps(6) as begin:
         result = run_rivals(
-            load_design(design_file, gear=gear),
-            link_mass=link_mass,
+            load_design(design_file),
             names=only or None,
             progress=begin,
         )
@@ -209,7 +201,6 @@ def tune_pid(
         period=in_seconds(period_ms),
         **wanted,
     )
-    tuning.save(out)
     options = {
         "--period-ms": tuning.period,
         "--output-limit": tuning.output_limit,
@@ -221,7 +212,10 @@ def tune_pid(
     export = f"fraclink export c {out} --out firmware"
     again = f"the same with {missing}, then {export}"
     return Answer(
-        tuning, tuning.passed, written=(out,), following=again if missing else export
+        tuning,
+        tuning.passed,
+        saved={out: tuning},
+        following=again if missing else export,
     )
 
 

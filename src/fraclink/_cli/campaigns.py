@@ -11,19 +11,14 @@ from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
-    Gear,
-    LinkMass,
     as_stated,
     load_design,
-    load_rig,
     refuse_beside,
 )
 from fraclink._design import Design
-from fraclink._design.completed import design_for
 from fraclink._files import load, output_path, save, write_text
 from fraclink._reading.responses import read_reference
-from fraclink._simulate import geared
-from fraclink.errors import FieldError, required
+from fraclink.errors import FieldError
 from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign, is_campaign, load_campaign
 from fraclink.trials._fault_trial import PHASES, Bench, Phase
@@ -42,15 +37,13 @@ app = group()
 campaign = group("Many runs: Monte Carlo and faults.")
 app.add_typer(campaign, name="campaign")
 
-DesignOption = Annotated[
-    Path | None, "Design whose law is run; default: the rig's own request"
-]
+DesignOption = Annotated[Path, "Design whose law is run"]
 
 
 @command(campaign)
 def montecarlo(
     out: Annotated[Path, "Folder for the parts; a started one goes on"],
-    design: Annotated[Path, "Design whose law is run"],
+    design: DesignOption,
     runs: Annotated[int, "Number of runs"] = 10_000,
     seed: Annotated[int, "Seed of everything that is drawn"] = 0,
     told: Annotated[bool, "The law is given the payload of each arm"] = False,
@@ -118,9 +111,8 @@ def replayed(folder: Path, run: str, out: Path, *, force: bool) -> Answer:
                 remedy="take one that the campaign lists",
             )
         move = replay_run(load_campaign(folder), int(run))
-        move.save(out)
         return Answer(
-            move, move.verdict.passed, values={"run": int(run)}, written=(out,)
+            move, move.verdict.passed, values={"run": int(run)}, saved={out: move}
         )
     figure = output_path(out.with_suffix(".svg"), force=force)
     return _repeat_fault(folder, run, out, figure)
@@ -131,6 +123,7 @@ def replayed(folder: Path, run: str, out: Path, *, force: bool) -> Answer:
 
 @command(campaign)
 def faults(
+    design: DesignOption,
     out: Annotated[
         Path,
         "Folder for the table, its page and figures",
@@ -155,14 +148,6 @@ def faults(
     seed: Annotated[
         list[int] | None, typer.Option(metavar="SEED"), "Seed; default: 1, 2, 3"
     ] = None,
-    rig: Annotated[
-        str | None,
-        typer.Option(metavar="RIG"),
-        "A rig file or a bundled rig; default: the design's",
-    ] = None,
-    design: DesignOption = None,
-    gear: Gear = None,
-    link_mass: LinkMass = None,
 ) -> Answer:
     """Inject the catalogue's faults F01-F44 into the shipped law on the twin; exit code
     1 where one fails.
@@ -173,11 +158,10 @@ def faults(
 
     $ fraclink campaign faults --design design.json --only F07 --out faults
     """
-    bench = _bench(rig, design, gear, link_mass)
-    arm = {"rig": rig, "design": design, "gear": gear, "link_mass": link_mass}
+    bench = Bench.of(load_design(design))
     # Stored in the table: a replay a year later must find the same arm.
-    about = {name: str(value) for name, value in arm.items() if value is not None}
-    about["command"] = f"fraclink campaign faults{as_stated(arm)}"
+    about = {"design": str(design)}
+    about["command"] = f"fraclink campaign faults{as_stated(about)}"
     plan = cases(
         bench,
         only=only or (),
@@ -226,7 +210,10 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
             remedy="copy its name",
         )
     case = runs[name]
-    bench = _bench_of(table, folder)
+    # The table of the studio states no design: that of its folder was tested.
+    bench = Bench.of(
+        load_design(Path(table.about.get("design", folder / "design.json")))
+    )
     # By its digest: a new design under the same name would show the behaviour of
     # another law as that of the fault.
     digest = table.about.get("law_sha256", bench.law.digest)
@@ -239,36 +226,11 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
             remedy="run the campaign again",
         )
     result = run_faults(bench, [case], about=dict(table.about))
-    observe(bench, case).faulty.save(out)
     draw_outcome(bench, result.outcomes[0], figure)
     return Answer(
-        result, result.passed, values={"case": case.name}, written=(out, figure)
+        result,
+        result.passed,
+        values={"case": case.name},
+        saved={out: observe(bench, case).faulty},
+        written=(figure,),
     )
-
-
-def _bench_of(table: FaultTable, folder: Path) -> Bench:
-    """The bench of a finished campaign. One of the studio states no command: it tested
-    the design in its folder.
-    """
-    about = table.about
-    design = about.get("design", "" if "rig" in about else folder / "design.json")
-    gear, mass = (
-        float(about[name]) if name in about else None for name in ("gear", "link_mass")
-    )
-    return _bench(about.get("rig"), Path(design) if design else None, gear, mass)
-
-
-def _bench(
-    rig: str | None, design_file: Path | None, gear: float | None, mass: float | None
-) -> Bench:
-    if design_file is None:
-        allowed, remedy = "--design, --rig or both", "give one of them"
-        needed = required("design", rig, allowed=allowed, remedy=remedy)
-        design, _ = design_for(load_rig(needed))
-    else:
-        design = load_design(design_file)
-    arm_rig = design.rig if rig is None else load_rig(rig)
-    # A rig without a model gives the twin no damping: then the rig of the design is
-    # used.
-    arm = design.rig if arm_rig.model is None else arm_rig
-    return Bench.of(design, arm if gear is None else geared(arm, gear), link_mass=mass)

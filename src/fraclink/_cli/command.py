@@ -18,8 +18,7 @@ import copy
 import functools
 import inspect
 import re
-import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,7 +33,6 @@ from fraclink._cli.console import (
     emit,
     emit_json,
     tell,
-    tell_written,
     unread_allowed,
     width,
 )
@@ -54,8 +52,9 @@ class Answer:
     `text` takes the place of the overview. `values` are added to the JSON of the
     result, or are the whole JSON where there is no result. `doubts` are errors of the
     input: whatever the result, nothing is shown by it. `remarks` go to standard error
-    and are left out with --json. `written` are the files, `following` the command that
-    a user would give next, `opened` a page for the browser.
+    and are left out with --json. `saved` are results by the file that each is saved to,
+    `written` the files that the command wrote itself, `following` the command that a
+    user would give next.
     """
 
     result: Any = None
@@ -64,9 +63,14 @@ class Answer:
     values: dict[str, Any] = field(default_factory=dict)
     doubts: tuple[Finding, ...] = ()
     remarks: tuple[str, ...] = ()
+    saved: Mapping[Path, Any] = field(default_factory=dict)
     written: tuple[Path, ...] = ()
     following: str = ""
-    opened: Path | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that there is of it."""
+        return (*self.saved, *self.written)
 
 
 @dataclass(frozen=True)
@@ -207,10 +211,10 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
                 # Before the work: a result that cannot be saved is not computed.
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
+        for place, result in answer.saved.items():
+            result.save(place)
         with unread_allowed():
             (_show_json if json else _show_text)(answer)
-        if answer.opened and not webbrowser.open(answer.opened.resolve().as_uri()):
-            tell(f"no browser was found; open {answer.opened} yourself")
         # Doubts are errors of the input: a result that rests on them shows nothing,
         # however good it is.
         return PASSED if answer.passed and not answer.doubts else FAILED
@@ -227,7 +231,7 @@ def _show_json(answer: Answer) -> None:
     if answer.doubts:
         # Doubts about the input first: they are the reason to distrust the rest.
         values["findings"] = [*map(plain, answer.doubts), *values.get("findings", ())]
-    paths = [str(path) for path in answer.written]
+    paths = [str(path) for path in answer.files]
     # A single file is a string, since most commands write one, and scripts read `out`
     # without an index.
     out: dict[str, Any] = (
@@ -246,7 +250,7 @@ def _show_text(answer: Answer) -> None:
         emit(text)
     for remark in answer.remarks:
         tell(remark)
-    for path in answer.written:
-        tell_written(path)
+    for path in answer.files:
+        tell(f"written: {path}")
     if answer.following:
         tell(f"next: {answer.following}")

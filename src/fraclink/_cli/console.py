@@ -16,7 +16,6 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 import typer
@@ -49,7 +48,6 @@ __all__ = [
     "interactive",
     "steps",
     "tell",
-    "tell_written",
     "unread_allowed",
     "width",
 ]
@@ -131,19 +129,6 @@ def tell(text: str) -> None:
         # Only for a terminal: a log file or `grep` needs one line per remark.
         text = folded(text, width())
     sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
-
-
-def tell_written(path: Path) -> None:
-    """Name a file that was written; a terminal opens it by a click (OSC 8), a pipe gets
-    its name alone.
-
-    The name is not folded: a link over two lines would be two links, and a name that is
-    copied would break.
-    """
-    name = clean(path)
-    if not _plain(sys.stderr) and os.environ.get("TERM") != "dumb":
-        name = f"\x1b]8;;{path.resolve().as_uri()}\x1b\\{name}\x1b]8;;\x1b\\"
-    sys.stderr.write(f"written: {name}\n")
 
 
 # --- questions ---------------------------------------------------------------------------

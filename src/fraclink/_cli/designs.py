@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,7 +21,6 @@ from fraclink._cli.options import (
     Columns,
     DesignFile,
     Estimate,
-    Gear,
     GivenPayload,
     LinkMass,
     ModelFile,
@@ -73,7 +71,6 @@ _STUDY = (
 Script = Annotated[
     bool, "With the arm that moves; without it the report holds no script at all"
 ]
-Open = Annotated[bool, "Open the page in a browser when it is written"]
 ARMS = Keywords(run_study, "arms")
 
 
@@ -97,7 +94,6 @@ def run(
     log: Annotated[str, "The log; `demo` is the bundled one"],
     out: Annotated[Path, "Folder to write to", Writes(_STUDY)] = Path("results"),
     certify: Annotated[bool, "Prove the design, too; takes a few seconds"] = False,
-    open: Open = False,
     column: Columns = None,
     phase_margin_deg: PhaseMarginDeg = None,
     box: BoxFlag = None,
@@ -138,7 +134,6 @@ def run(
         values={"report": str(place), "out": str(out)},
         written=(place,),
         following=following,
-        opened=place if open else None,
     )
 
 
@@ -164,7 +159,6 @@ def design(
     # Doubts about the fit are passed on to the design: requirements met for a doubtful
     # model do not pass.
     result = result.doubted(doubts)
-    result.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
     # With the lightest payload, at which the phase margin is smallest.
     step = (
@@ -176,7 +170,7 @@ def design(
         result,
         result.passed,
         remarks=assumed,
-        written=(out,),
+        saved={out: result},
         following=f"fraclink {step}",
     )
 
@@ -201,8 +195,6 @@ def simulate(
     ] = None,
     force: bool = False,
     payload: NominalPayload = None,
-    link_mass: LinkMass = None,
-    gear: Gear = None,
 ) -> Answer:
     """Simulate a move of the tip with the shipped law; the exit code says whether it
     settles.
@@ -213,10 +205,8 @@ def simulate(
     place = output_path(out or f"{'twin' if twin else 'run'}.npz", force=force)
     usual_time = 1.0 if twin else 0.5
     path = reference_of(reference, amplitude, move_time, usual_time=usual_time)
-    subject = load_design(design_file, gear=gear)
+    subject = load_design(design_file)
     mass = payload or subject.rig.payloads.nominal
-    if not twin:
-        refuse_beside("--on model", "a link without mass", link_mass=link_mass)
     if estimate:
         # A payload of 0 means none, so that --told 0 together with --estimate is no
         # contradiction.
@@ -226,16 +216,13 @@ def simulate(
     move = run_law(
         subject,
         path,
-        arm=Twin.from_rig(subject.rig, payload=mass, link_mass=link_mass)
-        if twin
-        else None,
+        arm=Twin.from_rig(subject.rig, payload=mass) if twin else None,
         payload=mass,
         told="estimated" if estimate else told,
         # On the model 4 s of the usual move, as in a report.
         duration=None if twin else path.duration + 3.5,
         seed=seed,
     )
-    move.save(place)
     passed = move.verdict.passed
     # A move that fails on the model needs no twin.
     step = f"{'certify' if passed else 'assess'} {design_file}"
@@ -245,7 +232,7 @@ def simulate(
         move,
         passed,
         doubts=doubts_of_move(subject, payload),
-        written=(place,),
+        saved={place: move},
         following=f"fraclink {step}",
     )
 
@@ -283,10 +270,9 @@ def certify(
         return Answer(
             certificate, passed=False, values={"out": None}, following=following
         )
-    certificate.save(out)
     return Answer(
         certificate,
-        written=(out,),
+        saved={out: certificate},
         following=f"fraclink export c {design_file} --out firmware",
     )
 
@@ -306,7 +292,6 @@ def report(
         "Only the arm that moves: the same law in one file, for any browser, without a server",
     ] = False,
     script: Script = True,
-    open: Open = False,
     force: bool = False,
 ) -> Answer:
     """Gather a folder of results into one self-contained HTML file.
@@ -315,15 +300,14 @@ def report(
     """
     default = folder / ("arm.html" if arm else "report.html")
     place = output_path(out or default, force=force)
-    opened = place if open else None
     if is_campaign(folder):
         summary = summarise(folder)
         write_campaign_report(load_campaign(folder), folder, summary, place)
-        return replace(summary_answer(summary, folder, (place,)), opened=opened)
+        return summary_answer(summary, folder, (place,))
     study = load_study(folder)
     if arm:
         write_arm_page(study, place)
     else:
         write_report(study, place, script=script)
     values = {"out": str(place), "passed": study.verdict.passed}
-    return Answer(text=str(place), values=values, opened=opened)
+    return Answer(text=str(place), values=values)

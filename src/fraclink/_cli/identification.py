@@ -94,7 +94,6 @@ def _link(
         fit = identification.identify(
             experiment, structure, heldout=options["heldout"], stiffness=stiffness
         )
-    fit.save(place)
     if arm is not None:
         # Each once, in the order in which they were found.
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(arm, fit.model))))
@@ -102,7 +101,9 @@ def _link(
     if fit.model.payload is None:
         # Otherwise `design` would take ω₀ from the rig.
         following = "repeat with --force and --payload, the log's payload [kg]: `design` needs it"
-    return Answer(fit, fit.passed, doubts=doubts, written=(place,), following=following)
+    return Answer(
+        fit, fit.passed, doubts=doubts, saved={place: fit}, following=following
+    )
 
 
 def _rig(name: str | None) -> str:
@@ -191,7 +192,7 @@ def _load(log: Experiment, rig: Rig | None) -> Real | None:
 
 def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
     """A table of gain and phase, its columns as `read_frequency_response` takes them."""
-    return read_frequency_response(table, _named("column", columns) or None)
+    return read_frequency_response(table, _named(columns) or None)
 
 
 def _driven(
@@ -237,16 +238,6 @@ def _transfer_function(
         Between(0.0, 1e6, "ms", low_open=True),
         "Transfer function: sampling period of a file without stamps",
     ] = None,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=VALUE"),
-        "Transfer function: a parameter that is known, or offset=0",
-    ] = None,
-    bound: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=LOW,HIGH"),
-        "Transfer function: range of a parameter, as in k=-10,10",
-    ] = None,
     ring_down: Annotated[
         bool,
         "Transfer function: the link was bent and let go, no input but the force that held it",
@@ -289,55 +280,29 @@ def _transfer_function(
             measured = Recording.ring_down(
                 *swing, source=measured.source, sha256=measured.sha256
             )
-    fixed, bounds = _named("fix", fix), _named("bound", bound)
     with steps(1) as begin:
         begin("fitting the structure")
-        fit = identification.identify_structure(
-            measured,
-            str(structure),
-            fixed={name: _numbers("fix", text, 1)[0] for name, text in fixed.items()},
-            bounds={name: _numbers("bound", text, 2) for name, text in bounds.items()},
-        )
-    fit.save(place)
-    return Answer(fit, fit.passed, written=(place,))
+        fit = identification.identify_structure(measured, str(structure))
+    return Answer(fit, fit.passed, saved={place: fit})
 
 
-def _named(option: str, texts: list[str] | None) -> dict[str, str]:
-    """Name and value of every NAME=VALUE."""
-    by_name: dict[str, str] = {}
+def _named(texts: list[str] | None) -> dict[str, str]:
+    """Name and value of every ROLE=NAME."""
+    by_role: dict[str, str] = {}
     for text in texts or ():
-        name, mark, value = (part.strip() for part in text.partition("="))
-        # Of two values for one name the last one would apply, and a typing error would
+        role, _, name = (part.strip() for part in text.partition("="))
+        # Of two columns for one role the last one would apply, and a typing error would
         # change a fit unnoticed.
-        if not mark or name in by_name:
+        if not name or role in by_role:
             raise FieldError(
-                option,
+                "column",
                 text,
-                f"given beside {name}={by_name[name]}" if mark else "without a value",
-                allowed="NAME=VALUE, each name once",
-                remedy=f"as in --{option} k=1",
+                "given twice" if name else "without a name",
+                allowed="ROLE=NAME, each role once",
+                remedy="as in --column frequency=f",
             )
-        by_name[name] = value
-    return by_name
-
-
-def _numbers(option: str, text: str, count: int) -> Any:
-    """The numbers of "1" or "1,2"."""
-    try:
-        numbers = tuple(float(cell) for cell in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise FieldError(
-            option,
-            text,
-            "not understood",
-            allowed="a number"
-            if count == 1
-            else "two numbers with a comma between them",
-            remedy="write 0.5, or 0,10",
-        )
-    return numbers
+        by_role[role] = name
+    return by_role
 
 
 _FITS: dict[str, Callable[..., Answer]] = {

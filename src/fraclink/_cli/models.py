@@ -92,6 +92,5 @@ def validate(
     fit = identification.Fit.load(model)
     arm = load_rig_for_logs(rig)
     validation = fit.validate(*load_logs(logs, arm, payload, column=column))
-    if out is not None:
-        validation_figure(validation).save(out)
-    return Answer(validation, validation.passed, written=() if out is None else (out,))
+    figure = {} if out is None else {out: validation_figure(validation)}
+    return Answer(validation, validation.passed, saved=figure)

@@ -58,14 +58,17 @@ def shape(
         move = shape_move(
             subject, goal, told="estimated" if estimate else told, **request
         )
-    move.save(out)
-    files: tuple[Path, ...] = (out,)
     if table is not None:
-        files += (
-            export_reference(move.reference, table, period=move.period, force=True),
-        )
+        export_reference(move.reference, table, period=move.period, force=True)
     # A move shaped for a known payload must be simulated with it.
     option = " --estimate" if estimate else " --told" if told else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{option} --out moves"
     doubts = doubts_of_move(subject, *move.worst_case.payloads)
-    return Answer(move, move.passed, doubts=doubts, written=files, following=following)
+    return Answer(
+        move,
+        move.passed,
+        doubts=doubts,
+        saved={out: move},
+        written=() if table is None else (table,),
+        following=following,
+    )

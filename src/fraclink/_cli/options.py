@@ -24,7 +24,6 @@ from fraclink._identify import Fit
 from fraclink._law.design import Specification
 from fraclink._reading.reading import bundled_log, read_log
 from fraclink._reading.responses import read_reference
-from fraclink._simulate import geared
 from fraclink.errors import FieldError, required
 from fraclink.findings import Finding, errors_of
 from fracsys import checks as ranges
@@ -46,9 +45,6 @@ ModelFile = Annotated[
 ]
 NominalPayload = Annotated[ranges.Payload | None, "Payload; default: nominal"]
 LinkMass = Annotated[float | None, "Mass of the link [kg]; default: the rig's"]
-Gear = Annotated[
-    ranges.Positive | None, "Gear ratio to put before the motor; default: the rig's"
-]
 PayloadRange = Annotated[
     tuple[float, float] | None,
     typer.Option(metavar="LOW HIGH"),
@@ -182,15 +178,13 @@ def doubts_of_move(design: Design, *payloads: float | None) -> tuple[Finding, ..
     return (*filter(None, map(design.rig.payloads.doubt, masses)), *design.doubts)
 
 
-def load_design(path: Path, *, gear: float | None = None) -> Design:
-    """Return a design whose rig carries the model that it was made for, with a gear
-    before the motor.
-    """
+def load_design(path: Path) -> Design:
+    """Return a design whose rig carries the model that it was made for."""
     design = Design.load(path)
     # The twin takes its damping from the model of the rig, and a design from a fit may
     # have a rig without one.
     rig = replace(design.rig, model=design.rig.model or design.model)
-    return replace(design, rig=rig if gear is None else geared(rig, gear))
+    return replace(design, rig=rig)
 
 
 def reference_of(

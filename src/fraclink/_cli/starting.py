@@ -68,12 +68,12 @@ def start(
         ask=_ask if interactive() else None,
     )
     files = result.save(out, force=force)
-    # Also for a failed fit: the picture shows the reason.
-    fit_figure(result.experiment, result.fit).save(out / _PICTURE)
     return Answer(
         result,
         result.passed,
-        written=(*files, out / _PICTURE),
+        written=files,
+        # Also for a failed fit: the picture shows the reason.
+        saved={out / _PICTURE: fit_figure(result.experiment, result.fit)},
         following=_following(result, log, out),
     )
 
