@@ -188,7 +188,7 @@ CEILINGS = {
     "fracsys": 2864,
     "_arm": 1536,
     "_certify": 865,
-    "_cli": 959,
+    "_cli": 956,
     "_design": 1478,
     "_export": 505,
     "_files": 566,
@@ -199,7 +199,7 @@ CEILINGS = {
     "lab": 1921,
     "logs": 754,
     "studio": 1161,
-    "trials": 1424,
+    "trials": 1423,
     "view": 1576,
 }
 

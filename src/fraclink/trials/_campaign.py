@@ -8,7 +8,6 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, fields, replace
-from dataclasses import field as with_default
 from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Annotated, Literal
@@ -126,20 +125,21 @@ def _always(value: float) -> Distribution:
     return Distribution("uniform", value, value)
 
 
-# Smallest and largest value of each parameter, and whether the smallest is allowed.
+_POSITIVE, _NOT_NEGATIVE = Between(0.0, low_open=True), Between(0.0)
+# What the distributions of physical quantities stay within.
 _RANGES = {
-    "payload": (0.0, math.inf, False),
-    "stiffness": (0.0, math.inf, False),
-    "order": (1.0, 2.0, False),
-    "motor_gain": (0.0, math.inf, False),
-    "amplitude": (0.0, math.inf, False),
-    "delay_samples": (0.0, 100.0, True),
-    "viscous_friction": (0.0, math.inf, True),
-    "damping": (0.0, math.inf, True),
-    "coulomb_torque": (0.0, math.inf, True),
-    "noise": (0.0, math.inf, True),
-    "gauge_delay": (0.0, math.inf, True),
-    "payload_given": (0.0, math.inf, True),
+    "payload": _POSITIVE,
+    "stiffness": _POSITIVE,
+    "order": Between(1.0, 2.0, low_open=True),
+    "delay_samples": Between(0.0, 100.0),
+    "motor_gain": _POSITIVE,
+    "viscous_friction": _NOT_NEGATIVE,
+    "coulomb_torque": _NOT_NEGATIVE,
+    "noise": _NOT_NEGATIVE,
+    "amplitude": _POSITIVE,
+    "gauge_delay": _NOT_NEGATIVE,
+    "payload_given": _NOT_NEGATIVE,
+    "damping": _NOT_NEGATIVE,
 }
 
 
@@ -159,35 +159,21 @@ class Draws:
     order: Distribution
     gauge_offset: Distribution
     delay_samples: Distribution
-    motor_gain: Distribution = with_default(default_factory=lambda: _around(1.0, 0.1))
-    viscous_friction: Distribution = with_default(
-        default_factory=lambda: _around(1.0, 0.3)
-    )
-    coulomb_torque: Distribution = with_default(
-        default_factory=lambda: Distribution("uniform", 0.5, 1.5)
-    )
-    noise: Distribution = with_default(
-        default_factory=lambda: Distribution("uniform", 0.5, 2.0)
-    )
-    amplitude: Distribution = with_default(
-        default_factory=lambda: Distribution("uniform", 0.2, 1.2)
-    )
-    gauge_delay: Distribution = with_default(default_factory=lambda: _always(0.0))
-    gauge_gain: Distribution = with_default(default_factory=lambda: _always(1.0))
-    payload_given: Distribution = with_default(default_factory=lambda: _always(0.0))
-    damping: Distribution = with_default(default_factory=lambda: _always(1.0))
+    motor_gain: Distribution = Distribution("normal", 0.9, 1.1)
+    viscous_friction: Distribution = Distribution("normal", 0.7, 1.3)
+    coulomb_torque: Distribution = Distribution("uniform", 0.5, 1.5)
+    noise: Distribution = Distribution("uniform", 0.5, 2.0)
+    amplitude: Distribution = Distribution("uniform", 0.2, 1.2)
+    gauge_delay: Distribution = Distribution("uniform", 0.0, 0.0)
+    gauge_gain: Distribution = Distribution("uniform", 1.0, 1.0)
+    payload_given: Distribution = Distribution("uniform", 0.0, 0.0)
+    damping: Distribution = Distribution("uniform", 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        for name, (low, high, closed) in _RANGES.items():
+        for name, allowed in _RANGES.items():
             own = getattr(self, name)
-            if own.low < low or own.high > high or (own.low == low and not closed):
-                raise FieldError(
-                    f"draws.{name}",
-                    (own.low, own.high),
-                    "out of range",
-                    allowed=f"{low:g} {'<=' if closed else '<'} {name} <= {high:g}",
-                    remedy="narrow it",
-                )
+            allowed.check(f"draws.{name}", own.low)
+            allowed.check(f"draws.{name}", own.high)
 
 
 @checked

@@ -219,21 +219,23 @@ class Outcome:
 
 @dataclass(frozen=True)
 class FaultSummary:
-    """One fault in the summary: its runs, those that fail, the check that fails worst
-    and its run.
+    """A fault in the summary: its runs, those that fail, the check that fails worst and
+    its run.
 
     group: the most severe one of its runs, see `Outcome.group`.
     """
 
-    number: str
-    title: str
-    reaction: str
-    required: str
+    fault: Fault
     runs: int
     failed: int
     worst: str
     example: Outcome | None
     group: str
+
+    @property
+    def number(self) -> str:
+        """The fault's number."""
+        return self.fault.number
 
     @property
     def passed(self) -> bool:
@@ -245,8 +247,8 @@ class FaultSummary:
         """Its line in a table."""
         return (
             Row("number", "", self.number),
-            Row("", "fault", f"{self.number} {self.title}"),
-            Row("", "class", self.reaction),
+            Row("", "fault", f"{self.number} {self.fault.title}"),
+            Row("", "class", self.fault.reaction),
             Row("runs", "runs", self.runs),
             Row("failed", "failed", self.failed),
             Row("", "group", self.group),
@@ -258,7 +260,7 @@ class FaultSummary:
         """The run that misses its requirement most and why the paper's arm does, and
         what the campaign does not show.
         """
-        fault, notes = fault_named(self.number), []
+        fault, notes = self.fault, []
         if self.example is not None:
             cause = f"; on the paper's arm: {fault.cause}" if fault.cause else ""
             notes.append(f"{self.number}: {self.worst}{cause}")
@@ -365,10 +367,7 @@ def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
         default=(None, None),
     )
     return FaultSummary(
-        fault.number,
-        fault.title,
-        fault.reaction,
-        fault.required,
+        fault,
         len(runs),
         len(failures),
         "" if example is None else f"{check} ({example.name})",

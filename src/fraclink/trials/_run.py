@@ -37,7 +37,6 @@ __all__ = [
     "process_pool",
     "read_part",
     "run_campaign",
-    "write_part",
 ]
 
 
@@ -146,13 +145,6 @@ def _claim(campaign: Campaign, place: Path) -> None:
         if owner.runs >= campaign.runs:
             return
     save(campaign, place / FILE, force=True)
-
-
-def compute(folder: str, part: int) -> tuple[int, int]:
-    """Compute one part of the campaign kept in `folder` and return its number and how
-    many of its runs failed; plain values, as a worker process receives and sends them.
-    """
-    return part, write_part(load_campaign(folder), Path(folder), part)
 
 
 def _computed(
@@ -268,21 +260,23 @@ class CampaignPart:
     columns: Mapping[str, Real]
 
 
-def write_part(campaign: Campaign, folder: Path, part: int) -> int:
-    """Simulate a part and write its file in one step; return how many of its runs
-    failed.
+def compute(folder: str, part: int) -> tuple[int, int]:
+    """Compute one part of the campaign kept in `folder` and write its file in one step;
+    return its number and how many of its runs failed: plain values, as a worker process
+    receives and sends them.
     """
-    place = part_path(folder, part)
+    campaign = load_campaign(folder)
+    place = part_path(Path(folder), part)
     # An interrupted write leaves a temporary file; its part is missing and is computed
     # here again.
-    for stray in folder.glob(f".{place.name}.*.tmp"):
+    for stray in place.parent.glob(f".{place.name}.*.tmp"):
         stray.unlink(missing_ok=True)
     columns = {
         name: np.asarray(values, dtype=np.float64)
         for name, values in simulate_part(campaign, part).items()
     }
     save(CampaignPart(campaign.fingerprint, part, columns), place, force=True)
-    return int(np.count_nonzero(columns["passed"] == 0.0))
+    return part, int(np.count_nonzero(columns["passed"] == 0.0))
 
 
 def read_part(campaign: Campaign, folder: Path, part: int) -> Mapping[str, Real] | None:

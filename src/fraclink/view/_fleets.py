@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fraclink._display import Row, Table, number, size_of
-from fraclink.trials._faults import GROUPS, FaultTable, fault_named
+from fraclink.trials._faults import GROUPS, FaultTable
 from fraclink.trials._summary import WEAK, Summary
 from fraclink.view._drawing import Figure, Panel
 from fraclink.view._marks import Bars, Cells, Mark, Upright
@@ -179,7 +179,7 @@ def fault_rows(table: FaultTable) -> list[dict[str, Any]]:
     return [
         {
             "summary": summary,
-            "fault": fault_named(summary.number),
+            "fault": summary.fault,
             "cells": _cells(table, summary.number),
             "command": table.repeated(summary.example) if summary.example else "",
         }
