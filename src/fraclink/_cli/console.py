@@ -94,17 +94,11 @@ def width() -> int:
     return shutil.get_terminal_size().columns
 
 
-def _plain(stream: TextIO) -> bool:
-    """Whether `stream` gets plain text only."""
+def _coloured(text: str, stream: TextIO) -> str:
     # no-color.org: the variable counts if it is set to any value, and takes precedence
     # over FORCE_COLOR.
-    return "NO_COLOR" in os.environ or not (
-        stream.isatty() or "FORCE_COLOR" in os.environ
-    )
-
-
-def _coloured(text: str, stream: TextIO) -> str:
-    if _plain(stream):
+    forced = stream.isatty() or "FORCE_COLOR" in os.environ
+    if "NO_COLOR" in os.environ or not forced:
         return text
     for words, code in _COLOURS:
         text = re.sub(words, f"\x1b[{code}m\\g<0>\x1b[0m", text, flags=re.MULTILINE)

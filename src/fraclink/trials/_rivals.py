@@ -139,10 +139,9 @@ def builders(design: Design) -> dict[str, Builder]:
         whose rig, model and Ms all are tuned for.
     """
     link = design.model.at_payload(design.rig.payloads.nominal)
-    w, ratio = integer_mode(link)
     bare = motor_alone(open_guards(design.law()))
     request = "the request: gain crossover, phase margin, payloads"
-    impulses = zv_impulses(w, ratio)
+    impulses = zv_impulses(abs(link.pole), link.damping_ratio)
     return {
         FRACLINK: lambda: _by_law(FRACLINK, request, design.controller, design),
         "motor PID alone": lambda: Rival(
@@ -265,24 +264,11 @@ def _tuned(
     )
 
 
-def integer_mode(model: LinkModel) -> tuple[float, float]:
-    """Return (frequency [rad/s], damping ratio) of the link's pole: its nearest
-    integer-order model.
-
-    >>> w, ratio = integer_mode(LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92))
-    >>> round(w, 3), round(ratio, 4)
-    (12.264, 0.0654)
-    """
-    pole = model.pole
-    return abs(pole), -pole.real / abs(pole)
-
-
 def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
     """Return gain·(1 + s/ω)/(1 + T s), with a notch at the second mode if the link has
     one.
     """
-    w, _ = integer_mode(link)
-    above, below = np.array([gain / w, gain]), np.array([FILTER_TIME, 1.0])
+    above, below = np.array([gain / abs(link.pole), gain]), np.array([FILTER_TIME, 1.0])
     mode = link.second_mode
     # Above the Nyquist frequency the notch would lie at an alias.
     if mode is not None and mode.frequency * period < math.pi:
@@ -309,7 +295,8 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     # Without noise of the gauge the filter would have infinite gain; a tenth of a
     # millinewton-metre is below the step of every converter.
     noise = max(rig.gauge.noise, 1e-4) / link.stiffness
-    w, ratio = integer_mode(link)
+    # The link's pole as that of the nearest model of integer order.
+    w, ratio = abs(link.pole), link.damping_ratio
     # Motor reference to tip angle: M(s) and the mode of the link, states θm, θ̇m, θt,
     # θ̇t.
     a = np.zeros((4, 4))

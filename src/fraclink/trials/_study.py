@@ -209,9 +209,7 @@ class Study:
     @property
     def simulated(self) -> bool:
         """Whether the log's own header says that it was simulated."""
-        return self.experiment is not None and any(
-            name == "simulated" for name, _ in self.experiment.notes
-        )
+        return self.experiment is not None and self.experiment.simulated
 
     def _broken_promises(self) -> list[str]:
         misses = [
