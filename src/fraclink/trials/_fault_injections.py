@@ -32,6 +32,8 @@ COLUMNS = {
     "encoder": columns.ENCODER_ERROR,
     "encoder gain": columns.ENCODER_GAIN,
     "tip force": columns.TIP_FORCE,
+    "encoder value": columns.ENCODER_VALUE,
+    "gauge value": columns.GAUGE_VALUE,
 }
 
 
@@ -80,13 +82,13 @@ def reading(
         last = max(span.stop, min(span.start + samples, trial.count))
         rows = np.arange(span.start, last)
     signs = np.resize([1.0, -1.0] if alternate else [1.0], rows.size)
-    trial.replace_reading(sensor, value * signs, rows)
+    trial.set_bits(rows, f"{sensor} value", mark=True)
+    trial.inputs[rows, COLUMNS[f"{sensor} value"]] = value * signs
 
 
 def stick(trial: Trial, sensor: str, seconds: float) -> None:
     """Repeat a sensor's last reading."""
-    trial.set_bits(trial.rows(seconds), f"{sensor} frozen")
-    trial.marks[trial.rows(seconds)] = True
+    trial.set_bits(trial.rows(seconds), f"{sensor} frozen", mark=True)
 
 
 def drop(trial: Trial, share: float) -> None:
@@ -203,8 +205,7 @@ def repeat(trial: Trial, times: int) -> None:
     """Call the law twice in a period, or set its clock back by three."""
     if times:
         rows = slice(trial.row, trial.row + times)
-        trial.set_bits(rows, "tick repeated")
-        trial.marks[rows] = True
+        trial.set_bits(rows, "tick repeated", mark=True)
         return
 
     def back(arm: ArmState) -> None:

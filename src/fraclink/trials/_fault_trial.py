@@ -195,19 +195,12 @@ class Trial:
         """Apply `action` to the arm just before period `row`."""
         self.actions.setdefault(row, []).append(action)
 
-    def set_bits(self, rows: Rows, fault: str) -> None:
-        """Set the bit of a fault in the kernel's fault word."""
+    def set_bits(self, rows: Rows, fault: str, *, mark: bool = False) -> None:
+        """Set the bit of a fault in the kernel's fault word; mark the periods as bad."""
         column = self.inputs[:, columns.FAULT_BITS]
         # Several faults may occur in one period; the column holds a bit mask as a real.
         column[rows] = column[rows].astype(int) | FAULTS[fault][0]
-
-    def replace_reading(self, sensor: str, value: float | Real, rows: Rows) -> None:
-        """Replace readings of "encoder" or "gauge" by `value` and mark them as bad."""
-        column = FAULTS[f"{sensor} value"][1]
-        assert column is not None  # faults with values have a column  # noqa: S101
-        self.set_bits(rows, f"{sensor} value")
-        self.marks[rows] = True
-        self.inputs[rows, column] = value
+        self.marks[rows] |= mark
 
 
 # ── the run
