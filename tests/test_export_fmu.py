@@ -116,7 +116,7 @@ def test_the_description_and_the_library_know_the_same_variables(
     for reference, variable in enumerate(VARIABLES):
         assert described[reference].unit == (variable.unit or None)
         whole = "UInt32"
-        assert described[reference].type == ("Float64" if variable.real else whole)
+        assert described[reference].type == ("Float64" if variable.unit else whole)
     outputs = [v.name for v in VARIABLES if v.causality == "output"]
     assert [u.variable.name for u in imported.about.outputs] == outputs
     assert [u.variable.name for u in imported.about.initialUnknowns] == outputs

@@ -199,7 +199,7 @@ CEILINGS = {
     "lab": 1921,
     "logs": 754,
     "studio": 1161,
-    "trials": 1418,
+    "trials": 1412,
     "view": 1576,
 }
 

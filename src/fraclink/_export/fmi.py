@@ -36,14 +36,9 @@ class Variable(NamedTuple):
     name: str
     causality: Literal["input", "output", "independent"]
     description: str
-    unit: str = ""  # integers have none
+    unit: str = ""  # of a real one; integers have none
     largest: int = 0  # of an integer
     start_from: tuple[str, ...] = ()
-
-    @property
-    def real(self) -> bool:
-        """Whether it is real, not an integer."""
-        return bool(self.unit)
 
 
 VARIABLES: tuple[Variable, ...] = (
@@ -117,7 +112,7 @@ _NO_EFFECT = "leave it at 0: without effect in a PID"
 
 def _of_pid(variable: Variable) -> Variable:
     """A variable of the law as a variable of a PID, whose units only the user knows."""
-    if not variable.real or variable.causality == "independent":
+    if not variable.unit or variable.causality == "independent":
         return variable
     name, description = _RENAMED.get(variable.name, (variable.name, _NO_EFFECT))
     start = ("measurement",) if variable.start_from else ()
@@ -204,7 +199,7 @@ def _about(variable: Variable, reference: int) -> dict[str, str]:
         "variability": "discrete" if variable.causality == "output" else "continuous",
         "description": variable.description,
     }
-    if not variable.real:
+    if not variable.unit:
         return about | {"min": "0", "max": str(variable.largest)}
     # Inputs have a start value; that of an output is calculated from the inputs that
     # `start_from` names.
@@ -253,7 +248,7 @@ def descriptions(law: Law, name: str, token: str) -> dict[str, str]:
     listed = ET.SubElement(root, "ModelVariables")
     places = {}
     for reference, variable in enumerate(variables):
-        kind = "Float64" if variable.real else "UInt32"
+        kind = "Float64" if variable.unit else "UInt32"
         ET.SubElement(listed, kind, _about(variable, reference))
         places[variable.name] = str(reference)
     structure = ET.SubElement(root, "ModelStructure")

@@ -9,7 +9,7 @@ import struct
 
 from fraclink import __version__
 from fraclink._export.data import hex_float
-from fraclink._export.selftest import PERIODS, hash_of, noise, periods
+from fraclink._export.selftest import hash_of, noise, periods, with_tools
 from fraclink._law.block import real_type
 from fraclink._law.estimator import COUNTS, HEADER, MODEL, REALS, PayloadEstimator
 
@@ -22,11 +22,7 @@ def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:
     """Return payload_data.h and payload_selftest.c by name; the C itself is the
     package's.
     """
-    digits = f"0x{_hash(estimator):08X}U"
-    selftest = _SELFTEST.replace("@HASH@", digits).replace(
-        "@PERIODS@ periods", f"{PERIODS} periods"
-    )
-    selftest = selftest.replace("@PERIODS@", f"{PERIODS}U")
+    selftest = with_tools(_SELFTEST, "payload_selftest", _hash(estimator))
     return {DATA: _data(estimator).encode(), SELFTEST: selftest.encode()}
 
 
@@ -91,8 +87,7 @@ def _hash(estimator: PayloadEstimator) -> int:
         )
     angles, torques, ticks = zip(*rows, strict=True)
     _, columns = estimator.run(estimator.initial_state(), angles, torques, ticks=ticks)
-    *reals, flags = columns
-    outputs = zip(*reals, map(int, flags), strict=True)
+    outputs = zip(*columns[:-1], map(int, columns[-1]), strict=True)
     return hash_of(outputs, f"4{real_type(estimator.precision)}I")
 
 
@@ -155,39 +150,8 @@ _SELFTEST = """\
 #include "payload_estimator.h"
 #include "payload_data.h"
 
-#include <string.h>
-
-#define PERIODS @PERIODS@
-#define EXPECTED @HASH@
-
-uint32_t payload_selftest_hash(void);
+@TOOLS@uint32_t payload_selftest_hash(void);
 int payload_selftest(void);
-
-static uint32_t drawn = 1U;
-
-static int32_t noise(void)
-{
-    drawn = (drawn * 1664525U) + 1013904223U;
-    return (int32_t)(drawn >> 20U) - 2048;
-}
-
-static law_real not_a_number(void)
-{
-    law_real value;
-    (void)memset(&value, 0xFF, sizeof(value));
-    return value;
-}
-
-static uint32_t mixed(uint32_t hash, const void *value, size_t size)
-{
-    uint32_t word;
-    size_t i;
-    for (i = 0U; i < size; i += sizeof(word)) {
-        (void)memcpy(&word, (const unsigned char *)value + i, sizeof(word));
-        hash = (hash ^ word) * 16777619U;
-    }
-    return hash;
-}
 
 uint32_t payload_selftest_hash(void)
 {
@@ -196,7 +160,7 @@ uint32_t payload_selftest_hash(void)
     uint32_t hash = 0x811C9DC5U;
     uint32_t tick = 0U;
     uint32_t k;
-    drawn = 1U;
+    seed = 1U;
     if (payload_init(&memory, &payload_data) != LAW_OK) {
         return 0U;
     }
@@ -228,21 +192,4 @@ uint32_t payload_selftest_hash(void)
     return hash;
 }
 
-int payload_selftest(void)
-{
-    return (payload_selftest_hash() == EXPECTED) ? 0 : 1;
-}
-
-#ifndef LAW_SELFTEST_NO_MAIN
-#include <stdio.h>
-
-int main(void)
-{
-    const uint32_t hash = payload_selftest_hash();
-    const int failed = (hash == EXPECTED) ? 0 : 1;
-    (void)printf("payload_selftest: hash %08lX, ", (unsigned long)hash);
-    (void)printf("expected %08lX: %s\\n", (unsigned long)EXPECTED, (failed == 0) ? "passed" : "FAILED");
-    return failed;
-}
-#endif
-"""
+@MAIN@"""

@@ -16,7 +16,7 @@ from fraclink._export.data import hex_float
 from fraclink._law import Law, LawInputs
 from fraclink._law.block import real_type
 
-__all__ = ["PERIODS", "expected", "hash_of", "noise", "periods", "selftest_source"]
+__all__ = ["expected", "hash_of", "noise", "periods", "selftest_source", "with_tools"]
 
 # Long enough for every reaction below to begin and to end.
 PERIODS = 1000
@@ -114,16 +114,76 @@ def selftest_source(law: Law, *, name: str, data: str) -> str:
         if law.has_gauge
         else _OF_PID.replace("@SCALE@", hex_float(_scale(law), law.precision))
     )
+    source = _SOURCE.replace("@INPUTS@", inputs).replace("@DATA@", data)
+    return with_tools(source.replace("@BLOCK@", name), "law_selftest", expected(law))
+
+
+def with_tools(source: str, name: str, digest: int) -> str:
+    """Return the source of a self-test with what all of them share, and with the hash
+    that it must find.
+    """
     return (
-        _SOURCE.replace("@DATA@", data)
-        .replace("@INPUTS@", inputs)
-        .replace("@NAME@", name)
-        .replace("@HASH@", f"0x{expected(law):08X}U")
+        source.replace("@TOOLS@", _TOOLS)
+        .replace("@MAIN@", _MAIN.replace("@NAME@", name))
+        .replace("@HASH@", f"0x{digest:08X}U")
         .replace("@PERIODS@ periods", f"{PERIODS} periods")
         .replace("@PERIODS@", f"{PERIODS}U")
     )
 
 
+# What every self-test needs: noise, a reading that is no number, and the hash.
+_TOOLS = """\
+#include <string.h>
+
+#define PERIODS @PERIODS@
+#define EXPECTED @HASH@
+
+static uint32_t seed = 1U;
+
+static int32_t noise(void)
+{
+    seed = (seed * 1664525U) + 1013904223U;
+    return (int32_t)(seed >> 20U) - 2048;
+}
+
+static law_real not_a_number(void)
+{
+    law_real value;
+    (void)memset(&value, 0xFF, sizeof(value));
+    return value;
+}
+
+static uint32_t mixed(uint32_t hash, const void *value, size_t size)
+{
+    uint32_t word;
+    size_t i;
+    for (i = 0U; i < size; i += sizeof(word)) {
+        (void)memcpy(&word, (const unsigned char *)value + i, sizeof(word));
+        hash = (hash ^ word) * 16777619U;
+    }
+    return hash;
+}
+
+"""
+_MAIN = """\
+int @NAME@(void)
+{
+    return (@NAME@_hash() == EXPECTED) ? 0 : 1;
+}
+
+#ifndef LAW_SELFTEST_NO_MAIN
+#include <stdio.h>
+
+int main(void)
+{
+    const uint32_t hash = @NAME@_hash();
+    const int failed = (hash == EXPECTED) ? 0 : 1;
+    (void)printf("@NAME@: hash %08lX, ", (unsigned long)hash);
+    (void)printf("expected %08lX: %s\\n", (unsigned long)EXPECTED, (failed == 0) ? "passed" : "FAILED");
+    return failed;
+}
+#endif
+"""
 # Inputs for a law of the arm: the motor follows, the gauge shows noise.
 _OF_ARM = """\
     in->reference = (law_real)ramp / (law_real)512;
@@ -149,26 +209,7 @@ _SOURCE = """\
 #include "law.h"
 #include "@DATA@"
 
-#include <string.h>
-
-#define PERIODS @PERIODS@
-#define EXPECTED @HASH@
-
-static uint32_t seed = 1U;
-static uint32_t tick = 0U;
-
-static int32_t noise(void)
-{
-    seed = (seed * 1664525U) + 1013904223U;
-    return (int32_t)(seed >> 20U) - 2048;
-}
-
-static law_real not_a_number(void)
-{
-    law_real value;
-    (void)memset(&value, 0xFF, sizeof(value));
-    return value;
-}
+@TOOLS@static uint32_t tick = 0U;
 
 static void next_input(uint32_t k, law_real motor_reference, law_input *in)
 {
@@ -192,17 +233,6 @@ static void next_input(uint32_t k, law_real motor_reference, law_input *in)
     }
 }
 
-static uint32_t mixed(uint32_t hash, const void *value, size_t size)
-{
-    uint32_t word;
-    size_t i;
-    for (i = 0U; i < size; i += sizeof(word)) {
-        (void)memcpy(&word, (const unsigned char *)value + i, sizeof(word));
-        hash = (hash ^ word) * 16777619U;
-    }
-    return hash;
-}
-
 uint32_t law_selftest_hash(void);
 int law_selftest(void);
 
@@ -216,12 +246,12 @@ uint32_t law_selftest_hash(void)
     law_real command = (law_real)0;
     seed = 1U;
     tick = 0U;
-    if (law_init(&state, &@NAME@) != LAW_OK) {
+    if (law_init(&state, &@BLOCK@) != LAW_OK) {
         return 0U;
     }
     for (k = 0U; k < PERIODS; k++) {
         next_input(k, command, &in);
-        law_step(&state, &@NAME@, &in, &out);
+        law_step(&state, &@BLOCK@, &in, &out);
         command = out.motor_reference;
         hash = mixed(hash, &out.motor_reference, sizeof(law_real));
         hash = mixed(hash, &out.voltage, sizeof(law_real));
@@ -235,21 +265,4 @@ uint32_t law_selftest_hash(void)
     return hash;
 }
 
-int law_selftest(void)
-{
-    return (law_selftest_hash() == EXPECTED) ? 0 : 1;
-}
-
-#ifndef LAW_SELFTEST_NO_MAIN
-#include <stdio.h>
-
-int main(void)
-{
-    const uint32_t hash = law_selftest_hash();
-    const int failed = (hash == EXPECTED) ? 0 : 1;
-    (void)printf("law_selftest: hash %08lX, ", (unsigned long)hash);
-    (void)printf("expected %08lX: %s\\n", (unsigned long)EXPECTED, (failed == 0) ? "passed" : "FAILED");
-    return failed;
-}
-#endif
-"""
+@MAIN@"""
