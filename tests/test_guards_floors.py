@@ -188,7 +188,7 @@ CEILINGS = {
     "fracsys": 2864,
     "_arm": 1536,
     "_certify": 865,
-    "_cli": 955,
+    "_cli": 951,
     "_design": 1478,
     "_export": 505,
     "_files": 566,
