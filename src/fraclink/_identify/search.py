@@ -25,7 +25,6 @@ from fraclink._identify.shape import (
     lowest_valleys,
     mask_of,
     special_cases,
-    undamped_as_damped,
 )
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
@@ -34,15 +33,15 @@ from fracsys.checks import Real
 if TYPE_CHECKING:
     from fraclink._identify.uncertainty import Covariance
 
-# The scan uses ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
-# the grid overlap.
-_SCAN_ORDER, _SCAN_STEP = 1.85, 0.2
-# Delays of the scan and of the starts, as fractions of the vibration period: a descent
-# covers an eighth of a period by itself, and the largest delay is a third of one.
-_DELAYS = (0.0, 0.12, 0.24)
+# The scan uses ζ = 0.13 and a step of 2ζ in ln Ω, the width of the resonance at half its
+# power.
+_SCAN_ORDER = 1.85
+_SCAN_STEP = -2 * math.cos(math.pi / _SCAN_ORDER)
+# Range of the delay as fractions of the vibration period, and its starts there: a
+# descent covers an eighth of a period to either side.
 _DELAY_LIMITS = (-0.12, 0.35)
+_DELAYS = np.linspace(*_DELAY_LIMITS, 5)[1::2]
 _VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a narrow one
-_PLACES = 9  # starts over all frequencies, if a descent ended at a limit
 # ζ, each a third of the previous one, for the vibration that continues from before a
 # cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
 # of the resonance's width.
@@ -169,33 +168,29 @@ class Search:
         return kernel.costs(rows, self.gain, self.offset)
 
     @cached_property
-    def _scanned(self) -> Real:
-        """Undamped links as starts (K, 5): the valleys of a scan over frequencies and
-        delays, or the guess if it is better, and the vibrations after a cut.
+    def _scanned(self) -> list[Real]:
+        """Undamped links as starts: the valleys of a scan over frequencies with every
+        delay, the guess, and the vibrations after a cut.
         """
         low, high = self._range
         grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
         costs = self._costs(self.kernel, self._links(grid, _SCAN_ORDER, 0.0))
         valleys = grid[lowest_valleys(costs, _VALLEYS)]
         # A delay of a quarter of the vibration period turns the torque into a velocity:
-        # the scan without it then finds the right frequency with the wrong phase, or
-        # another frequency.
-        rows = np.concatenate(
-            [self._links(valleys, _SCAN_ORDER, part) for part in _DELAYS]
-        )
+        # λ and the delay compensate each other on a smooth move.
+        delays = _DELAYS[:1] if "delay" in self.fixed else _DELAYS
+        starts = [
+            row for part in delays for row in self._links(valleys, _SCAN_ORDER, part)
+        ]
         if self.start is not None:
             order, place, *_, delay = self.start
             # Not at 2: on the limit the slope in λ may point outwards, and the descent
             # would never leave it.
             order = self.fixed.get("order", min(order, 1.95))
-            rows = np.vstack([rows, [order, place, 0.0, 1.0, delay]])
-        costs = self._costs(self.kernel, rows)
-        own = np.argmin(np.abs(rows[:, 1:2] - valleys), axis=1)
-        best = [rows[own == k][np.argmin(costs[own == k])] for k in range(valleys.size)]
-        starts = [np.array(best)]
+            starts.append(np.array([order, place, 0.0, 1.0, delay]))
         if self.window.angle.size > self.window.samples:
-            starts.append(np.array(self._sharp()))
-        return np.concatenate(starts)
+            starts += self._sharp()
+        return starts
 
     def _sharp(self) -> list[Real]:
         """Starts for a cut log, in which a lightly damped link still swings from all
@@ -263,11 +258,13 @@ class Search:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
             ends = [self._begun(name, row) for row in self._starts(name)]
-            if name == FRACTIONAL:
-                # The other structures start from it, in its valleys.
-                found = self._ended(self._lowest(ends))
-                ends += [found, *self._from_elsewhere(found)]
-            self._lowest(ends)
+            if not math.isfinite(min(end.cost for end in ends)):
+                raise NotConvergedError(
+                    f"the fit of {name}",
+                    reached=math.inf,
+                    wanted=0.0,
+                    remedy="examine the log with diagnose",
+                )
             ends = [self._ended(end) for end in self._valleys(ends)]
             solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
@@ -293,35 +290,6 @@ class Search:
             if end.cost <= _WORTH * lowest.cost and all(apart):
                 distinct.append(end)
         return distinct
-
-    def _lowest(self, ends: Sequence[Solution]) -> Solution:
-        best = min(ends, key=lambda each: each.cost)
-        if not math.isfinite(best.cost):
-            raise NotConvergedError(
-                f"the fit of {best.structure}",
-                reached=math.inf,
-                wanted=0.0,
-                remedy="examine the log with diagnose",
-            )
-        return best
-
-    def _from_elsewhere(self, found: Solution) -> Iterator[Solution]:
-        """Descents from other delays, since λ and the delay compensate each other on a
-        smooth move; and from all frequencies if a fit ended at a limit of λ, ω₀ or the
-        delay.
-        """
-        name, place = found.structure, found.shape[1:2]
-        wave = 2 * math.pi * math.exp(-place[0])
-        if "delay" not in self.fixed:
-            for part in _DELAYS:
-                row = self._links(place, found.shape[0], part)[0]
-                # Otherwise its descent would end at the same point.
-                if abs(row[4] - found.shape[4]) > _DELAYS[1] / 2 * wave:
-                    yield self._begun(name, row)
-        if {0, 1} & {*found.at_bound} or (4 in found.at_bound and found.shape[4] != 0):
-            places = np.linspace(*self._range, _PLACES)
-            for row in self._links(places, _SCAN_ORDER, 0.0):
-                yield self._begun(name, row)
 
     def _begun(self, name: str, row: Real) -> Solution:
         """The first steps of a descent, or all of it if they reach its end."""
@@ -432,30 +400,34 @@ class Search:
 
     def _starts(self, name: str) -> Iterator[Real]:
         """Starts; only the undamped fractional link, which fits any ring-down, needs a
-        scan.
+        scan, and the others start in its valleys.
         """
-        free = set(structure(name).free)
         if name == FRACTIONAL:
             yield from self._scanned
             return
-        best = self.solve(FRACTIONAL)
-        if "order" in free:
-            yield from (self.solve(special).shape for special in special_cases(name))
+        free = {*structure(name).free} - {*self.fixed}
+        vibrations = (self.solve(FRACTIONAL), *self.solve(FRACTIONAL).rivals)
+        if free == {"natural_frequency"}:
+            for vibration in vibrations:
+                yield from self._undamped(vibration.shape)
             return
-        for fractional in (end.shape for end in (best, *best.rivals)):
-            # The pole of s^λ + ω₀² has the argument π/λ: its damping ratio is
-            # −cos(π/λ).
-            ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
-            if "damping_order" in free:
-                yield from self._damped(name, fractional, ratio)
-            elif "damping" in free:
-                # The undamped link of order λ decays like one with ζ = −cos(π/λ): a
-                # start close to the optimum.
-                yield np.array(
-                    [2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]]
-                )
-            else:
-                yield from self._undamped(fractional)
+        # A step never raises the cost, so that the fit is never worse than any of its
+        # special cases.
+        if not {"order", "damping_order"} & {*self.fixed}:
+            for special in special_cases(name):
+                yield embedded(self.solve(special).shape, name)
+        if "order" in free:
+            return
+        others = (0.4, 1.5) if "damping_order" in free else (1.0,)
+        if "damping_order" in self.fixed:
+            others = (self.fixed["damping_order"],)
+        for order, place, *_, delay in (vibration.shape for vibration in vibrations):
+            # The pole of s^λ + ω₀² has the argument π/λ: the undamped link of order λ
+            # decays like one with ζ = −cos(π/λ).
+            ratio = max(-math.cos(math.pi / order), 1e-3)
+            for other in others:
+                damped = min(ratio, 0.9 * largest_ratio(other))
+                yield np.array([2.0, place, damped, other, delay])
 
     def _undamped(self, near: Real) -> Iterator[Real]:
         # Without damping the phase must fit over the whole log: the cost has a minimum
@@ -471,28 +443,3 @@ class Search:
         )
         costs = self._costs(self.kernel, rows)
         yield from rows[np.argsort(costs)[:3]]
-
-    def _damped(self, name: str, fractional: Real, ratio: float) -> Iterator[Real]:
-        # Special cases first: a step never raises the cost, so the fit is never worse
-        # than any of them.
-        others: tuple[float, ...] = (0.4, 1.5)
-        if "damping_order" in self.fixed:
-            others = (self.fixed["damping_order"],)
-        else:
-            damped = (
-                other
-                for other in special_cases(name)
-                if "damping" in structure(other).free
-            )
-            yield from (self.solve(other).shape for other in damped)
-            yield undamped_as_damped(fractional)
-        for other in others:
-            yield np.array(
-                [
-                    2.0,
-                    fractional[1],
-                    min(ratio, 0.9 * largest_ratio(other)),
-                    other,
-                    fractional[4],
-                ]
-            )
