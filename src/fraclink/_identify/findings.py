@@ -289,7 +289,7 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
             "W302",
             "warning",
             "the optimiser did not converge; the values are the best ones found",
-            {"passes": float(fit.evaluations)},
+            {},
             "identify a simpler structure or a longer log",
         )
     if singular:

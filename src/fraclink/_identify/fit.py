@@ -75,7 +75,7 @@ def bic(mse: float, samples: int, parameters: int) -> float:
 @displayed
 @document(
     "fit",
-    version=3,
+    version=4,
     container="either",
     summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
@@ -136,9 +136,6 @@ class Fit(Saved):
         of the residual, None where details were not asked for.
     converged
         whether the optimiser met its tolerance.
-    evaluations
-        passes over the data that the search took until it was found, those of the scan
-        and of the structures that it was started from included.
     predicted, residual
         model and output − model, every sample of the log, shape (N,) [unit].
     findings
@@ -183,7 +180,6 @@ class Fit(Saved):
     effective_parameters: float
     tests: ResidualTests | None
     converged: bool
-    evaluations: int
     predicted: Real
     residual: Real
     findings: tuple[Finding, ...] = ()

@@ -288,7 +288,6 @@ def fit_from(
         effective_parameters=covariance.effective,
         tests=tests,
         converged=solution.status == 0,
-        evaluations=solution.evaluations,
         predicted=predicted,
         residual=residual,
         source=log.source,

@@ -57,8 +57,7 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third per s
 class Solution:
     """The least-squares solution of one structure: coordinates and linear parameters.
 
-    `evaluations`: passes over the data used by the search so far; `rivals` are the ends
-    of descents in other valleys, best first.
+    `rivals` are the ends of descents in other valleys, best first.
     """
 
     structure: str
@@ -70,7 +69,6 @@ class Solution:
     lower: Real
     upper: Real
     status: int
-    evaluations: int
     rivals: tuple[Solution, ...] = ()
 
     @property
@@ -118,7 +116,6 @@ class Search:
     covariances: dict[tuple[Solution, bool], tuple[Covariance, float]] = field(
         default_factory=dict
     )
-    _evaluations: int = 0
 
     @property
     def gain(self) -> float:
@@ -163,10 +160,6 @@ class Search:
         rows[:, 4] = self.fixed.get("delay", part * 2 * math.pi * np.exp(-places))
         return rows
 
-    def _costs(self, kernel: FitProblem, rows: Real) -> Real:
-        self._evaluations += len(rows)
-        return kernel.costs(rows, self.gain, self.offset)
-
     @cached_property
     def _scanned(self) -> list[Real]:
         """Undamped links as starts: the valleys of a scan over frequencies with every
@@ -174,7 +167,8 @@ class Search:
         """
         low, high = self._range
         grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
-        costs = self._costs(self.kernel, self._links(grid, _SCAN_ORDER, 0.0))
+        links = self._links(grid, _SCAN_ORDER, 0.0)
+        costs = self.kernel.costs(links, self.gain, self.offset)
         valleys = grid[lowest_valleys(costs, _VALLEYS)]
         # A delay of a quarter of the vibration period turns the torque into a velocity:
         # λ and the delay compensate each other on a smooth move.
@@ -211,8 +205,8 @@ class Search:
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
             rows = self._links(places[apart <= width], order, 0.0)
-            valleys = lowest_valleys(self._costs(kernel, rows), _SHARP_VALLEYS)
-            starts.extend(rows[valleys])
+            costs = kernel.costs(rows, self.gain, self.offset)
+            starts.extend(rows[lowest_valleys(costs, _SHARP_VALLEYS)])
         return starts
 
     def _ringing(self) -> tuple[Real, float]:
@@ -236,7 +230,6 @@ class Search:
             columns = np.stack([response, state.real, state.imag, np.ones(time.size)])
             basis = np.linalg.qr(columns.T)[0]
             costs.append(own.output @ own.output - np.sum((own.output @ basis) ** 2))
-        self._evaluations += len(costs)
         return frequencies[np.array(costs) <= _WORTH * min(costs)], spacing
 
     # --- descents
@@ -246,13 +239,11 @@ class Search:
         own = {*structure(name).free, "delay"} - {*self.fixed}
         return tuple(sorted(COORDINATE[parameter] for parameter in own))
 
-    def _delays(self, row: Real, *, may_lead: bool) -> tuple[float, float]:
-        """Range of the delay about a row [s]; `may_lead` allows negative values."""
+    def _delays(self, row: Real) -> tuple[float, float]:
+        """Range of the delay about a row [s]."""
         shortest, longest = (x * 2 * math.pi * math.exp(-row[1]) for x in _DELAY_LIMITS)
         span = self.window.samples * self.window.period
-        return max(shortest, -0.9 * span) if may_lead else 0.0, min(
-            longest, 0.97 * span
-        )
+        return max(shortest, -0.9 * span), min(longest, 0.97 * span)
 
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
@@ -269,11 +260,7 @@ class Search:
             solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
-            # The best one need not be the last one; the work on later attempts counts
-            # as well.
-            self.solutions[name] = replace(
-                solution, evaluations=self._evaluations, rivals=tuple(rivals)
-            )
+            self.solutions[name] = replace(solution, rivals=tuple(rivals))
         return self.solutions[name]
 
     def _valleys(self, ends: Sequence[Solution]) -> list[Solution]:
@@ -310,9 +297,7 @@ class Search:
         """The end of the kernel's descent from a row, with the delay in a range; with
         infinite cost if there is no response.
         """
-        shortest, longest = delays or self._delays(
-            row, may_lead=not self.window.is_rough
-        )
+        shortest, longest = delays or self._delays(row)
         low, high = self._range
         lower = np.array([ORDER_LIMITS[0], low, 0.0, ALPHA_LIMITS[0], shortest])
         # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
@@ -325,7 +310,7 @@ class Search:
         start = row.copy()
         start[4] = self.fixed.get("delay", row[4])
         start[free] = np.clip(start[free], lower[free], upper[free])
-        status, shape, gain, offset, cost, evaluations = self.kernel.solve(
+        status, shape, gain, offset, cost, _ = self.kernel.solve(
             start[None],
             mask_of(free),
             lower,
@@ -334,7 +319,6 @@ class Search:
             self.offset,
             iterations,
         )
-        self._evaluations += evaluations
         return Solution(
             name,
             tuple(free),
@@ -345,7 +329,6 @@ class Search:
             lower,
             upper,
             status,
-            self._evaluations,
         )
 
     def _between_samples(self, found: Solution) -> Solution:
@@ -360,26 +343,22 @@ class Search:
         sample.
         """
         period, name = self.window.period, found.structure
-        steps, ends = self.window.hold == "zero", [found]
-        if not steps and not self.window.is_rough:
+        held, row, ends = self.window.hold == "zero", found.shape.copy(), [found]
+        if not held and not self.window.is_rough:
             return found
-        shortest, longest = self._delays(found.shape, may_lead=steps)
-        first = math.floor(found.shape[4] / period)
+        shortest, longest = self._delays(row)
+        first = math.floor(row[4] / period)
         for k in range(first, first + 3):
-            row = found.shape.copy()
             row[4] = (k - 0.5) * period
-            inside = (
-                max((k - 1 + 1e-6) * period, shortest),
-                min(k * period, longest),
-            )
-            if inside[0] <= inside[1]:
-                ends.append(self._descended(name, row, inside if steps else None))
-        if not steps:
-            row = found.shape.copy()
-            row[4] -= 2.5 * period
-            early = self._descended(name, row, self._delays(row, may_lead=True))
-            ends += [early] if early.shape[4] < -1.5 * period else []
-        return min(ends, key=lambda each: each.cost)
+            low, high = (k - 1 + 1e-6) * period, k * period
+            if max(low, shortest) <= min(high, longest):
+                box = max(low, shortest), min(high, longest)
+                ends.append(self._descended(name, row, box))
+        best = min(ends, key=lambda each: each.cost)
+        if not held and -1.5 * period < best.shape[4] < 0:
+            row[4] = 0.5 * period
+            return self._descended(name, row, (0.0, longest))
+        return best
 
     def reconcile(self) -> None:
         """Fit a structure again from a special case of it with a lower cost.
@@ -441,5 +420,5 @@ class Search:
         rows = np.array(
             [[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}]
         )
-        costs = self._costs(self.kernel, rows)
+        costs = self.kernel.costs(rows, self.gain, self.offset)
         yield from rows[np.argsort(costs)[:3]]
