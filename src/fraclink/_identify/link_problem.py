@@ -47,15 +47,19 @@ def quadratic_of(
     )
 
 
+def _stiffening(order: float) -> float:
+    """r/ζ: what a damping of this order adds to the stiffness at the resonance."""
+    return 2 / math.tan(order * math.pi / 2)
+
+
 @dataclass(frozen=True, eq=False)
 class LinkProblem(Problem):
     """A search's problem around a solution: the `free` coordinates of a shape, with all
     others held.
 
-    If ζ and α are both free, r = 2ζ cot(απ/2) replaces α < 1: the fractional damping is
+    If ζ and α are both free, r = 2ζ cot(απ/2) replaces α: the fractional damping is
     Ω^λ (r + 2iζ) at the resonance and ω₀² = Ω^λ (1 − r), so that the edge ω₀ = 0 is the
-    limit r = 1, and the valley of equal ζ is straight. For α > 1 it continues as r = (1
-    − α)πζ with the ζ of the solution.
+    limit r = 1, and the valley of equal ζ is straight.
     """
 
     search: Search
@@ -83,18 +87,8 @@ class LinkProblem(Problem):
         """The shape of the solution, with r in place of α if the problem uses it."""
         start = self.solution.shape.copy()
         if self.turned:
-            ratio, order = start[2:4]
-            start[3] = (
-                min(2 * ratio / math.tan(order * math.pi / 2), 1.0)
-                if order < 1
-                else (1 - order) * self._slope
-            )
+            start[3] = min(start[2] * _stiffening(start[3]), 1.0)
         return start
-
-    @property
-    def _slope(self) -> float:
-        """−dr/dα at α = 1; without damping α has no meaning, and any value will do."""
-        return math.pi * float(self.solution.shape[2] or 1.0)
 
     @property
     def place(self) -> Real:
@@ -106,7 +100,8 @@ class LinkProblem(Problem):
         """See `Problem`."""
         low = self.solution.lower.copy()
         if self.turned:
-            low[3] = (1 - ALPHA_LIMITS[1]) * self._slope
+            # Without damping α has no meaning, and any value will do.
+            low[3] = (self.solution.shape[2] or 1.0) * _stiffening(ALPHA_LIMITS[1])
         return low[list(self.free)]
 
     @cached_property
@@ -151,21 +146,18 @@ class LinkProblem(Problem):
         if self.turned:
             share = shapes[:, 3].copy()
             double = 2 * np.maximum(shapes[:, 2], _NO_DAMPING)
-            square, over = math.pi / 2 * (double**2 + share**2), share < 0
-            shapes[:, 3] = np.where(
-                over, 1 - share / self._slope, 2 / math.pi * np.arctan2(double, share)
-            )
-            chain[:, 3, 2] = np.where(over, 0.0, 2 * share / square)
-            chain[:, 3, 3] = np.where(over, -1 / self._slope, -double / square)
+            square = math.pi / 2 * (double**2 + share**2)
+            shapes[:, 3] = 2 / math.pi * np.arctan2(double, share)
+            chain[:, 3, 2], chain[:, 3, 3] = 2 * share / square, -double / square
         return shapes, chain[:, :, list(self.free)]
 
     def clip(self, places: Real) -> Real:
         """See `Problem`: beyond the largest damping ratio ω₀² would be negative."""
         places = np.clip(places, self.low, self.high)
         if self.turned and 3 in self.free:
-            double, column = 2 * places[:, self.free.index(2)], self.free.index(3)
-            most = double / math.tan(ALPHA_LIMITS[0] * math.pi / 2)
-            places[:, column] = np.minimum(places[:, column], most)
+            ratio, column = places[:, self.free.index(2)], self.free.index(3)
+            most, least = (ratio * _stiffening(order) for order in ALPHA_LIMITS)
+            places[:, column] = np.clip(places[:, column], least, most)
         elif 2 in self.free and self.solution.shape[3] < 1:
             column = self.free.index(2)
             largest = largest_ratio(float(self.solution.shape[3]))
