@@ -154,39 +154,41 @@ def noise_behind(regressors: Real, covariance: Real) -> Noise:
     basis, weights = columns.T, scale[:, None] * triangle.T
     spectra = rfft(basis, size, axis=1)
 
-    def filtered(gamma: Real) -> tuple[Real, Real]:
-        """Γ's first column and ΓQ for the autoregression of autocovariances."""
+    # Each line but the first counts for its negative frequency, too.
+    both = np.where(np.arange(spectra.shape[1]) > 0, 2.0, 1.0) / size
+    energy = np.sum(np.abs(spectra) ** 2, axis=0)
+
+    def modelled(gamma: Real) -> tuple[Real, Real]:
+        """Spectrum of the autoregression of autocovariances, and QᵀΓQ."""
         coefficients, variance = _levinson(gamma)
         power = variance / np.abs(rfft(coefficients, size)) ** 2
-        spread = irfft(spectra * power, size, axis=1)[:, :count]
-        return irfft(power, size)[:count], spread
+        return power, ((spectra * (power * both)) @ spectra.conj().T).real
 
-    model, spread = filtered(covariance)
-    observed = float(np.sum(basis * spread))
+    power, inner = modelled(covariance)
+    observed = float(np.trace(inner))
     for _ in range(_ROUNDS):
-        # The lag sums of Γ − (I − P) Γ (I − P): twice ΓQQᵀ, and QQᵀΓQQᵀ once.
-        whole = 2 * rfft(spread, size, axis=1) - (basis @ spread.T) @ spectra
-        loss = irfft(np.sum(spectra.conj() * whole, axis=0).real, size)[:count] / count
-        # And those of the division by n at every lag.
-        loss += np.arange(count) / count * model
-        again = filtered(covariance + loss)
+        # The spectrum of Γ − (I − P) Γ (I − P): twice ΓQQᵀ, and QQᵀΓQQᵀ once.
+        loss = 2 * power * energy - np.sum(spectra.conj() * (inner @ spectra), axis=0)
+        # And the loss by the division by n at every lag.
+        model, lost = irfft(np.stack([power, loss.real]), size, axis=1)[:, :count]
+        again = modelled(covariance + (lost + np.arange(count) * model) / count)
         # Noise without four independent samples in a log is a drift or a misfit: its
         # strength cannot be estimated from a spectrum, and the correction diverges. For
         # a ring-down of 8 s without noise, fitted to 0.004 %, the frequency was "not
         # determined" because of rounding.
-        if _freedom(again[0]) < _LEAST_FREEDOM:
+        if _freedom(again[0], count) < _LEAST_FREEDOM:
             break
-        model, spread = again
-    meat = weights @ basis @ spread.T @ weights.T
-    return Noise(meat, max(_freedom(model), _LEAST_FREEDOM), observed)
+        power, inner = again
+    meat = weights @ inner @ weights.T
+    return Noise(meat, max(_freedom(power, count), _LEAST_FREEDOM), observed)
 
 
-def _freedom(model: Real) -> float:
-    """Degrees of freedom with which the level of noise with these autocovariances (lags
-    0..n−1) is known.
+def _freedom(power: Real, count: int) -> float:
+    """Degrees of freedom with which `count` samples show the level of noise with this
+    spectrum: T is its value at zero over the variance, which is its mean.
     """
-    together = 2 * float(np.sum(model)) / model[0] - 1 if model[0] > 0 else 1.0
-    return model.size / (2 * max(together, 1.0))
+    together = float(power[0] / np.mean(power)) if np.any(power) else 1.0
+    return count / (2 * max(together, 1.0))
 
 
 def correlation_lag(covariance: Real) -> int:

@@ -391,10 +391,12 @@ class Search:
                 yield from self._undamped(vibration.shape)
             return
         # A step never raises the cost, so that the fit is never worse than any of its
-        # special cases.
+        # special cases. The undamped one, whose search takes longest, is left to
+        # `reconcile`.
         if not {"order", "damping_order"} & {*self.fixed}:
             for special in special_cases(name):
-                yield embedded(self.solve(special).shape, name)
+                if {"order", "damping"} & {*structure(special).free}:
+                    yield embedded(self.solve(special).shape, name)
         if "order" in free:
             return
         others = (0.4, 1.5) if "damping_order" in free else (1.0,)
