@@ -31,7 +31,7 @@ from fraclink._identify.uncertainty import link_covariance
 from fracsys.checks import Real
 
 # The columns of which θ holds the logarithm.
-_LOGARITHMS = [0, 2]
+_LOGARITHMS = [NAMES.index(name) for name in ("natural_frequency", "damping")]
 _LIMITS = {"order": ORDER_LIMITS, "damping_order": ALPHA_LIMITS}
 
 

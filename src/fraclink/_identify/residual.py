@@ -310,7 +310,6 @@ _LOWEST = 2.5
 _HIGHEST = 0.8
 # steps of the scan: in ln ω₂, below the half width of a resonance with that ζ
 _STEP, _RATIO = (0.04, 0.03)
-_RATIOS = (0.005, 0.02, 0.06)
 # a more strongly damped one is friction or a filter rather than a mode
 _RATIO_LIMITS = (5e-4, 0.2)
 # Standard deviations of its gain. The scan tries some hundred frequencies, among which
@@ -361,9 +360,9 @@ def find_second_mode(
     # The three deepest minima, since the deepest one on the grid need not pass the
     # gates below.
     for start in grid[np.argsort(costs)[:3]]:
-        starts = np.array([row(start, ratio) for ratio in _RATIOS])
+        begin = row(start, _RATIO)[None]
         optimum = kernel.solve(
-            starts, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100
+            begin, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100
         )[1]
         # Hardly any damping is what a mode of steel has; at the other ends lies a misfit
         # of the first mode, noise, or a filter.

@@ -33,14 +33,9 @@ from fracsys.checks import Real
 if TYPE_CHECKING:
     from fraclink._identify.uncertainty import Covariance
 
-# The scan uses ζ = 0.13 and a step of 2ζ in ln Ω, the width of the resonance at half its
-# power.
-_SCAN_ORDER = 1.85
-_SCAN_STEP = -2 * math.cos(math.pi / _SCAN_ORDER)
-# Range of the delay as fractions of the vibration period, and its starts there: a
-# descent covers an eighth of a period to either side.
+_SCAN_ORDER = 1.85  # of the links of the scan: ζ = 0.13
+# Range of the delay as fractions of the vibration period.
 _DELAY_LIMITS = (-0.12, 0.35)
-_DELAYS = np.linspace(*_DELAY_LIMITS, 5)[1::2]
 _VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a narrow one
 # ζ, each a third of the previous one, for the vibration that continues from before a
 # cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
@@ -166,13 +161,17 @@ class Search:
         delay, the guess, and the vibrations after a cut.
         """
         low, high = self._range
-        grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
+        # 2ζ: the width of a resonance at half its power.
+        step = -2 * math.cos(math.pi / _SCAN_ORDER)
+        grid = np.linspace(low, high, max(int((high - low) / step), 8))
         links = self._links(grid, _SCAN_ORDER, 0.0)
         costs = self.kernel.costs(links, self.gain, self.offset)
         valleys = grid[lowest_valleys(costs, _VALLEYS)]
         # A delay of a quarter of the vibration period turns the torque into a velocity:
-        # λ and the delay compensate each other on a smooth move.
-        delays = _DELAYS[:1] if "delay" in self.fixed else _DELAYS
+        # λ and the delay compensate each other on a smooth move. A descent covers an
+        # eighth of a period to either side, which is half of the range of the delay.
+        delays = np.linspace(*_DELAY_LIMITS, 5)[1::2]
+        delays = delays[:1] if "delay" in self.fixed else delays
         starts = [
             row for part in delays for row in self._links(valleys, _SCAN_ORDER, part)
         ]
