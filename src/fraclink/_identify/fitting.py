@@ -21,6 +21,7 @@ from fraclink._identify.residual import ResidualTests, find_second_mode, residua
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
+    COORDINATE,
     ORDER_LIMITS,
     Hold,
     Window,
@@ -391,11 +392,5 @@ def _tests(search: Search, residual: Real, covariance: Covariance) -> ResidualTe
 
 
 def _bounds(solution: Solution) -> tuple[str, ...]:
-    names = ("order", "natural_frequency", "damping", "damping_order", "delay")
-    bounds = [names[i] for i in solution.at_bound]
-    edge = (
-        ["natural_frequency"]
-        if solution.on_edge and "natural_frequency" not in bounds
-        else []
-    )
-    return (*bounds, *edge)
+    stuck = {*solution.at_bound, *((1,) if solution.on_edge else ())}
+    return tuple(name for name, place in COORDINATE.items() if place in stuck)

@@ -275,28 +275,19 @@ def residual_tests(
 
 
 def _input_statistic(residual: Real, motion: Real, lags: int) -> float:
-    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R accounts for colour on
-    both sides.
+    """Score statistic n rᵀ R⁻¹ r/σ² of the motion at lags 0..lags−1 in a residual that is
+    an autoregression: its filter makes the residual white, and is applied to both.
     """
-    count = residual.size
-    deviation = motion - motion.mean()
-    r = autocovariance(residual, deviation)[:lags]
-    # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against
-    # its own noise.
-    own, other = autocovariance(residual), autocovariance(deviation)
-    reach = count // 4
-    taper = own[:reach] * (1 - np.arange(reach) / reach)
-    two_sided = np.concatenate([taper[:0:-1], taper])
-    shifted = np.concatenate([other[: reach + lags][:0:-1], other[: reach + lags]])
-    centre = reach + lags - 1
-    covariance = [
-        float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d])
-        for d in range(lags)
-    ]
+    coefficients, variance = autoregression(residual)
+    white, moved = (
+        np.convolve(x, coefficients, "valid")
+        for x in (residual, motion - motion.mean())
+    )
     # A periodic motion makes R singular: directions that it does not excite are left
     # out of the statistic.
-    solution = lstsq(toeplitz(covariance), r, cond=1e-8)[0]
-    return max(float(count * (r @ solution)), 0.0)
+    r = autocovariance(white, moved)[:lags]
+    solution = lstsq(toeplitz(autocovariance(moved)[:lags]), r, cond=1e-8)[0]
+    return max(float(white.size * (r @ solution) / max(variance, 1e-300)), 0.0)
 
 
 # --- the second mode ----------------------------------------------------------------------------------------
