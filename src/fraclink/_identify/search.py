@@ -247,7 +247,10 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
-            ends = [self._begun(name, row) for row in self._starts(name)]
+            ends = [
+                self._descended(name, row, iterations=FIRST_STEPS)
+                for row in self._starts(name)
+            ]
             if not math.isfinite(min(end.cost for end in ends)):
                 raise NotConvergedError(
                     f"the fit of {name}",
@@ -255,7 +258,10 @@ class Search:
                     wanted=0.0,
                     remedy="examine the log with diagnose",
                 )
-            ends = [self._ended(end) for end in self._valleys(ends)]
+            ends = [
+                end if end.status == 0 else self._descended(name, end.shape)
+                for end in self._valleys(ends)
+            ]
             solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
@@ -276,15 +282,6 @@ class Search:
             if end.cost <= _WORTH * lowest.cost and all(apart):
                 distinct.append(end)
         return distinct
-
-    def _begun(self, name: str, row: Real) -> Solution:
-        """The first steps of a descent, or all of it if they reach its end."""
-        return self._descended(name, row, iterations=FIRST_STEPS)
-
-    def _ended(self, begun: Solution) -> Solution:
-        """The end of a descent that has begun."""
-        converged = begun.status == 0
-        return begun if converged else self._descended(begun.structure, begun.shape)
 
     def _descended(
         self,
