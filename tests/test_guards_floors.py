@@ -192,7 +192,7 @@ CEILINGS = {
     "_design": 1478,
     "_export": 505,
     "_files": 566,
-    "_identify": 2702,
+    "_identify": 2654,
     "_law": 979,
     "_reading": 1123,
     "_simulate": 1168,
