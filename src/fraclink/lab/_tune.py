@@ -29,17 +29,12 @@ from fraclink.lab._tune_link import LinkResult, experiment_of, tune_link
 from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_moves import first_moves
-from fraclink.lab._tune_wiring import Wiring, check_wiring
+from fraclink.lab._tune_wiring import FAR, Wiring, check_wiring
 from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan
 from fraclink.lab._watch import changed_link
 from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
-
-# Largest relative difference between the first guesses of a tuning and of its
-# resumption: those of the same arm scatter by a tenth, half the payload changes ω₀ by
-# 41 %, and another gear changes K/J by more.
-_OTHER_ARM = 0.35
 
 
 @checked
@@ -383,7 +378,7 @@ class _Session:
         # Another payload within the range changes ω₀ only.
         for name in names if self.plan.payload == before.payload else names[:2]:
             was, now = getattr(before.wiring, name), getattr(wiring, name)
-            if abs(now / was - 1.0) > _OTHER_ARM:
+            if not 1.0 / FAR < now / was < FAR:
                 raise FraclinkError(
                     f"cannot resume: {name} was {was:.3g} and is {now:.3g}: another arm, payload or wiring; "
                     "tune anew"

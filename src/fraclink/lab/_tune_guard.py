@@ -28,13 +28,10 @@ __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 # drive off.
 PLANNED = 0.6
 # a voltage takes effect one or two periods later, and measured speeds are some periods
-# old
+# old: from the first share of the speed limit on, no voltage drives the motor further
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
 _RECOVERY = 5.0  # [s] at most until a swing beyond a limit has decayed
 _QUIET = 0.6  # [s]: a vibration period of a slow arm
-# samples over which speed is measured: a longer mean would miss a fast vibration
-_SPEED_SAMPLES = 2
-_PUSHED = 0.8  # share of the speed limit beyond which no voltage may drive the motor
 # shares of the planned motion, tried if it reaches a limit: torque falls with size and
 # speed
 _SIZES = (1.0, 0.5, 0.25)
@@ -116,8 +113,6 @@ class Guard:
         self._rows: list[tuple[float, float, float]] = []
         # rows at which the connection to the arm was opened
         self.starts: list[int] = []
-        self._angles: deque[float] = deque(maxlen=_SPEED_SAMPLES)
-        self._apart = 1  # periods between the last two samples
         self.lost = 0  # samples that did not arrive in time
         self.reading = self.connect()
         self.origin, self.offset = self.reading.angle, self.reading.torque
@@ -132,8 +127,7 @@ class Guard:
             self._line, self.reading = self._stack.enter_context(self._opened())
             self.starts.append(len(self._rows))
             self.period = self._line.period
-            self._angles.extend([self.reading.angle] * _SPEED_SAMPLES)
-            self._apart = 1
+            self._before = self.reading.angle
         return self.reading
 
     def release(self) -> None:
@@ -184,8 +178,7 @@ class Guard:
             self._rows.append(
                 (sent, angle, last.torque + part * (reading.torque - last.torque))
             )
-        self._angles.append(reading.angle)
-        self._apart = reading.periods
+        self._before = last.angle
         self.reading = reading
         return reading
 
@@ -203,7 +196,9 @@ class Guard:
         """Speed at the newest sample [rad/s]: the difference of the last two, plus the
         effect of the voltage since.
         """
-        mean = (self._angles[-1] - self._angles[0]) / (self._apart * self.period)
+        # A mean over more samples would miss a fast vibration.
+        turned = self.reading.angle - self._before
+        mean = turned / (self.reading.periods * self.period)
         return mean + 0.5 * self._gain * self.period * self._sent[0]
 
     def _slowed(self, voltage: float) -> float:
@@ -213,7 +208,7 @@ class Guard:
         step = self._gain * self.period
         # Voltages in transit cannot be called back.
         speed = self.speed + step * (sum(self._sent) - self._sent[0])
-        most = _PUSHED * self.limits.speed
+        most = _TRIP * self.limits.speed
         # Zero is always allowed: the guard limits requested voltages, but never drives
         # the arm itself.
         low, high = min((-most - speed) / step, 0.0), max((most - speed) / step, 0.0)
@@ -223,7 +218,7 @@ class Guard:
         """Allow for an encoder with this noise [rad]: six standard deviations of the
         speed.
         """
-        self.shake = 6.0 * math.sqrt(2.0) * noise / ((_SPEED_SAMPLES - 1) * self.period)
+        self.shake = 6.0 * math.sqrt(2.0) * noise / self.period
 
     def rest(self, seconds: float) -> None:
         """Keep the drive at 0 V."""

@@ -35,7 +35,6 @@ _AFTER = 2.5  # [s] observed after a reference has come to rest
 _SLOW, _PART = 10.0, 0.4
 _FIRST = 5  # periods in which a bump of the transfer would show
 _LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
-_REST = 2.0  # [s] at the end in which the motor should rest
 _HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
 
 
@@ -268,10 +267,10 @@ def _judged(
     final = float(np.mean(tip[-round(_LAST / period) :]))
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     middle = width // 2
-    begin = round(ends / period) - middle
-    ringing = smooth[begin : begin + round(0.5 / period)]
+    begin, rest = (round(time / period) for time in (ends, ends + 0.5))
+    ringing = smooth[begin - middle : rest - middle]
     return (
         period * float(outside[-1] + 1 + middle) if outside.size else 0.0,
         0.5 * float(np.ptp(ringing)),
-        0.5 * float(np.ptp(angle[-round(_REST / period) :])),
+        0.5 * float(np.ptp(angle[rest:])),
     )

@@ -23,7 +23,7 @@ from fraclink.lab._tune_doublets import edges_of, motor_of_doublets
 from fraclink.lab._tune_guard import Guard, Record
 from fracsys.checks import Real
 
-__all__ = ["Wiring", "WiringFault", "check_wiring"]
+__all__ = ["FAR", "Wiring", "WiringFault", "check_wiring"]
 
 
 # [s] in which the noise of the sensors is measured: the standard deviation of a hundred
@@ -69,9 +69,9 @@ _REVERSED = 0.6
 _CLEAR = 8.0
 # Six of each sign: drift or drag to one side cancels.
 _DOUBLETS = 12
-# multiple of the stated K/J: the fit to small motions is accurate to a tenth, payload
-# and gear may differ by a third
-_FAR = 1.6
+# multiple of a stated or an earlier value: the fit to small motions is accurate to a
+# tenth, payload and gear may differ by a third
+FAR = 1.6
 # allowed factor of a stated value: friction, payload and gauge differ by a third, wrong
 # units by ten
 _SCALE = 2.5
@@ -271,7 +271,7 @@ def _concluded(
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
     # fit a link either, and would be blamed.
-    if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
+    if stated is not None and gain > FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     shares = _kept(record, record.angle), _kept(record, record.torque)
     if shares[1] > max(_KEPT, 2.0 * shares[0]) or (
@@ -349,7 +349,7 @@ def _scales(
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
         f"gauge scale: torque over angle is {stiffness / stated.link.stiffness:.2g} of the rig's stiffness",
     )
-    if not 1 / _SCALE < encoder < _FAR:
+    if not 1 / _SCALE < encoder < FAR:
         return messages, _encoder_scale(gain, stated)
     if not 1 / _SCALE < bend < _SCALE:
         return messages, (
