@@ -29,7 +29,8 @@ from fracsys.checks import Real
 
 __all__ = ["Place", "best_places", "in_order", "place_of"]
 
-_DRAWS, _DESCENTS = 540, 16
+# With 540 draws none may lie in the valley of a lightly damped link.
+_DRAWS, _DESCENTS = 1000, 16
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
 _TRIED = 4  # number of descents followed to their end
 
