@@ -13,7 +13,7 @@ import pytest
 
 import fraclink as fl
 from fraclink.lab import Wiring
-from fraclink.lab._tune_causes import causes
+from fraclink.lab._tune_causes import causes, unexplained
 from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_motor import closed_motor
 
@@ -89,14 +89,37 @@ def test_a_late_gauge_is_named_with_its_phase() -> None:
 
 
 @pytest.mark.parametrize("quantum", [0.0, 0.01])
-def test_what_no_linear_link_explains_is_named(quantum: float) -> None:
-    link, torque = fl.Rig.named("paper-2023").model, vibration(quantum)
-    noise = float(np.hypot(NOISE, quantum / np.sqrt(12.0)))
-    for left, named in ((1.0, ""), (3.0, ""), (6.0, "6 times the gauge's noise")):
-        assert named in (words := said(torque, link=fit(link, left * noise)))
-        assert bool(words) is bool(named)
-    silent = replace(WIRING, gauge_noise=0.0)
-    assert said(torque, link=fit(link, 1e-6), wiring=silent) == ""
+@pytest.mark.parametrize("damping", [0.02, 2.0])
+def test_a_bend_that_no_linear_link_explains_is_named(
+    quantum: float, damping: float
+) -> None:
+    link = fl.LinkModel(1.5, 12.0, 2.0, damping=damping)
+    wiring = replace(WIRING, encoder_step=0.004)
+    moved = record(vibration(quantum))
+    # What the encoder's rounding does to the torque, by playing it.
+    rng = np.random.default_rng(4)
+    rounding = (rng.random((20, moved.torque.size)) - 0.5) * wiring.encoder_step
+    played = [
+        fl.extend.simulated_torque(link, angle, PERIOD, hold="first")
+        for angle in rounding
+    ]
+    noise = float(np.sqrt(NOISE**2 + quantum**2 / 12.0 + np.mean(np.square(played))))
+    # 2 % of a move of 0.4 rad, as a torque: 12 mN·m.
+    for left, named in ((0.0, False), (0.009, False), (0.015, True)):
+        words = unexplained(fit(link, np.hypot(noise, left)), moved, wiring, 0.4)
+        assert bool(words) is named, (left, words)
+    silent = replace(wiring, gauge_noise=0.0)
+    assert not unexplained(fit(link, 0.05), moved, silent, 0.4)
+
+
+def test_hum_before_the_first_voltage_is_not_the_links() -> None:
+    link, time = fl.LinkModel(1.5, 12.0, 2.0, damping=0.2), PERIOD * np.arange(5000)
+    hum = 0.05 * np.sin(2 * np.pi * 50.0 * time)
+    voltage = np.where(time > 1.0, 1.0, 0.0)
+    moved = replace(record(vibration() + hum), voltage=voltage)
+    quiet = replace(moved, torque=np.where(time > 1.0, moved.torque, hum))
+    assert not unexplained(fit(link, 0.036), quiet, WIRING, 0.4)
+    assert unexplained(fit(link, 0.036), record(vibration()), WIRING, 0.4)
 
 
 @pytest.mark.slow

@@ -23,8 +23,8 @@ from fraclink.lab._line import Stopped, open_line
 from fraclink.lab._machine import measure_wake_ups, signals_held
 from fraclink.lab._run import LOST_SHARE
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
-from fraclink.lab._tune_causes import causes
-from fraclink.lab._tune_guard import Guard, LimitReached
+from fraclink.lab._tune_causes import causes, unexplained
+from fraclink.lab._tune_guard import PLANNED, Guard, LimitReached
 from fraclink.lab._tune_link import LinkResult, experiment_of, tune_link
 from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import tune_motor
@@ -347,6 +347,12 @@ class _Session:
     def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
         """Save the results based on the model, each part to its own file."""
         hints = self._causes(guard)
+        amplitude = (
+            PLANNED * self.plan.limits.angle if built.move is None else built.move[0]
+        )
+        assert self.state.wiring is not None  # checked first  # noqa: S101
+        rest = unexplained(link.fit, guard.record(), self.state.wiring, amplitude)
+        built = replace(built, reasons=built.reasons + rest)
         if built.passed:
             built = replace(built, assumptions=built.assumptions + hints)
         else:

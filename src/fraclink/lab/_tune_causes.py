@@ -10,13 +10,15 @@ import math
 import numpy as np
 
 from fraclink._arm.link import LinkModel
-from fraclink._identify import Fit
+from fraclink._identify import Fit, simulated_torque
+from fraclink._simulate.metrics import BAND
 from fraclink.lab._tune_guard import Record
+from fraclink.lab._tune_link import second_torque
 from fraclink.lab._tune_motor import MotorResult, unlimited_pole
 from fraclink.lab._tune_wiring import COUNT, Wiring
 from fracsys.checks import Real
 
-__all__ = ["UNEXPLAINED", "causes", "domain"]
+__all__ = ["causes", "domain", "sensor_noise", "unexplained"]
 
 
 # Phase that the delay of the gauge may cost at the vibration: half of a phase margin of
@@ -26,9 +28,6 @@ _LATE = math.radians(15.0)
 # and is held for one. These 1.5 periods cost the phase allowed for a gauge if a period
 # is 1/36 of the vibration period.
 _PERIODS = round(1.5 * 2.0 * math.pi / _LATE)
-# Multiple of the gauge's noise, or of what a tuning left, that a residual reaches only if
-# something is there that the model lacks.
-UNEXPLAINED = 4.0
 _CLIPPED = 5  # samples at the extreme; fewer are a peak
 
 
@@ -54,7 +53,6 @@ def causes(
         ),
         *(() if motor is None else _slow_loop(motor, wiring, record.period, voltage)),
         *(() if model is None else _late_gauge(model)),
-        *(() if link is None else _not_linear(link, record.torque, wiring.gauge_noise)),
     )
 
 
@@ -152,14 +150,47 @@ def _late_gauge(link: LinkModel) -> tuple[str, ...]:
     )
 
 
-def _not_linear(fit: Fit, torque: Real, noise: float) -> tuple[str, ...]:
-    # At rest, the reading of a coarse gauge does not change.
-    step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
-    left = math.sqrt(fit.mse) / math.hypot(noise, step / math.sqrt(12.0))
-    # A reading without any noise is a simulation's, whose residual is no cause.
-    if noise == 0.0 or left <= UNEXPLAINED:
+def unexplained(
+    fit: Fit, record: Record, wiring: Wiring, amplitude: float
+) -> tuple[str, ...]:
+    """Why no move of `amplitude` [rad] can be shown to settle: the link bends by more
+    than the band in a way that is neither its model's nor the sensors' noise.
+    """
+    # What the gauge reads before the first voltage is not the link's answer, hum as well.
+    rest = record.torque[: int(np.argmax(record.voltage != 0.0))]
+    noise = max(
+        sensor_noise(fit.model, record.torque, record.period, wiring),
+        float(np.std(rest)) if rest.size else 0.0,
+    )
+    # A reading without any noise is a simulation's, whose residual is the fit's own.
+    left = math.sqrt(max(fit.mse - noise**2, 0.0)) if wiring.gauge_noise > 0.0 else 0.0
+    bend, band = left / fit.model.stiffness, BAND * abs(amplitude)
+    if bend <= band:
         return ()
     return (
-        f"a linear link leaves {left:.0f} times the gauge's noise of what was recorded, as with play in the "
-        "gear, a loose clamp or a cable that pulls; less of it helps",
+        f"a linear link leaves a bend of {math.degrees(bend):.2g}°, more than the {100.0 * BAND:g} % of a move of "
+        f"{math.degrees(abs(amplitude)):.3g}° in which it is to settle, as with play in the gear, a loose clamp or "
+        "a cable that pulls; less of it helps",
+    )
+
+
+def sensor_noise(
+    model: LinkModel, torque: Real, period: float, wiring: Wiring
+) -> float:
+    """The standard deviation [N·m] that the sensors leave of a record: the gauge's noise
+    and step, and the encoder's count, which the link answers like a motion of the motor
+    and, with little damping, amplifies at its vibrations.
+    """
+    # At rest, the reading of a coarse gauge does not change.
+    step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
+    pulse = np.zeros(torque.size)
+    pulse[1] = wiring.encoder_step
+    answer = simulated_torque(model, pulse, period, hold="first")
+    if model.second_mode is not None:
+        answer = answer + second_torque(model.second_mode, model, pulse, period)
+    # Its variance grows from rest on with every sample; this is the mean.
+    count = math.sqrt(float(np.mean(np.cumsum(answer**2))))
+    # Rounding to a step s leaves s/√12.
+    return math.hypot(
+        wiring.gauge_noise, step / math.sqrt(12.0), count / math.sqrt(12.0)
     )

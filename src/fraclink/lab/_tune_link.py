@@ -212,7 +212,7 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
             mode = _louder_mode(link, cleaned, fixed)
         rest = whole.output
         if mode is not None:
-            rest = rest - _torque_of(mode, model, whole)
+            rest = rest - second_torque(mode, model, whole.motor_angle, whole.period)
         alone = replace(whole, output=rest - rings)
         fit = identify(alone, "UD-FOM", heldout=0.0, details=False)
         link = fit.model
@@ -259,8 +259,10 @@ def _louder_mode(
     )
 
 
-def _torque_of(mode: SecondMode, model: LinkModel, log: Experiment) -> Real:
-    """The torque [N·m] that a second mode adds to a record."""
+def second_torque(
+    mode: SecondMode, model: LinkModel, motor_angle: Real, period: float
+) -> Real:
+    """The torque [N·m] that the second mode of a link adds to that of the first."""
     alone = LinkModel(
         stiffness=model.stiffness * mode.gain,
         natural_frequency=mode.frequency,
@@ -269,7 +271,7 @@ def _torque_of(mode: SecondMode, model: LinkModel, log: Experiment) -> Real:
         damping_order=1.0,
     )
     return simulated_torque(
-        alone, log.motor_angle, log.period, delay=model.gauge_delay, hold="first"
+        alone, motor_angle, period, delay=model.gauge_delay, hold="first"
     )
 
 

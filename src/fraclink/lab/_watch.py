@@ -14,7 +14,7 @@ from fraclink._display import Overview, Row, Table, displayed, number, state_of
 from fraclink._files import document
 from fraclink._identify import Fit, identify, identify_motor, simulated_torque
 from fraclink.errors import FieldError, LogError
-from fraclink.lab._tune_causes import UNEXPLAINED
+from fraclink.lab._tune_causes import sensor_noise
 from fraclink.lab._tuning import Tuning
 from fracsys.checks import checked
 
@@ -81,7 +81,7 @@ class Watch:
         every parameter that was compared.
     residual, expected
         standard deviation of the torque that the record's own best fit leaves, and of
-        the gauge's noise when the arm was tuned [N·m].
+        what the noise of gauge and encoder explains, or the tuning's own fit left [N·m].
     motion
         how long the arm moved [s].
 
@@ -104,7 +104,8 @@ class Watch:
         names = tuple(change.name for change in self.changes if change.changed)
         return names or (
             ("unexplained motion",)
-            if self.residual > UNEXPLAINED * self.expected
+            # More than half of the residual's power.
+            if self.residual**2 > 2.0 * self.expected**2
             else ()
         )
 
@@ -125,7 +126,7 @@ class Watch:
         )
         note = (
             f"the fit leaves {number(self.residual, 2)} N·m, "
-            f"the gauge's noise was {number(self.expected, 2)} N·m"
+            f"sensors and tuning explain {number(self.expected, 2)} N·m"
         )
         return Overview(
             f"a retune is due: {due}" if due else unchanged,
@@ -209,7 +210,9 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
         *_link_changes(baseline, fit),
         *_motor_changes(now, fit, tuning),
     )
-    return Watch(changes, math.sqrt(fit.mse), tuning.wiring.gauge_noise, moving)
+    noise = sensor_noise(fit.model, log.output, log.period, tuning.wiring)
+    expected = max(noise, math.sqrt(baseline.mse))
+    return Watch(changes, math.sqrt(fit.mse), expected, moving)
 
 
 def _part(log: Experiment, rows: slice) -> Experiment:
