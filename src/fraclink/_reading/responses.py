@@ -91,8 +91,8 @@ def read_frequency_response(
         size = 10 ** (level / 20) if roles["gain"][1] == "dB" else level
         response = size * np.exp(1j * _in_si(roles, "phase"))
     else:
-        columns = "columns such as gain_dB and phase_deg, or real and imag"
-        raise _absent(roles, "gain and phase, or real and imag", columns)
+        needed = "columns such as gain_dB and phase_deg, or real and imag"
+        raise _absent(roles, "gain and phase, or real and imag", needed)
     coherence = _in_si(roles, "coherence") if "coherence" in roles else None
     return FrequencyResponse(
         frequency,
