@@ -196,7 +196,7 @@ CEILINGS = {
     "_law": 979,
     "_reading": 1123,
     "_simulate": 1168,
-    "lab": 1914,
+    "lab": 1930,
     "logs": 754,
     "studio": 1161,
     "trials": 1412,
