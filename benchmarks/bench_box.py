@@ -140,13 +140,13 @@ def on_motor(
     def link(s: Complex) -> Complex:
         return np.asarray(plant.response(s) * (1.0 + s / pole) ** 2 * motor(s))
 
-    alone = SampledPlant(motor, rig.period, delay, 3.0, None)
+    alone = SampledPlant(motor, rig.period, delay)
 
     def voltage(frequency: Real) -> Complex:
         first, second = pid.controllers(np.exp(-1j * frequency * rig.period))
         return np.asarray(first / (1.0 + (first + second) * alone(frequency)))
 
-    return SampledPlant(link, rig.period, delay, 3.0, None, voltage)
+    return SampledPlant(link, rig.period, delay, voltage)
 
 
 # ---- the search -------------------------------------------------------------------------------------------

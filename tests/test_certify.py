@@ -881,7 +881,7 @@ def test_a_damaged_certificate_ends_in_one_kind_of_error(
 def test_the_sentences_of_the_checker_are_those_of_the_package(
     document: dict[str, Any], checker: ModuleType
 ):
-    said = [document["summary"]["form"], document["assumed"]]
+    said = [document["summary"]["form"], document["summary"]["assumed"]]
     assert checker.sha(checker.canonical(said)) == checker.SENTENCES
 
 

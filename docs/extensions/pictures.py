@@ -16,7 +16,7 @@ from loop_sketch import loop_sketch
 import fraclink as fl
 import fracsys
 from fraclink import Twin
-from fraclink.extend import PayloadChange, geared, phase_budget
+from fraclink.extend import PayloadChange, equip, geared, phase_budget
 from fraclink.trials._arms import simulate_part
 from fraclink.trials._campaign import Campaign
 from fraclink.view import _figures as figures
@@ -298,11 +298,12 @@ def published() -> Figure:
 
 def dropped() -> Figure:
     """A move of the twin that loses a third of its payload."""
-    arm = Twin.from_rig(geared(rig(), 50), link_mass=0.00735)
+    own = geared(rig(), 50)
+    arm = Twin.from_rig(own, link_mass=0.00735)
     curves = []
     for time in (None, 0.02):
         made = design(time)
-        law = fl.discretize(made.controller, rig().period)
+        law = equip(fl.discretize(made.controller, own.period), own, made.model)
         run = fl.simulate(
             law,
             fl.smooth_step(1.0, duration=1.0),

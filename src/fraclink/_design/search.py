@@ -225,9 +225,9 @@ class Search:
 
     # ---- where a search begins
 
-    def starts(self) -> Real:
-        """Parameters to begin from, (S, P): closed forms that cross at the slowest
-        crossover at the heaviest payload, and meet the phase at the lightest.
+    def starts(self, crossover: float) -> Real:
+        """Parameters to begin from, (S, P): closed forms that cross at `crossover`
+        [rad/s] at the heaviest payload, and meet the phase at the lightest.
 
         β lies between what the phase needs without a filter and its limit; the filter
         costs the phase that such a β has to spare.
@@ -235,10 +235,8 @@ class Search:
         request, loop = self.request, self.request.arms.loops[0]
         low, high = request.natural_frequencies
         bottom, top = self.bounds
-        # a loop that crosses below the resonance does not affect the vibration
-        slowest = max(request.reference, request.arms.resonance)
         # far above the resonance |G| falls as ω₀² ω^-λ
-        fastest = slowest * (high / low) ** (2.0 / request.model.order)
+        fastest = crossover * (high / low) ** (2.0 / request.model.order)
         w = min(fastest, request.arms.highest)
         phase = request.phase_margin - math.pi - float(loop.log(w, high).imag)
         lag = math.exp(bottom[2]) if bottom[2] == top[2] else 0.0
@@ -250,8 +248,8 @@ class Search:
             spare = 0.5 * math.pi * (beta - least) / self.filter_order
             delta = np.log(np.maximum(np.tan(spare) / w, math.exp(bottom[2])))
         x = np.array([np.zeros_like(beta), beta, delta])
-        level = [self.outer(one).log(np.array(slowest)).real for one in x.T]
-        x[0] = -np.array(level) - float(loop.log(slowest, low).real)
+        level = [self.outer(one).log(np.array(crossover)).real for one in x.T]
+        x[0] = -np.array(level) - float(loop.log(crossover, low).real)
         if self.notch is not None:
             centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
             notch = np.array([[centre], [math.log(_WIDTH)], [math.log(_DEPTH)]])
@@ -412,15 +410,23 @@ def solved(request: Request) -> Solution:
     notch, then with one, from each start until one keeps every row, or two ease them
     equally.
     """
-    solutions: list[Solution] = []
-    for notch, order in product(request.notches, request.filter_orders):
-        search = Search(request, request.first_links, order, notch)
-        for start in search.starts():
-            solution = search.over_links(start)
-            if solution.kept:
-                return solution
-            again = any(solution.equals(other) for other in solutions)
-            solutions.append(solution)
-            if again:
-                break
-    return min(solutions, key=lambda one: (one.lost, one.missed, one.easing))
+    # A loop that crosses below the resonance does not affect the vibration. From a
+    # crossover beyond all reach a descent may not find back to the rows that may not be
+    # eased; from the slowest loop these are near.
+    slowest = request.arms.resonance
+    for crossover in dict.fromkeys((max(request.reference, slowest), slowest)):
+        solutions: list[Solution] = []
+        for notch, order in product(request.notches, request.filter_orders):
+            search = Search(request, request.first_links, order, notch)
+            for start in search.starts(crossover):
+                solution = search.over_links(start)
+                if solution.kept:
+                    return solution
+                again = any(solution.equals(other) for other in solutions)
+                solutions.append(solution)
+                if again:
+                    break
+        best = min(solutions, key=lambda one: (one.lost, one.missed, one.easing))
+        if not best.missed:
+            break
+    return best

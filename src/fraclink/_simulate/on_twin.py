@@ -46,7 +46,7 @@ def checked_motor_loop(law: Law) -> Law:
             None,
             "missing: the law gives a motor angle, and this arm's motor takes a voltage",
             allowed="a law with a motor loop",
-            remedy="simulate design.law(), or fraclink.extend.equip(law, rig, model)",
+            remedy="simulate fraclink.extend.equip(law, rig, model)",
         )
     # Both are recursions of their own period: at another period the poles would move
     # without notice.

@@ -16,7 +16,9 @@ from typing import Any
 from fraclink._arm.experiment import Experiment
 from fraclink._design import Design
 from fraclink._files import load, output_path, save
+from fraclink._identify import Fit
 from fraclink._law import Law
+from fraclink._simulate.metrics import BAND
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._connections import Connection
 from fraclink.lab._line import Stopped, open_line
@@ -281,7 +283,7 @@ class _Session:
             (self.out / name).unlink(missing_ok=True)
         assert self.state.link is not None  # it has a law  # noqa: S101
         fit, payload = self.state.link.fit, self.plan.payload
-        reasons = self._causes(guard)
+        reasons = self._causes(guard) + self._unexplained(guard, fit, 0.0)
         # With the payload that it was measured with, an arm that has changed fails for
         # that reason, whatever else is visible; a move that was stopped at once shows too
         # little to tell.
@@ -340,6 +342,10 @@ class _Session:
             self._hunts,
         )
 
+    def _unexplained(self, guard: Guard, fit: Fit, least: float) -> tuple[str, ...]:
+        assert self.state.wiring is not None  # checked first  # noqa: S101
+        return unexplained(fit, guard.record(), self.state.wiring, least)
+
     @property
     def _hunts(self) -> bool:
         return any(move.hunts for move in self.state.moves)
@@ -350,8 +356,7 @@ class _Session:
         amplitude = (
             PLANNED * self.plan.limits.angle if built.move is None else built.move[0]
         )
-        assert self.state.wiring is not None  # checked first  # noqa: S101
-        rest = unexplained(link.fit, guard.record(), self.state.wiring, amplitude)
+        rest = self._unexplained(guard, link.fit, BAND * abs(amplitude))
         built = replace(built, reasons=built.reasons + rest)
         if built.passed:
             built = replace(built, assumptions=built.assumptions + hints)

@@ -11,7 +11,6 @@ import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._identify import Fit, simulated_torque
-from fraclink._simulate.metrics import BAND
 from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_link import second_torque
 from fraclink.lab._tune_motor import MotorResult, unlimited_pole
@@ -151,10 +150,10 @@ def _late_gauge(link: LinkModel) -> tuple[str, ...]:
 
 
 def unexplained(
-    fit: Fit, record: Record, wiring: Wiring, amplitude: float
+    fit: Fit, record: Record, wiring: Wiring, least: float
 ) -> tuple[str, ...]:
-    """Why no move of `amplitude` [rad] can be shown to settle: the link bends by more
-    than the band in a way that is neither its model's nor the sensors' noise.
+    """What bends the link by more than `least` [rad], and by more than the sensors'
+    noise, that its model does not know.
     """
     # What the gauge reads before the first voltage is not the link's answer, hum as well.
     rest = record.torque[: int(np.argmax(record.voltage != 0.0))]
@@ -162,15 +161,14 @@ def unexplained(
         sensor_noise(fit.model, record.torque, record.period, wiring),
         float(np.std(rest)) if rest.size else 0.0,
     )
+    left = math.sqrt(max(fit.mse - noise**2, 0.0)) / fit.model.stiffness
+    bound = max(least, noise / fit.model.stiffness)
     # A reading without any noise is a simulation's, whose residual is the fit's own.
-    left = math.sqrt(max(fit.mse - noise**2, 0.0)) if wiring.gauge_noise > 0.0 else 0.0
-    bend, band = left / fit.model.stiffness, BAND * abs(amplitude)
-    if bend <= band:
+    if left <= bound or wiring.gauge_noise == 0.0:
         return ()
     return (
-        f"a linear link leaves a bend of {math.degrees(bend):.2g}°, more than the {100.0 * BAND:g} % of a move of "
-        f"{math.degrees(abs(amplitude)):.3g}° in which it is to settle, as with play in the gear, a loose clamp or "
-        "a cable that pulls; less of it helps",
+        f"a linear link leaves a bend of {math.degrees(left):.2g}°, where {math.degrees(bound):.2g}° is noise or "
+        "within the band of the move, as with play in the gear, a loose clamp or a cable that pulls; less of it helps",
     )
 
 
