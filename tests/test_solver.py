@@ -125,6 +125,22 @@ def test_an_offer_passes_when_it_is_followed(asked: dict[str, float]) -> None:
 
 
 @pytest.mark.slow
+def test_a_request_beyond_all_reach_gets_as_fast_an_offer_as_a_nearer_one() -> None:
+    rig = fl.Rig.named("paper-2023")
+    offers = []
+    for crossover in (30.0, 40.0, 75.0):
+        with pytest.raises(InfeasibleError) as refused:
+            fl.design(
+                rig.model,
+                rig,
+                payloads=(0.020, 0.040),
+                gain_crossover=crossover,
+                phase_margin=fl.deg(70),
+            )
+        offers.append(refused.value.nearest["gain_crossover"])
+    assert offers == pytest.approx([max(offers)] * 3, rel=0.01)
+
+
 def test_figures_of_a_refusal_are_the_best_together() -> None:
     asked = {"gain_crossover": 30.0, "phase_margin": fl.deg(60)}
     with pytest.raises(InfeasibleError, match="even with a phase margin of") as refused:

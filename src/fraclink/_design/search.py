@@ -412,9 +412,10 @@ def solved(request: Request) -> Solution:
     """
     # A loop that crosses below the resonance does not affect the vibration. From a
     # crossover beyond all reach a descent may not find back to the rows that may not be
-    # eased; from the slowest loop these are near.
+    # eased: then it begins halfway to the slowest one.
     slowest = request.arms.resonance
-    for crossover in dict.fromkeys((max(request.reference, slowest), slowest)):
+    fastest = max(request.reference, slowest)
+    for crossover in dict.fromkeys((fastest, math.sqrt(fastest * slowest))):
         solutions: list[Solution] = []
         for notch, order in product(request.notches, request.filter_orders):
             search = Search(request, request.first_links, order, notch)
