@@ -32,8 +32,7 @@ def everything(design: fl.Design) -> Tournament:
     return compare(design, payloads=(0.030,))
 
 
-# ── how each is tuned
-# ─────────────────────────────────────────────────────────────────────────────────────────────
+# --- how each is tuned ----------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -59,8 +58,7 @@ def test_each_rival_does_what_it_is_made_for(everything: Tournament) -> None:
     assert shaped.residual_vibration < 0.2 * plain.residual_vibration
 
 
-# ── the table
-# ─────────────────────────────────────────────────────────────────────────────────────────────────────
+# --- the table ------------------------------------------------------------------------
 
 
 @pytest.mark.slow

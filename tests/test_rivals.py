@@ -85,8 +85,7 @@ def test_the_pd_has_its_zero_at_the_mode_and_a_notch_at_the_second(
     np.testing.assert_allclose(response, gain_of(rival) * wanted, rtol=1e-3)
 
 
-# ── LQG, written out
-# ─────────────────────────────────────────────────────────────────────────────────────────────
+# --- LQG, written out -----------------------------------------------------------------
 
 
 def riccati(a: Real, b: Real, q: Real, r: float) -> Real:

@@ -63,8 +63,7 @@ def other_arms(payload: float) -> list[Twin]:
     return [Twin.from_rig(RIG, model=link, payload=payload) for link in links]
 
 
-# ── arms that are not the model
-# ─────────────────────────────────────────────────────────────────────────────
+# --- arms that are not the model ------------------------------------------------------
 
 
 def test_the_worst_arm_of_the_box_is_told_beside_the_model(design: fl.Design) -> None:
@@ -125,8 +124,7 @@ def test_of_all_moves_that_settle_as_soon_none_is_gentler(design: fl.Design) -> 
     assert varied[0] < varied[1]
 
 
-# ── the model's own arms
-# ─────────────────────────────────────────────────────────────────────────────────────────
+# --- the model's own arms -------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -221,8 +219,7 @@ def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
         fl.shape(light, 1.0)
 
 
-# ── tables, files, boards
-# ──────────────────────────────────────────────────────────────────────────────────
+# --- tables, files, boards ------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

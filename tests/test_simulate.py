@@ -405,8 +405,7 @@ def test_sizes_and_periods_are_checked_first() -> None:
         )
 
 
-# ── what identification found is in the simulation
-# ──────────────────────────────────────────────────────────
+# --- what identification found is in the simulation -----------------------------------
 
 
 def test_the_printed_controller_fails_within_four_seconds() -> None:

@@ -61,8 +61,7 @@ def faults(failed: int, passed: int) -> FaultTable:
     return FaultTable(outcomes)
 
 
-# ── the verdict
-# ─────────────────────────────────────────────────────────────────────────────────────────────
+# --- the verdict ----------------------------------------------------------------------
 
 
 def test_arms_that_fail_are_counted_with_what_they_depend_on() -> None:
@@ -98,8 +97,7 @@ def test_a_refusal_keeps_what_was_asked_for_of_the_nearest() -> None:
     }
 
 
-# ── the folder
-# ──────────────────────────────────────────────────────────────────────────────────────────────
+# --- the folder -----------------------------------------------------------------------
 
 
 def test_what_was_remarked_comes_back_from_the_folder(tmp_path: Path) -> None:
@@ -135,8 +133,7 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
         load_study(tmp_path)
 
 
-# ── the steps
-# ───────────────────────────────────────────────────────────────────────────────────────────────
+# --- the steps ------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -97,7 +97,7 @@ struct Problem {
         return owned(std::move(values), {count});
     }
 
-    // Returns status, shape, gain, offset, cost, evaluations of the best of several starts.
+    // Returns status, shape, gain, offset and cost of the best of several starts.
     nb::tuple solve(input_table starts, unsigned mask, input_array lower, input_array upper, double gain,
                     double offset, int iterations) {
         std::unique_ptr<fit_table> table(new fit_table);
@@ -106,7 +106,7 @@ struct Problem {
         if (starts.shape(1) != FIT_SHAPE || starts.shape(0) < 1) throw std::invalid_argument("starts: 5 columns");
         fit_request best{};
         double best_shape[FIT_SHAPE] = {0};
-        int best_status = FIT_FAILED, evaluations = 0;
+        int best_status = FIT_FAILED;
         {
             nb::gil_scoped_release release;
             for (size_t i = 0; i < starts.shape(0); i++) {
@@ -118,7 +118,6 @@ struct Problem {
                 std::memcpy(r.upper, upper.data(), sizeof r.upper);
                 r.iterations_max = iterations;
                 int status = fit_solve(&p, shape, &r, table.get());
-                evaluations += r.evaluations;
                 if (status == FIT_FAILED || (best_status != FIT_FAILED && !(r.cost < best.cost))) continue;
                 best = r;
                 best_status = status;
@@ -126,7 +125,7 @@ struct Problem {
             }
         }
         return nb::make_tuple(best_status, owned(std::vector<double>(best_shape, best_shape + FIT_SHAPE), {FIT_SHAPE}),
-                              best.gain, best.offset, best.cost, evaluations);
+                              best.gain, best.offset, best.cost);
     }
 
     // A linear parameter that is NaN is free.

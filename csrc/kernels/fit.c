@@ -54,7 +54,6 @@ static int evaluate(const fit_problem *problem, const double *shape, unsigned ma
     if (bad) return bad;
     fit_pass(problem, t, gram, NULL);
     *cost = linear_part(gram, 2 + t->outputs, r);
-    r->evaluations++;
     return isfinite(*cost) ? FIT_OK : FIT_NO_POLE;
 }
 
@@ -128,7 +127,6 @@ static int negligible(const double *step, double period_seconds) {
 
 int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_table *work) {
     double gram[SIDE_MAX * SIDE_MAX], trial[FIT_SHAPE], step[FIT_SHAPE], cost, trial_cost, damping = 1e-3;
-    r->evaluations = 0;
     project(shape, r);
     if (evaluate(problem, shape, r->mask, r, work, gram, &cost)) return FIT_FAILED;
     int side = 2 + work->outputs, status = FIT_ITERATIONS;

@@ -65,7 +65,6 @@ typedef struct {
     double gain, offset;       /* values where they are fixed, results where they are free */
     int iterations_max;
     double cost;               /* sum of squares */
-    int evaluations;
 } fit_request;
 
 /* Sum of squares of one shape at its best gain and offset; infinite if it has no pole. */

@@ -356,10 +356,8 @@ class Loop(GaugedLink):
         np.maximum.at(crossover, crossings.row[first], crossings.frequency[first])
         np.minimum.at(margin, crossings.row, np.abs(crossings.phase_margin))
         # Clockwise encirclements of -1 for each ω₀.
-        turns, encirclements = (
-            crossings.phase / (2.0 * math.pi) + 0.5,
-            np.zeros(w0.size),
-        )
+        turns = crossings.phase / (2.0 * math.pi) + 0.5
+        encirclements = np.zeros(w0.size)
         passed = np.where(crossings.slope > 0.0, np.floor(turns), -np.floor(turns))
         np.add.at(encirclements, crossings.row, passed)
         return crossover, np.where(encirclements == 0.0, margin, -margin)

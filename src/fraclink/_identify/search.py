@@ -306,7 +306,7 @@ class Search:
         start = row.copy()
         start[4] = self.fixed.get("delay", row[4])
         start[free] = np.clip(start[free], lower[free], upper[free])
-        status, shape, gain, offset, cost, _ = self.kernel.solve(
+        status, shape, gain, offset, cost = self.kernel.solve(
             start[None],
             mask_of(free),
             lower,

@@ -29,7 +29,8 @@ from fracsys.checks import Real
 
 __all__ = ["Place", "best_places", "in_order", "place_of"]
 
-# With 540 draws none may lie in the valley of a lightly damped link.
+# A valley that holds one in 200 of the places is missed by all of them in e⁻⁵ = 0.7 % of
+# logs.
 _DRAWS, _DESCENTS = 1000, 16
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
 _TRIED = 4  # number of descents followed to their end

@@ -41,8 +41,7 @@ ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = r
 )
 
 
-# ── events
-# ──────────────────────────────────────────────────────────────────────────────────────────────────
+# --- events ---------------------------------------------------------------------------
 
 
 @checked
@@ -212,8 +211,7 @@ def _check_span(time: float, until: float) -> None:
         )
 
 
-# ── what comes from outside in every period
-# ─────────────────────────────────────────────────────────────────
+# --- what comes from outside in every period ------------------------------------------
 
 
 def healthy_inputs(

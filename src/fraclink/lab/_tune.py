@@ -353,10 +353,8 @@ class _Session:
     def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
         """Save the results based on the model, each part to its own file."""
         hints = self._causes(guard)
-        amplitude = (
-            PLANNED * self.plan.limits.angle if built.move is None else built.move[0]
-        )
-        rest = self._unexplained(guard, link.fit, BAND * abs(amplitude))
+        move = built.move or (PLANNED * self.plan.limits.angle, 0.0)
+        rest = self._unexplained(guard, link.fit, BAND * move[0])
         built = replace(built, reasons=built.reasons + rest)
         if built.passed:
             built = replace(built, assumptions=built.assumptions + hints)
@@ -407,6 +405,9 @@ class _Session:
     def end(self, guard: Guard, reason: str) -> None:
         """Save the reason of the end, and the findings in the record."""
         hints = () if self.state.wiring is None else self._causes(guard)
+        if self.state.link is not None:
+            least = BAND * PLANNED * self.plan.limits.angle
+            hints += self._unexplained(guard, self.state.link.fit, least)
         self.state = replace(self.state, stopped="; ".join((reason, *hints)))
         self._tell((reason, *hints))
 

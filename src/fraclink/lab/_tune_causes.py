@@ -181,6 +181,7 @@ def sensor_noise(
     """
     # At rest, the reading of a coarse gauge does not change.
     step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
+    # Not at the first sample: before it, the motor stands where that one is.
     pulse = np.zeros(torque.size)
     pulse[1] = wiring.encoder_step
     answer = simulated_torque(model, pulse, period, hold="first")

@@ -105,8 +105,7 @@ class Evidence:
         return int(other[0]) + 1 if other.size else -1
 
 
-# ── of the law's modes and flags
-# ──────────────────────────────────────────────────────────────────────────────────────────────────
+# --- of the law's modes and flags -----------------------------------------------------
 
 
 def only(e: Evidence, *modes: str) -> Check:
@@ -201,8 +200,7 @@ def wiring(e: Evidence, run: Literal["faulty", "clean"], answer: str) -> Check:
     return Check.at_most(name, result != answer, 0)
 
 
-# ── of the tip
-# ──────────────────────────────────────────────────────────────────────────────────────────────────
+# --- of the tip -----------------------------------------------------------------------
 
 
 def peak(
@@ -314,8 +312,7 @@ def noise(e: Evidence, deviation: float) -> Check:
     return Check.at_most("rms of the command at rest [rad]", size, bound)
 
 
-# ── of a long rest
-# ──────────────────────────────────────────────────────────────────────────────────────────────────
+# --- of a long rest -------------------------------------------------------------------
 
 
 @functools.lru_cache(maxsize=1)  # two checks use the same hour

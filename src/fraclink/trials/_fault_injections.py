@@ -56,8 +56,7 @@ def at_severity(
     }
 
 
-# ── sensors, clock, reference
-# ──────────────────────────────────────────────────────────────────────────────────────────
+# --- sensors, clock, reference --------------------------------------------------------
 
 
 def reading(
@@ -217,8 +216,7 @@ def repeat(trial: Trial, times: int) -> None:
     trial.marks[trial.row] = True
 
 
-# ── the law: its limits, its memory, its block
-# ─────────────────────────────────────────────────────────────────────────
+# --- the law: its limits, its memory, its block ---------------------------------------
 
 
 def limit(trial: Trial, name: str, value: float = 0.0, share: float = 0.0) -> None:
@@ -332,8 +330,7 @@ def corrupt(trial: Trial, place: str) -> None:
     trial.block, trial.detail = bytes(block), f"byte {byte}"
 
 
-# ── the arm
-# ────────────────────────────────────────────────────────────────────────────────────────────────────────
+# --- the arm --------------------------------------------------------------------------
 
 
 def arm(

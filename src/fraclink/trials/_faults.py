@@ -64,8 +64,7 @@ SAFE = 0.3
 REACTIONS = {"A": "run", "B": "degraded", "C": "hold", "D": "off", "-": "run"}
 
 
-# ── the catalogue
-# ─────────────────────────────────────────────────────────────────────────────────────────────────
+# --- the catalogue --------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -154,8 +153,7 @@ def fault_named(number: str) -> Fault:
     return catalogue[number.upper()]
 
 
-# ── the table of verdicts
-# ─────────────────────────────────────────────────────────────────────────────────────────
+# --- the table of verdicts ------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -384,8 +382,7 @@ def _excess(check: Check) -> float:
     return check.measured / check.limit if check.limit > 0 else check.measured
 
 
-# ── running
-# ───────────────────────────────────────────────────────────────────────────────────────────────────
+# --- running --------------------------------------------------------------------------
 
 
 @checked

@@ -208,8 +208,7 @@ def _published(tuned_for: Design) -> Rival:
     return _by_law("the paper's procedure", rule, result.controller, tuned_for)
 
 
-# ── one knob each, turned until Ms is that of the design
-# ─────────────────────────────────────────────────────────────
+# --- one knob each, turned until Ms is that of the design -----------------------------
 
 
 def sensitivity_peak(tuned_for: Design, response: Callable[[Real], Complex]) -> float:

@@ -187,8 +187,7 @@ def cluster(scheduler: str) -> Iterator[Executor]:
         yield client.get_executor(pure=False, retries=3)
 
 
-# ── processes
-# ───────────────────────────────────────────────────────────────────────────────────────────────
+# --- processes ------------------------------------------------------------------------
 
 
 @contextmanager
@@ -237,8 +236,7 @@ def _unguarded_script() -> Path | None:
     return None if "__main__" in text or "parent_process" in text else Path(file)
 
 
-# ── files
-# ───────────────────────────────────────────────────────────────────────────────────────────────────
+# --- files ----------------------------------------------------------------------------
 
 
 def part_path(folder: Path, part: int) -> Path:
