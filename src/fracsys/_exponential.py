@@ -16,20 +16,6 @@ from fracsys.errors import NotConvergedError
 PIECE_LIMIT = 20_000
 
 
-class NearZeroError(NotConvergedError):
-    """A path of the argument principle passes too close to a zero; the caller shifts
-    the path.
-    """
-
-    def __init__(self, pieces: int) -> None:
-        super().__init__(
-            "phase along the path",
-            reached=pieces,
-            wanted=PIECE_LIMIT,
-            remedy="move the path off the zero",
-        )
-
-
 @dataclass(frozen=True)
 class ExponentialSum:
     """D(z) = Σ a_k e^(ν_k z) with real a_k ≠ 0 and 0 = ν_0 < ν_1 < …; every value is
@@ -114,7 +100,12 @@ class ExponentialSum:
             # Pieces of 1e-13 are at the limit of rounding; halving them again shows
             # nothing new.
             if a.size > PIECE_LIMIT or np.min(np.abs(b - a)) < 1e-13:
-                raise NearZeroError(a.size)
+                raise NotConvergedError(
+                    "phase along the path",
+                    reached=a.size,
+                    wanted=PIECE_LIMIT,
+                    remedy="move the path off the zero",
+                )
             phase, sure = self._pieces(a, b)
             total += float(phase[sure].sum())
             # Only uncertain pieces are halved: their number grows with the zeros close
@@ -157,7 +148,7 @@ class ExponentialSum:
         return phase + c * (b.imag - a.imag), sure
 
 
-# --- How many zeros: the argument principle on strips and boxes of the log-plane ----------------------
+# --- How many zeros: the argument principle on strips of the log-plane ----------------------
 
 
 def _whole(turns: float) -> int:
@@ -185,18 +176,3 @@ def count_strip(sum_: ExponentialSum, height: float) -> int:
     start = np.concatenate([[high], top])
     end = np.concatenate([top, [low]])
     return _whole(sum_.phase_change(start.astype(complex), end.astype(complex)) / np.pi)
-
-
-def count_box(sum_: ExponentialSum, low: complex, high: complex) -> int:
-    """Number of zeros in the open rectangle with the corners `low` (left, below) and
-    `high`.
-    """
-    corners = np.array(
-        [low, complex(high.real, low.imag), high, complex(low.real, high.imag), low]
-    )
-    start, end = corners[:-1], corners[1:]
-    pieces = np.linspace(0, 1, 5)
-    path = start[:, None] + pieces * (end - start)[:, None]
-    return _whole(
-        sum_.phase_change(path[:, :-1].ravel(), path[:, 1:].ravel()) / (2 * np.pi)
-    )

@@ -21,13 +21,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fracsys._exponential import (
-    ExponentialSum,
-    NearZeroError,
-    count_box,
-    count_strip,
-)
-from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING, ROUNDS
+from fracsys._exponential import ExponentialSum, count_strip
+from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING
 from fracsys.checks import Complex, Mask
 from fracsys.errors import NotConvergedError
 
@@ -82,8 +77,18 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Co
         return np.array(two_term_zeros(low / high, gap, angle), dtype=complex)
     height, count = _counted(terms, angle)
     zeros = settle_clusters(terms, aberth(terms, height, count))
-    if not _complete(zeros, count):
-        zeros = _by_bisection(terms, height, count)
+    # D is real: where only one of a pair was reached, the other is its conjugate. Both
+    # agree to about 1e-14 where both were.
+    distance = np.abs(zeros[:, None] - zeros.conj()[None, :])
+    alone = distance.min(axis=1, initial=np.inf) > COINCIDENT
+    zeros = np.append(zeros, zeros[alone].conj())
+    if len(zeros) != count:
+        raise NotConvergedError(
+            "zeros found",
+            reached=len(zeros),
+            wanted=count,
+            remedy="report the coefficients and orders",
+        )
     return _upper(terms, zeros, angle)
 
 
@@ -127,36 +132,6 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
     )
 
 
-def _complete(roots: Complex, count: int) -> bool:
-    """Whether the points are as many as certified and closed under conjugation (two
-    points on the same zero are not).
-    """
-    if len(roots) != count:
-        return False
-    distance = np.abs(roots[:, None] - roots.conj()[None, :])
-    # Refined conjugates agree to about 1e-14, unlike two points that converged to the
-    # same zero.
-    return bool(np.all(distance.min(axis=1, initial=np.inf) < COINCIDENT))
-
-
-def _by_bisection(terms: ExponentialSum, height: float, count: int) -> Complex:
-    low, high = terms.bounds
-    # The walls lie slightly beyond the bounds, so that no side runs along a line where
-    # two terms are equal.
-    zeros = bisect(
-        terms, complex(low - 0.1, -height), complex(high + 0.1, height), count
-    )
-    zeros = settle_clusters(terms, zeros)
-    if len(zeros) != count:
-        raise NotConvergedError(
-            "zeros found",
-            reached=len(zeros),
-            wanted=count,
-            remedy="report the coefficients and orders",
-        )
-    return zeros
-
-
 def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
     z = points.copy()
     # In a close group a zero is known to ε/|D'| only; without the tolerance one
@@ -170,8 +145,7 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
     return np.asarray(z[np.lexsort((z.real, z.imag))])
 
 
-# --- Where the zeros are: Aberth's iteration from the Newton polygon, and bisection where that is not
-# enough
+# --- Where the zeros are: Aberth's iteration from the Newton polygon
 
 # Widest first: the twelve points that rounding leaves around a twelvefold zero fill a
 # disc of radius 0.1, and two of them alone would pass for a double zero.
@@ -220,26 +194,27 @@ def _starts(sum_: ExponentialSum, height: float) -> Complex:
         ]
     # With exact symmetry about the real axis, starts on it could never leave it for a
     # conjugate pair.
-    return np.array(points) * (1 + 1e-4j) + 1e-3j
+    return np.array(points) + 1e-3j
 
 
 def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     """Simultaneous Newton iteration with mutual repulsion until `count` points with |Im
     z| ≤ height rest.
 
-    Points that leave the region of the zeros start again inside it, at places of a
-    Halton sequence.
+    D has infinitely many zeros: those beyond the points repel together like a factor
+    e^(cz), and c is the mean rate of the terms. Points that leave the region of the zeros
+    start again inside it, beside one of the starts.
     """
-    z, fresh = _starts(sum_, height), 1
+    starts = _starts(sum_, height)
+    z, fresh = starts.copy(), 1
     (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(START_LIMIT):
         values, moduli = sum_.derivatives(z, 2)
         # At the level of rounding the quotient D/D' is noise and would throw points off
         # a multiple zero.
         settled = np.abs(values[0]) <= 4e-16 * moduli[0]
-        newton = np.where(
-            settled, 0, values[0] / np.where(values[1] == 0, 1e-300, values[1])
-        )
+        slope = values[1] - moduli[1] / moduli[0] * values[0]
+        newton = np.where(settled, 0, values[0] / np.where(slope == 0, 1e-300, slope))
         distance = z[:, None] - z[None, :]
         distance[distance == 0] = np.inf
         step = newton / (1 - newton * (1 / distance).sum(axis=1))
@@ -248,30 +223,21 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
         # spacing in practice, for ν ≤ 8.
         step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
         z = z - step
-        # Newton's method converges quadratically: after a step of 1e-9 the zero is
-        # known to 1e-18.
-        rest = settled | (np.abs(step) < 1e-9)
+        # Newton's method converges quadratically: after a relative step of 1e-9 the
+        # zero is known to 1e-18.
+        rest = settled | (np.abs(step) < COINCIDENT * (1.0 + np.abs(z)))
         inside = np.abs(z.imag) <= height
         if np.count_nonzero(rest & inside) >= count:
             break
         for i in np.flatnonzero(
             ~rest & ((z.real < low) | (z.real > high) | (np.abs(z.imag) > height + 2))
         ):
-            z[i] = complex(
-                low + _halton(fresh, 2) * (high - low),
-                (2 * _halton(fresh, 3) - 1) * height,
-            )
+            # Multiples of two irrational numbers, modulo 1, fill the square evenly.
+            right, up = fresh * math.sqrt(2.0) % 1.0, fresh * math.sqrt(3.0) % 1.0
+            beside = starts[fresh % len(starts)].real + right - 0.5
+            z[i] = complex(beside, (2.0 * up - 1.0) * height)
             fresh += 1
     return np.asarray(z[rest & (np.abs(z.imag) <= height)])
-
-
-def _halton(index: int, base: int) -> float:
-    value, share = 0.0, 1.0
-    while index:
-        share /= base
-        index, digit = divmod(index, base)
-        value += digit * share
-    return value
 
 
 def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:
@@ -330,63 +296,3 @@ def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
         if abs(step) < 1e-16:
             break
     return z
-
-
-def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Complex:
-    """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms per zero) but
-    certain.
-    """
-    zeros: list[complex] = []
-    boxes = [(low, high, count)]
-    while boxes:
-        a, b, n = boxes.pop()
-        if n == 0:
-            continue
-        centre, size = 0.5 * (a + b), max(b.real - a.real, b.imag - a.imag)
-        # around a double zero, smaller boxes are lost in rounding: (1e-3)² · 1e-8 is
-        # left of D
-        if size < 1e-3:
-            zeros += [centre] * n
-            continue
-        if n == 1:
-            z = _newton(sum_, centre, 1)
-            if (
-                a.real < z.real < b.real
-                and a.imag < z.imag < b.imag
-                and _is_zero(sum_, z)
-            ):
-                zeros.append(z)
-                continue
-        boxes += _halves(sum_, a, b, n)
-    return np.array(zeros, dtype=complex)
-
-
-def _is_zero(sum_: ExponentialSum, z: complex) -> bool:
-    values, moduli = sum_.derivatives(np.array([z]), 1)
-    return bool(abs(values[0, 0]) < 1e-12 * moduli[0, 0])
-
-
-def _halves(
-    sum_: ExponentialSum, a: complex, b: complex, n: int
-) -> list[tuple[complex, complex, int]]:
-    # 0.5131 avoids every symmetric position where simple problems have zeros; the other
-    # shares are second tries.
-    for share in (0.5131, 0.4637, 0.5519, 0.4213, 0.6, 0.38):
-        if b.real - a.real > b.imag - a.imag:
-            middle_b = complex(a.real + share * (b.real - a.real), b.imag)
-            middle_a = complex(middle_b.real, a.imag)
-        else:
-            middle_b = complex(b.real, a.imag + share * (b.imag - a.imag))
-            middle_a = complex(a.real, middle_b.imag)
-        try:
-            first = count_box(sum_, a, middle_b)
-        except NearZeroError:
-            continue
-        return [(a, middle_b, first), (middle_a, b, n - first)]
-    raise NotConvergedError(
-        "halving a box of zeros",
-        reached=abs(b - a),
-        wanted=1e-4,
-        remedy="the zeros lie too close together, or one of them is of too high a multiplicity: cancel "
-        "common factors",
-    )
