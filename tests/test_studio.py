@@ -602,7 +602,7 @@ def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     assert answered(session, "columns", columns=[])[0]["ok"]
     fits, curves = answered(session, "identify")
     assert len(fits["fits"]) == 4 and "Hz" in fits["fits"][0]["words"]
-    assert curves["predicted"].shape == curves["measured"].shape
+    assert curves["fitted 0"].shape == curves["fitted 1"].shape
     session.exact({"gain_crossover": None})
     assert answered(session, "arms", runs=200)[0]["ok"]
     session.keep()

@@ -19,7 +19,6 @@ from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._display import number
 from fraclink._identify import Fit
-from fraclink._identify.welch import welch_response
 from fraclink._reading.formats import read_table
 from fraclink._reading.reading import (
     ChannelSummary,
@@ -34,10 +33,10 @@ from fraclink.studio._messages import Reply, held
 from fraclink.studio._session import Session, bare
 from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
-from fraclink.view._figures import residual_density
+from fraclink.view._figures import fit_panels
 from fraclink.view._scales import envelope
 from fraclink.view._text import grid_of
-from fracsys.checks import Complex, Real
+from fracsys.checks import Real
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
@@ -61,7 +60,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     elif name is not None:
         raise FieldError(
             "log",
-            str(name)[:80],
+            name,
             "unknown",
             allowed=", ".join(bundled_logs()),
             remedy="drop a file, or choose one of these",
@@ -137,7 +136,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
         raise FieldError(
             "columns",
-            str(texts)[:80],
+            texts,
             "not statements",
             allowed="texts",
             remedy="state a column as motor_angle=theta [deg]",
@@ -158,7 +157,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
             questions = " ".join(question.text for question in guessed.questions)
             raise FieldError(
                 "columns",
-                ", ".join(texts)[:200],
+                ", ".join(texts),
                 questions,
                 allowed="an answer to each question",
                 remedy="drag the channel to its place",
@@ -211,7 +210,7 @@ def _stretch(given: object) -> tuple[float, float] | None:
         return float(given[0]), float(given[1])
     raise FieldError(
         "keep",
-        str(given)[:40],
+        given,
         "not a stretch",
         allowed="two numbers of seconds",
         remedy="mark the stretch again",
@@ -245,7 +244,7 @@ def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
     if name == "upload" and session.upload is not None:
         rig = Rig.load(session.upload)
     else:
-        rig = Rig.named(str(name)[:80])
+        rig = Rig.named(str(name))
     log = session.study.experiment
     # The log remains, since it is in SI units and independent of the rig; all results
     # for the old rig are discarded.
@@ -278,7 +277,7 @@ def _models(session: Session, given: Mapping[str, Any]) -> Reply:
         if fit is None:
             raise FieldError(
                 "structure",
-                str(name)[:40],
+                name,
                 "not fitted",
                 allowed=", ".join(session.study.fits) or "a fit",
                 remedy="fit the log first",
@@ -320,85 +319,22 @@ def fit_answer(session: Session) -> Reply:
         fit = study.fit
         head["heldout"] = 1.0 - fit.fitted_samples / log.output.size
         head["duration"] = log.duration
-        curves = {
-            "measured": thinned(log.output),
-            "predicted": thinned(np.asarray(fit.predicted)),
-            "residual": thinned(np.asarray(fit.residual)),
-        }
-        curves |= _pictures(log, fit)
-        head["drawn"] = [row for row in _DRAWN if row[4] in curves]
-        head |= {"axes": _axes_of(curves, log.duration)}
+        head["plots"], curves = _pictures(log, fit)
     return Reply(head, curves)
 
 
-# Plot of the page, curve in it, its style, and the curves of the answer with its
-# abscissae and its values; without abscissae it is drawn over time.
-_DRAWN = (
-    ("fitted", "measured", "measured", None, "measured"),
-    ("fitted", "predicted", "predicted", None, "predicted"),
-    ("rest", "log minus model", "heavy", None, "residual"),
-    ("response", "log", "measured", "response_w", "response_log"),
-    ("response", "model", "predicted", "response_w", "response_model"),
-    ("coherence", "coherence", "heavy", "response_w", "coherence"),
-    ("spectrum", "white, low", "reference", "spectrum_w", "white_low"),
-    ("spectrum", "white, high", "reference", "spectrum_w", "white_high"),
-    ("spectrum", "residual", "heavy", "spectrum_w", "spectrum_rest"),
-)
-
-
-def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
-    """The ends of both axes of those plots of step 3 that the page cannot determine
-    itself.
+def _pictures(log: Experiment, fit: Fit) -> tuple[dict[str, Any], dict[str, Real]]:
+    """The drawings about a fit: the ends of the axes and the lines of each plot, and the
+    two coordinates of each line.
     """
-
-    high = 1.08 * max(float(np.abs(curves["measured"]).max()), 1e-9)
-    over_time = [{"low": 0.0, "high": duration}, {"low": -high, "high": high}]
-    # 70 dB: the noise of a gauge of twelve bits lies below.
-    top = 5.0 + max(
-        float(curves[name].max()) for name in ("response_log", "response_model")
-    )
-    over_frequency = dict(
-        zip(("low", "high"), curves["response_w"][[0, -1]], strict=True)
-    )
-    return {
-        "fitted": over_time,
-        "rest": over_time,
-        "response": [over_frequency, {"low": top - 70.0, "high": top}],
-        "coherence": [over_frequency, {}],
-        "spectrum": [over_frequency, {}],
-    }
-
-
-def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
-    """Responses of log and model with their coherence, and the residual's spectrum
-    against white noise.
-    """
-    welch = welch_response(log, fit)
-    # 80 dB below the largest: a line without signal would extend the axis to −∞.
-    low = 1e-4 * float(np.abs(welch.measured).max())
-
-    def decibels(response: Complex) -> Real:
-        return np.asarray(20.0 * np.log10(np.maximum(np.abs(response), low)))
-
-    return {
-        "response_w": welch.frequency,
-        "response_log": decibels(welch.measured),
-        "response_model": decibels(welch.predicted),
-        "coherence": welch.coherence,
-    } | _whiteness(fit)
-
-
-def _whiteness(fit: Fit) -> dict[str, Real]:
-    """The residual's density over that of white noise [dB], and its 99 % band."""
-    density = residual_density(fit)
-    if density is None:
-        return {}
-    frequency, share, low, high = density
-    levels = {"spectrum_rest": share, "white_low": low, "white_high": high}
-    return {"spectrum_w": frequency} | {
-        name: 10.0 * np.log10(np.maximum(np.full(share.size, level), 1e-9))
-        for name, level in levels.items()
-    }
+    plots, curves = {}, {}
+    for plot, (x, panel) in fit_panels(log, fit).items():
+        lines = panel.lines()
+        axes = [{"low": side.low, "high": side.high} for side in (x, panel.y)]
+        plots[plot] = {"axes": axes, "lines": [line[:2] for line in lines]}
+        for k, (_, _, across, up) in enumerate(lines):
+            curves[f"{plot} {k}"] = np.stack([across, held(np.asarray(up))])
+    return plots, curves
 
 
 def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:

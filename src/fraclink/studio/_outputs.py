@@ -87,9 +87,12 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     target, precision = str(given.get("target")), given.get("precision", "single")
     if target not in _TARGETS or precision not in _PRECISIONS:
         allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
-        text = f"{target[:40]}, {str(precision)[:40]}"
         raise FieldError(
-            "target", text, "unknown", allowed=allowed, remedy="choose one of these"
+            "target",
+            f"{target}, {precision}",
+            "unknown",
+            allowed=allowed,
+            remedy="choose one of these",
         )
     design, law = session.shippable()
     session.folder.mkdir(parents=True, exist_ok=True)

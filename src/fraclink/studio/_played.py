@@ -93,7 +93,7 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     design, _ = session.shippable()
     payload, severity = _number(given, "payload"), _number(given, "severity")
     case = Case(
-        str(given.get("fault"))[:8],
+        str(given.get("fault")),
         round(severity),
         payload,
         given.get("phase"),  # type: ignore[arg-type]
@@ -133,7 +133,7 @@ def _number(given: Mapping[str, Any], name: str) -> float:
     if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]
         raise FieldError(
             name,
-            str(value)[:40],
+            value,
             "not a number",
             allowed="a number",
             remedy="reload the page",

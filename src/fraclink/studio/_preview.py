@@ -26,14 +26,14 @@ from fraclink._law import Law
 from fraclink._law.refit import refitted
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.studio._messages import Reply, checked_request, refusal, wanted_of
+from fraclink.view._loops import payloads_about
 from fraclink.view._text import grams
 from fracsys.checks import Real
 
 __all__ = ["Subject", "blocks_of", "fan_of", "map_of", "nearest", "preview"]
 
 
-_POINTS, _PAYLOADS = 280, 49
-_LIGHTER, _HEAVIER = 0.4, 2.0  # range of the margin plot relative to the rig's payloads
+_POINTS, _PAYLOADS = 280, 25
 _DECIBELS = 20.0 / math.log(10.0)
 # Limits of the fan: corners of the box, and every fourth frequency. Six intervals have
 # 64 corners, which at two payloads and 280 frequencies are 36 000 numbers for a shaded
@@ -72,7 +72,7 @@ class Subject:
         sides.
         """
         span = self.rig.payloads
-        return np.geomspace(_LIGHTER * span.low, _HEAVIER * span.high, _PAYLOADS)
+        return payloads_about(span.low, span.high, _PAYLOADS)
 
     @cached_property
     def link_frequencies(self) -> Real:
@@ -156,7 +156,7 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     three = (low, nominal if low < nominal < high else 0.5 * (low + high), high)
     links = np.array([made.natural_frequency(mass) for mass in three])
     logs = made.loop.log(subject.frequencies, links[:, None])
-    crossover, margin = made.loop.margins(subject.link_frequencies)
+    _, margin = made.loop.margins(subject.link_frequencies)
     head = {
         "ok": True,
         "preview": True,
@@ -181,7 +181,6 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         # float32 would carry infinities.
         "gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
         "phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
-        "crossover": crossover,
         "margin": np.degrees(margin),
     }
     return Reply(head, curves)

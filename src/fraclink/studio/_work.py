@@ -28,6 +28,7 @@ from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign, load_campaign
 from fraclink.trials._faults import FaultTable
 from fraclink.trials._study import Study, load_study, save_study
+from fraclink.view._loops import payloads_about
 from fraclink.view._text import grams, grid_of, sentence
 from fracsys.checks import Between, Real
 
@@ -180,8 +181,7 @@ def _checked(name: str, bounds: Between, value: object) -> Any:
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
 
 _PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
-# relative to the design's payloads; periods beyond the delay
-_LIGHTER, _HEAVIER, _LATER = (0.5, 1.5, 6)
+_LATER = 6  # periods beyond the delay
 _POINTS = 1200  # of a curve: twenty within the resonance of the least damped link drawn
 _ARMS, _FAILED = 24, 12  # moves that are drawn, and how many of failing arms: 4 ms each
 _SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods per point: one pixel
@@ -196,7 +196,7 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     parts.
     """
     low, high = design.payloads
-    payloads = np.geomspace(_LIGHTER * low, _HEAVIER * high, _PAYLOADS)
+    payloads = payloads_about(low, high, _PAYLOADS)
     own = _plant(design, low, 0.0).delay
     # From no delay at all, without that of the design, to six periods more.
     more = np.linspace(-own, _LATER * law.period, _DELAYS)

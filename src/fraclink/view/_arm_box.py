@@ -32,6 +32,7 @@ from fraclink._simulate.simulate import link_at
 from fraclink.errors import FieldError
 from fraclink.trials._rivals import motor_alone
 from fraclink.trials._study import Study
+from fraclink.view._loops import payloads_about
 from fraclink.view._pages import squeezed
 from fracsys.checks import Real
 
@@ -39,8 +40,6 @@ __all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
 
 
 MOST_PAYLOADS = 24
-# relative to the design's payloads: 8 to 80 g for 20 to 40 g
-_LIGHTEST, _HEAVIEST = (0.4, 2.0)
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 _SEED = 0
 # The move goes forward in the first half of the run and back in the second, so that the
@@ -285,7 +284,7 @@ def _links(
     own = {low, high, model.payload or rig.payloads.nominal}
     # Geometric spacing, since ω₀ varies with a power of the payload; two digits give
     # round grams. The design's payloads are always included, unrounded.
-    spread = np.geomspace(_LIGHTEST * low, _HEAVIEST * high, max(count - len(own), 2))
+    spread = payloads_about(low, high, max(count - len(own), 2))
     masses = sorted(own | {float(f"{value:.2g}") for value in spread})
     payloads, links = [], []
     for payload in masses:

@@ -16,11 +16,18 @@ from functools import cache, singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import isotonic_regression
+
 from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.view._marks import (
     ACROSS,
     DOWN,
+    Band,
+    Curve,
+    Dots,
     Frame,
     Layers,
     Mark,
@@ -61,6 +68,21 @@ class Panel:
         """The vertical scale."""
         values = (value for mark in self.marks for value in reach(mark)[1])
         return self.scale or Scale.around(*values)
+
+    def lines(self) -> list[tuple[str, str, ArrayLike, ArrayLike]]:
+        """Name, role and coordinates of its lines, for a page that draws them itself."""
+        lines: list[tuple[str, str, ArrayLike, ArrayLike]] = []
+        for mark in self.marks:
+            match mark:
+                case Dots():
+                    lines.append((mark.name or "log", "measured", mark.x, mark.y))
+                case Curve():
+                    role = "measured" if mark.weight == "wide" else "predicted"
+                    lines.append((mark.name or self.label, role, mark.x, mark.y))
+                case Band():
+                    lines.append(("band, low", "reference", mark.x, mark.low))
+                    lines.append(("band, high", "reference", mark.x, mark.high))
+        return lines
 
 
 @dataclass(frozen=True)
@@ -247,31 +269,16 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
 
 def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
     """Names at the right ends of their lines, moved apart until they do not overlap."""
+    if not ends:
+        return ""
     # Lines that end at the same place keep the order in which they were drawn.
     placed = sorted(ends, key=lambda end: round(end[0] / 8))
-    places = [end[0] for end in placed]
-    # Separating two names may push one into the next, so this is repeated; forty rounds
-    # suffice for the few names of a panel.
-    for _ in range(40):
-        for k in range(1, len(places)):
-            near = _ROW - (places[k] - places[k - 1])
-            if near > 0.01:
-                places[k - 1], places[k] = (
-                    places[k - 1] - near / 2,
-                    places[k] + near / 2,
-                )
-        low, high = frame.top + 5, frame.top + frame.height - 2
-        if places and places[0] < low:
-            places = (
-                [p + low - places[0] for p in places]
-                if len(places) == 1
-                else [max(p, low + _ROW * k) for k, p in enumerate(places)]
-            )
-        if places and places[-1] > high:
-            places = [
-                min(p, high - _ROW * (len(places) - 1 - k))
-                for k, p in enumerate(places)
-            ]
+    # Without their rows the places need only keep their order: the nearest ones that do
+    # are an isotonic regression, and its values clipped to the panel those inside it.
+    rows = _ROW * np.arange(len(placed))
+    low, high = frame.top + 5, frame.top + frame.height - 2 - rows[-1]
+    order = isotonic_regression(np.array([end[0] for end in placed]) - rows).x
+    places = rows + np.clip(order, low, max(low, high))
     parts = []
     for y, (_, name, style) in zip(places, placed, strict=True):
         sides = 'x1="14.4" x2="14.5"' if "dots" in style else 'x1="5" x2="24"'
@@ -279,7 +286,7 @@ def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
         parts.append(
             f'{key}<text class="name" x="29" y="{y + 4:.1f}">{escaped(name)}</text>'
         )
-    return f'<svg x="100%" overflow="visible">{"".join(parts)}</svg>' if parts else ""
+    return f'<svg x="100%" overflow="visible">{"".join(parts)}</svg>'
 
 
 # --- a drawing without a page -----------------------------------------------------------------------------

@@ -21,13 +21,13 @@ from fracsys.checks import Complex, Real
 
 __all__ = [
     "fit_figure",
+    "fit_panels",
     "log_figure",
     "models_figure",
     "residual_figure",
     "response_figure",
 ]
 __all__ += [
-    "residual_density",
     "structure_figure",
     "validation_figure",
 ]
@@ -255,7 +255,7 @@ def _independent(count: int) -> float:
     return count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
 
 
-def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
+def _residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     """Frequency [rad/s], the residual's spectral density relative to that of white
     noise, and its 99 % band.
 
@@ -339,7 +339,7 @@ def residual_figure(fit: Fit) -> Figure | None:
     """Draw the residual's spectrum and the band that contains 99 % of white noise of
     the same size.
     """
-    density = residual_density(fit)
+    density = _residual_density(fit)
     if density is None:
         return None
     frequency, share, low, high = density
@@ -362,3 +362,22 @@ def residual_figure(fit: Fit) -> Figure | None:
     )
     over = "frequency ω [rad/s]"
     return Figure("residual", description, (panel,), over, "response", log=True)
+
+
+def fit_panels(log: Experiment, fit: Fit) -> dict[str, tuple[Scale, Panel]]:
+    """Horizontal scale and panel of each drawing about a fit, by its plot in the studio.
+
+    A drawing that has nothing to show of this fit is left out.
+    """
+    drawings = (
+        (fit_figure(log, fit), ("angle", "fitted", "rest")),
+        (response_figure(log, fit), ("response", "turn", "coherence")),
+        (residual_figure(fit), ("spectrum",)),
+    )
+    return {
+        name: (figure.x, panel)
+        for figure, names in drawings
+        if figure is not None
+        for name, panel in zip(names, figure.panels, strict=True)
+        if name != "angle"
+    }

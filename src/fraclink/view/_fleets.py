@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
@@ -30,9 +31,6 @@ SHOWN = {
     "peak_voltage": "largest voltage",
     "motor_reference_noise": "reference noise",
 }
-# cells in each direction for many runs; for few runs, a cell still contains twice
-# `_FEWEST` on average
-_MOST_CELLS = 14
 # runs of a cell: with fewer the share is meaningless, and the cell stays empty
 _FEWEST = 30
 _SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
@@ -99,7 +97,7 @@ def failures_figure(
     """Failure rate over two drawn parameters, with axes titled `names`."""
     # Cells with 2 · 30 runs on average, so that most of them can be coloured: a share
     # from 30 runs has a standard error of up to 9 %.
-    cells = int(np.clip(np.sqrt(across.size / (2 * _FEWEST)), 3, _MOST_CELLS))
+    cells = max(3, math.isqrt(across.size // (2 * _FEWEST)))
     runs, x, y = np.histogram2d(across, up, bins=cells)
     bad, _, _ = np.histogram2d(across[failed], up[failed], bins=(x, y))
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -47,11 +47,11 @@ __all__ = [
     "margin_curves_figure",
     "margins_figure",
 ]
-__all__ += ["nyquist_figure", "payloads_of", "pid_figure"]
+__all__ += ["nyquist_figure", "payloads_about", "payloads_of", "pid_figure"]
 
 
-# The margins are shown down to this share of the lightest payload: 8 g for 20 g.
-BEYOND = 0.4
+# Payloads that are shown, relative to the lightest and heaviest: 8 to 80 g for 20 to 40 g.
+LIGHTER, _HEAVIER = (0.4, 2.0)
 _STEPS = 25
 
 
@@ -61,6 +61,11 @@ def payloads_of(design: Design) -> list[float]:
     return sorted(
         {low, high} | {m for m in (design.rig.payloads.nominal,) if low < m < high}
     )
+
+
+def payloads_about(low: float, high: float, count: int) -> Real:
+    """Payloads [kg] from well below a range to well above it, in equal ratios."""
+    return np.geomspace(LIGHTER * low, _HEAVIER * high, count)
 
 
 @figure_of.register
@@ -172,7 +177,7 @@ def margins_figure(design: Design) -> Figure:
     low, high = design.payloads
     # Below the range the mode is fast and the margin falls quickly; above it the margin
     # changes little. Hence more room on the light side, and geometric steps.
-    payloads = np.geomspace(BEYOND * low, 1.15 * high, _STEPS)
+    payloads = np.geomspace(LIGHTER * low, 1.15 * high, _STEPS)
     last = margin_curve(design, payloads, kind="sampled" if design.has_law else "loop")
     curves = (
         margin_curve(design, payloads, kind="ideal"),

@@ -166,12 +166,10 @@ class Dots:
     y: ArrayLike
     line: int = 0
     name: str = ""
-    large: bool = False
 
     def drawn(self, frame: Frame) -> Layers:
         """Strokes of zero length with round ends stay round in a stretched box."""
-        large = " large" if self.large else ""
-        text = f'<path class="c{self.line} dots{large}" d="{frame.path(self.x, self.y, dots=True)}"/>'
+        text = f'<path class="c{self.line} dots" d="{frame.path(self.x, self.y, dots=True)}"/>'
         values = np.asarray(self.y, dtype=float).ravel()
         visible = values[np.isfinite(values)]
         ends = (
@@ -207,13 +205,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars from `base`, `edges` one more than `heights`."""
+    """Bars from zero, `edges` one more than `heights`."""
 
     edges: ArrayLike
     heights: ArrayLike
     line: int = 1
-    name: str = ""
-    base: float = 0.0
 
     def drawn(self, frame: Frame) -> Layers:
         """One outline of all bars."""
@@ -224,7 +220,7 @@ class Bars:
         x = np.repeat(edges, 2)
         # As a single outline, neighbours share their sides; separate bars would leave
         # hairlines between them.
-        y = np.concatenate([[self.base], np.repeat(heights, 2), [self.base]])
+        y = np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
         return Layers(
             below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>'
         )

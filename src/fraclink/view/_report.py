@@ -190,10 +190,11 @@ def _tables(study: Study) -> Mapping[str, Figures]:
         sections["models"] = study.fit.rows
     if study.design is not None:
         payloads = [
-            loops.BEYOND * study.design.payloads[0],
+            loops.LIGHTER * study.design.payloads[0],
             *loops.payloads_of(study.design),
         ]
-        sections["controller"] = tables.controller_rows(study.design, study.law)
+        of_law = () if study.law is None else study.law.overview().rows
+        sections["controller"] = (*study.design.overview().rows, *of_law)
         (sections["requirements"],) = study.design.overview().tables
         sections["margins"] = tables.margins_table(study.design, payloads)
     if study.runs:

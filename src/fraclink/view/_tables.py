@@ -6,15 +6,8 @@ from collections.abc import Iterable
 
 from fraclink._design import Design
 from fraclink._display import Row, Table
-from fraclink._law import Law
 
-__all__ = ["controller_rows", "margins_table"]
-
-
-def controller_rows(design: Design, law: Law | None = None) -> tuple[Row, ...]:
-    """The controller's parameters, and the accuracy of its law."""
-    of_law = () if law is None else law.overview().rows
-    return (*design.overview().rows, *of_law)
+__all__ = ["margins_table"]
 
 
 def margins_table(design: Design, payloads: Iterable[float]) -> Table:

@@ -3,7 +3,7 @@ import {Plot, el, limited, line, plain} from './plot.js';
 import {$, make, button, choices, emptied, findings, on, put, table, takes, say} from './dom.js';
 import {upload} from './link.js';
 
-const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'coherence'];
+const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'turn', 'coherence'];
 const peak = (ys) => ys.reduce((a, v) => Math.max(a, Math.abs(v)), 1e-9);
 const evenly = (ys, duration) => Array.from(ys, (_, i) => (duration * i) / (ys.length - 1));
 const TURN = 14, BEND = 7, LENGTH = 320; // of the drawn arm: largest angles in degrees, and its length in pixels
@@ -248,12 +248,14 @@ export class Logs {
     say('model-said', answer.conclusion);
     findings($('model-findings'), used?.findings);
     table($('model-table'), answer.table?.header, answer.table?.lines, 'All four structures');
-    const c = answer.curves, {duration} = answer;
-    if (!c.measured) return;
-    this.duration = duration;
+    for (const plot of PLOTS.slice(2)) for (const name of [...this[plot].curves.keys()]) this[plot].remove(name);
+    if (!answer.plots) return;
+    this.duration = answer.duration;
     this.heldout = Math.round(100 * answer.heldout) / 100;
-    for (const name in answer.axes) this[name].axes(...answer.axes[name]);
-    for (const [plot, name, kind, x, y] of answer.drawn) this[plot].curve(name, kind, x ? c[x][0] : evenly(c[y][0], duration), c[y][0]);
+    for (const [plot, {axes, lines}] of Object.entries(answer.plots)) {
+      this[plot].axes(...axes);
+      lines.forEach(([name, kind], k) => this[plot].curve(name, kind, ...answer.curves[`${plot} ${k}`]));
+    }
     this.split();
   }
   split() { this.fitted.box('held', 'held', [(1 - this.heldout) * this.duration, this.duration], null); }
