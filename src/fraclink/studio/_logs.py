@@ -330,8 +330,11 @@ def _pictures(log: Experiment, fit: Fit) -> tuple[dict[str, Any], dict[str, Real
     plots, curves = {}, {}
     for plot, (x, panel) in fit_panels(log, fit).items():
         lines = panel.lines()
-        axes = [{"low": side.low, "high": side.high} for side in (x, panel.y)]
-        plots[plot] = {"axes": axes, "lines": [line[:2] for line in lines]}
+        plots[plot] = {
+            "label": panel.label,
+            "axes": [{"low": side.low, "high": side.high} for side in (x, panel.y)],
+            "lines": [line[:2] for line in lines],
+        }
         for k, (_, _, across, up) in enumerate(lines):
             curves[f"{plot} {k}"] = np.stack([across, held(np.asarray(up))])
     return plots, curves

@@ -256,6 +256,7 @@ export class Logs {
       this[plot].axes(...axes);
       lines.forEach(([name, kind], k) => this[plot].curve(name, kind, ...answer.curves[`${plot} ${k}`]));
     }
+    say('model-unit', answer.plots.fitted.label);
     this.split();
   }
   split() { this.fitted.box('held', 'held', [(1 - this.heldout) * this.duration, this.duration], null); }
