@@ -198,9 +198,9 @@ CEILINGS = {
     "_simulate": 1168,
     "lab": 1935,
     "logs": 754,
-    "studio": 1161,
+    "studio": 1143,
     "trials": 1412,
-    "view": 1576,
+    "view": 1560,
 }
 
 

@@ -225,18 +225,14 @@ class Session:
             "of": self.subject.key if self.subject else "",
             "title": " · ".join([*([study.rig.name] if study.rig else []), str(self.folder)]),
             "spoken": verdict.sentence,
-            "sentence": study.sentence,
             "verdict": grid_of(verdict.overview().tables[0]).lines,
-            "remarks": verdict.remarks,
             "marks": {step: [marked(mark)[0], mark] for step, mark in self.marks().items()},
-            "assumptions": study.assumptions,
             "design": None if design is None else {
                 "requirements": grid_of(
                     design.overview().tables[0].columns("requirement", "required", "achieved", "verdict")
                 ),
                 "findings": design.findings,
                 "moves": grid_of(Table.of("", (run.rows for run in study.runs))),
-                "passed": design.passed,
             },
             "certificate": study.certificate is not None,
             "proof_said": self._proof_said(),

@@ -4,7 +4,6 @@ external data escaped.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fraclink._design import Design
-from fraclink._design.assess import feasibility_map, phase_budget
+from fraclink._design.assess import phase_budget
 from fraclink._display import Row, Table, number, source_name, state_of
 from fraclink._files import write_text
 from fraclink.errors import FieldError
@@ -36,8 +35,6 @@ __all__ = ["render_report", "write_campaign_report", "write_report"]
 Figures = Table | tuple[Row, ...]
 
 _PAYLOADS = 15  # payloads of the moving arm: 40 kB of a report of 500
-# cells of the map of an infeasible request in each direction: one search each
-_MAP = 12
 
 
 def write_report(
@@ -225,8 +222,6 @@ def _figures(study: Study) -> dict[str, Figure]:
         drawings["nyquist"] = loops.nyquist_figure(design, proved)
         drawings["margins"] = loops.margins_figure(design)
         drawings["budget"] = _budget(design)
-    elif study.refused is not None:
-        drawings["map"] = _map(study)
     if study.runs:
         drawings["moves"] = runs.moves_figure(study.runs)
     return {name: figure for name, figure in drawings.items() if figure is not None}
@@ -239,32 +234,6 @@ def _budget(design: Design) -> Figure | None:
         )
     except FieldError:  # a loop without crossings has no phase budget
         return None
-
-
-def _map(study: Study) -> Figure | None:
-    """The feasible requests around the rejected one."""
-    model = study.fit.model if study.fit else study.rig.model if study.rig else None
-    if study.rig is None or model is None or study.refused is None:
-        return None
-    places = [
-        (p["gain_crossover"], p["phase_margin"])
-        for p in (study.refused.asked, study.refused.nearest)
-        if {"gain_crossover", "phase_margin"} <= p.keys()
-    ]
-    if len(places) < 2:
-        return None
-    rates, angles = zip(*places, strict=True)
-    # Wide enough for both points and their surroundings: crossovers from half of the
-    # slower to beyond the faster one; margins up to 100°, where every design is
-    # sluggish.
-    crossovers = np.linspace(0.5 * min(rates), 1.25 * max(rates), _MAP)
-    margins = np.linspace(
-        math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP
-    )
-    region = feasibility_map(
-        model, study.rig, gain_crossovers=crossovers, phase_margins=margins
-    )
-    return loops.map_figure(region, places[0], places[1])
 
 
 def write_campaign_report(

@@ -31,9 +31,10 @@ export const app = {
         performance.measure('drag', {start: at, end: performance.now()});
       });
     });
-    // behind the request, which Python answers in the meantime, and once a frame
-    app.placing ||= requestAnimationFrame(() => { app.placing = 0; design.fields(); design.place(); });
+    // behind the request, which Python answers in the meantime, and in a gesture once a frame
+    if (app.began) app.placing ||= requestAnimationFrame(app.place); else app.place();
   },
+  place() { app.placing = 0; design.fields(); design.place(); },
   end() {
     design.ghost(false);
     const before = app.began;
