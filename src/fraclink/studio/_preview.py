@@ -33,7 +33,7 @@ from fracsys.checks import Real
 __all__ = ["Subject", "blocks_of", "fan_of", "map_of", "nearest", "preview"]
 
 
-_POINTS, _PAYLOADS = 280, 25
+_POINTS = 280
 _DECIBELS = 20.0 / math.log(10.0)
 # Limits of the fan: corners of the box, and every fourth frequency. Six intervals have
 # 64 corners, which at two payloads and 280 frequencies are 36 000 numbers for a shaded
@@ -72,7 +72,7 @@ class Subject:
         sides.
         """
         span = self.rig.payloads
-        return payloads_about(span.low, span.high, _PAYLOADS)
+        return payloads_about(span.low, span.high)
 
     @cached_property
     def link_frequencies(self) -> Real:

@@ -22,9 +22,6 @@ from fraclink.view._text import grams
 __all__ = ["render_arm_page", "write_arm_page"]
 
 _LARGEST = 160_000  # bytes of a page
-# Payloads of a slider; with fewer, the page for a short period is made without the
-# twin, whose noise takes the space.
-_FEWEST = 9
 
 
 def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
@@ -111,9 +108,9 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         # At least one less in every round, so that the loop ends; a link counts as a
         # large one, so that not too many are dropped.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
-        # A fine slider without the twin is more useful than both with five payloads; so
-        # the full number is tried again.
-        if twin and payloads < _FEWEST:
+        # A fine slider without the twin, whose noise takes the space of a short period,
+        # is more useful than both with few payloads; so the full number is tried again.
+        if twin and payloads < MOST_PAYLOADS // 2:
             payloads, twin = MOST_PAYLOADS, False
 
 

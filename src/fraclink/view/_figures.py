@@ -182,11 +182,6 @@ def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
     return first, second + 360.0 * turns
 
 
-# A residual larger than this multiple of the smallest one exceeds its panel, which is
-# then noted.
-_LARGE = 4.0
-
-
 @figure_of.register
 def _comparison(comparison: Comparison) -> Figure:
     return models_figure(comparison.fits, comparison.preferred)
@@ -207,13 +202,11 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
     sizes = {
         name: float(np.abs(fit.residual).max()) or 1.0 for name, fit in fits.items()
     }
-    # A common scale, since otherwise a poor model would look as good as the others. To
-    # keep the others visible, residuals above four times the best are ignored for the
-    # scale; they exceed the panel and are labelled with their size. A label has to fit
-    # the width of a telephone.
-    common = 1.1 * max(
-        size for size in sizes.values() if size <= _LARGE * min(sizes.values())
-    )
+    # A common scale, since otherwise a poor model would look as good as the others. It is
+    # that of the models which passed: one that failed may exceed its panel, and is
+    # labelled with its size. A label has to fit the width of a telephone.
+    good = [sizes[name] for name, fit in fits.items() if fit.passed]
+    common = 1.1 * max(good or [min(sizes.values())])
     panels = []
     for name, fit in fits.items():
         beyond = f", up to {sizes[name]:.2g}" if sizes[name] > common else ""

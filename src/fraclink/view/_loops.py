@@ -63,7 +63,7 @@ def payloads_of(design: Design) -> list[float]:
     )
 
 
-def payloads_about(low: float, high: float, count: int) -> Real:
+def payloads_about(low: float, high: float, count: int = _STEPS) -> Real:
     """Payloads [kg] from well below a range to well above it, in equal ratios."""
     return np.geomspace(LIGHTER * low, _HEAVIER * high, count)
 
