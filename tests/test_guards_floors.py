@@ -200,7 +200,7 @@ CEILINGS = {
     "logs": 754,
     "studio": 1143,
     "trials": 1412,
-    "view": 1560,
+    "view": 1559,
 }
 
 

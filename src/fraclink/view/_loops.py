@@ -279,7 +279,8 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
     names = tuple((row + 0.5, name) for row, (name, *_) in enumerate(steps))
     # The first element is at the top.
     y = Scale(float(len(steps)), 0.0, ticks=names)
-    high = 1.12 * max(ends)
+    # A quarter of the axis for the text behind the longest bar, on a telephone too.
+    high = max(ends) / 0.75
     ticks = tuple((float(k), f"{k}°") for k in range(0, int(high) + 1, 45))
     where = "" if payload is None else f" at {grams(payload)}"
     description = f"Where the phase goes{where}: " + ", ".join(
@@ -289,7 +290,7 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
         "budget",
         description,
         (Panel("", marks, 26.0 * len(steps), y),),
-        f"phase at the gain crossover{where}",
+        "phase at the crossover",
         scale=Scale(min(0.0, *ends), high, ticks=ticks),
         left=168.0,
     )
