@@ -31,7 +31,7 @@ from fracsys.errors import FieldError
 _BESIDE_ZERO = 0.02  # |p| t
 _AROUND = np.array([[0.3], [1.0], [3.0]])  # |s| t
 # a node at u = 0, or one on either side of it
-_GRIDS = np.array([0.0, 0.5])[:, None, None]
+_GRIDS = np.array([0.0, 0.5])
 _MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared with
 
 
@@ -102,7 +102,8 @@ def _on_parabola(quotient: Quotient, times: Real, nodes: int) -> Real:
     clusters = [c for c in clusters if c.centre.imag < math.pi - COINCIDENT]
     step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
     poles = np.array([*simple, *(c.centre for c in clusters)], np.complex128)
-    offset = _offset(poles, scale, step)
+    # Only these two grids are symmetric, so that conjugate poles have conjugate weights.
+    offset = best_offset(place(poles[:, None], scale) / step, _GRIDS)
     u = (np.arange(nodes + 2)[:, None] + offset) * step
     root = 1.0 + 1j * u
     z = 2.0 * np.log(root) + scale
@@ -111,8 +112,8 @@ def _on_parabola(quotient: Quotient, times: Real, nodes: int) -> Real:
     values[0] *= np.where(offset == 0.0, 0.5, 1.0)
     total: Real = 2.0 * step / math.pi * values.real.sum(axis=0)
     for pole in simple:
-        point = np.full(len(times), pole)
-        weight = _kernel(point, scale, offset, step) * np.exp(np.exp(pole) * times)
+        weight = pole_weight(place(np.asarray(pole), scale), offset, step)
+        weight = weight * np.exp(np.exp(pole) * times)
         # A pole close to the singular point 0 looks like a part of it from the
         # parabola. Its residue may be huge where the cut cancels it, and 1e-14 of that
         # residue is no correction.
@@ -147,28 +148,28 @@ def _nodes(order: float) -> int:
     return nodes
 
 
-def _place(z: Complex, scale: Real) -> Complex:
+def place(z: Complex, scale: Real | float) -> Complex:
     """The position of the point e^z in the u-plane of the parabola of scale μ =
     e^scale.
     """
     return np.asarray((np.exp(0.5 * (z - scale)) - 1.0) / 1j)
 
 
-def _kernel(z: Complex, scale: Real, offset: Real, step: float) -> Complex:
-    exponent = -2j * np.pi * (_place(z, scale) / step - offset)
-    return np.asarray(1.0 / (1.0 - np.exp(exponent)))
-
-
-def _offset(poles: Complex, scale: Real, step: float) -> Real:
-    """0 or 1/2 for each time: the grid that is farther from the poles.
-
-    Only these two grids are symmetric, so that conjugate poles have conjugate weights.
+def pole_weight(u: Complex, offset: Real | float, step: float) -> Complex:
+    """The weight with which the residue of a pole at u enters, for nodes (k + offset)
+    step.
     """
-    if not poles.size:
-        return np.zeros(len(scale))
-    places = _place(poles[:, None], scale[None, :]) / step - _GRIDS
-    gaps = np.abs(places - np.round(places.real)).min(axis=1)
-    return np.where(gaps[0] >= gaps[1], 0.0, 0.5)
+    return np.asarray(1.0 / (1.0 - np.exp(-2j * np.pi * (u / step - offset))))
+
+
+def best_offset(places: Complex, offsets: Real) -> Real:
+    """Of some offsets of the nodes that one for each column of `places`, in steps, which
+    keeps a node farthest from all of its poles; NaN stands for no pole.
+    """
+    gaps = places - offsets[:, None, None]
+    gaps = np.abs(gaps - np.round(gaps.real))
+    nearest = np.where(np.isnan(gaps), np.inf, gaps).min(axis=1, initial=np.inf)
+    return np.asarray(offsets[np.argmax(nearest, axis=0)])
 
 
 def _cluster(
@@ -185,10 +186,9 @@ def _cluster(
     gap = float(
         min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag)
     )
-    at = np.array([scale]), np.array([offset])
     radius = math.exp(-cluster.centre.real) / time  # where e^(st) varies by a factor e
     points, weights = quotient.circle(
-        cluster, radius, gap, lambda z: _kernel(z, *at, step)
+        cluster, radius, gap, lambda z: pole_weight(place(z, scale), offset, step)
     )
     return float((weights * np.exp(np.exp(points) * time)).sum().real)
 

@@ -14,7 +14,7 @@ import numpy as np
 from fracsys._exponential import ExponentialSum
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._precision import COINCIDENT, DIFFERENCE_STEP, LARGEST_LOG
-from fracsys._roots import log_zeros, newton_polygon, two_term_zeros
+from fracsys._roots import newton_polygon, zeros_of_terms
 from fracsys._terms import Term
 from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
@@ -249,14 +249,7 @@ def _near_axis(terms: Sequence[Term]) -> tuple[list[complex], bool]:
         return [], True
     if any(t.delay != terms[0].delay for t in terms):
         return [], False
-    angle = 0.5 * math.pi + _NEAR
-    if len(terms) == 2:
-        high, low = terms
-        return two_term_zeros(
-            low.coefficient / high.coefficient, high.order - low.order, angle
-        ), True
-    z = log_zeros([t.coefficient for t in terms], [t.order for t in terms], angle=angle)
-    return z.tolist(), True
+    return zeros_of_terms(terms, 0.5 * math.pi + _NEAR).tolist(), True
 
 
 def around(zero: complex) -> Real:
@@ -300,11 +293,6 @@ def log_corners(terms: Sequence[Term]) -> list[float]:
     """
     if len(terms) < 2 or terms[0].order == terms[-1].order:
         return []
-    if len(terms) == 2:
-        top, end = terms
-        return [
-            math.log(abs(end.coefficient / top.coefficient)) / (top.order - end.order)
-        ]
     sum_ = ExponentialSum.of([t.coefficient for t in terms], [t.order for t in terms])
     a, nu = np.log(np.abs(sum_.coefficients)), sum_.rates
     return [float((a[j] - a[k]) / (nu[k] - nu[j])) for j, k in newton_polygon(sum_)]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import rgamma
 
+from fracsys._contour import best_offset, place, pole_weight
 from fracsys._precision import EPSILON, FOLDS
 from fracsys._terms import TOGETHER
 from fracsys.checks import Between, Complex, Real, checked
@@ -119,10 +120,7 @@ def _values(z: Complex, alpha: float, beta: float) -> Complex:
     logs, places = _poles(z, alpha)
     # A pole close to a node causes two large terms that cancel; take the offset
     # farthest from all poles.
-    gaps = np.abs(_frac(places[None] / step - _OFFSETS[:, None, None]))
-    offset = _OFFSETS[
-        np.argmax(np.nanmin(np.where(np.isnan(gaps), np.inf, gaps), axis=1), axis=0)
-    ]
+    offset = best_offset(places / step, _OFFSETS)
     total = np.empty(z.shape, np.complex128)
     for o in _OFFSETS:
         at = offset == o
@@ -138,7 +136,7 @@ def _values(z: Complex, alpha: float, beta: float) -> Complex:
         # Points with the same offset have the same nodes: one row of exponentials
         # serves all of them.
         total[at] = (weights / _denominator(log_s, z[at, None], alpha)).sum(axis=1)
-    kernel = 1.0 / (1.0 - np.exp(-2j * math.pi * (places / step - offset)))
+    kernel = pole_weight(places, offset, step)
     residues = np.exp(np.exp(logs) + (1.0 - beta) * logs) / alpha
     enclosed = places.imag < inside  # False where there is no pole (nan)
     return np.asarray(total + np.where(enclosed, kernel * residues, 0.0).sum(axis=0))
@@ -171,10 +169,8 @@ def _poles(z: Complex, alpha: float) -> tuple[Complex, Complex]:
         np.angle(z) + 2.0 * math.pi * np.arange(-turns, turns + 1)[:, None]
     ) / alpha
     angles = np.where(np.abs(angles) <= math.pi, angles, np.nan)
-    # The parabola is s = μ(1 + iu)²: its inverse is a square root, and u = −i(√(s/μ) −
-    # 1).
-    root = np.sqrt(radius / _VERTEX) * np.exp(0.5j * angles)
-    return np.asarray(np.log(radius) + 1j * angles), np.asarray(-1j * (root - 1.0))
+    logs = np.asarray(np.log(radius) + 1j * angles)
+    return logs, place(logs, math.log(_VERTEX))
 
 
 def _modulus(z: Complex) -> tuple[Real, Real]:
@@ -195,10 +191,6 @@ def _square(x: Real) -> tuple[Real, Real]:
     high = wide - (wide - x)
     low = x - high
     return product, np.asarray(((high * high - product) + 2.0 * high * low) + low * low)
-
-
-def _frac(u: Complex) -> Complex:
-    return np.asarray(u - np.round(u.real))
 
 
 @lru_cache(maxsize=64)

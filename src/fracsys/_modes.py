@@ -102,13 +102,11 @@ class DiscreteModes:
         """Return the pulse transfer function at e^(jωT), ω = `frequency` [rad/s]."""
         shift = np.exp(-1j * np.asarray(frequency, np.float64) * self.period)
         total = self.early / shift + self.direct + self.first * shift
-        for gain, decay in zip(self.gains, self.decays, strict=True):
-            total = total + gain * shift / (1.0 - decay * shift)
-        for pole_gain, pole in zip(self.pole_gains, self.pole_decays, strict=True):
-            total = total + 0.5 * pole_gain * shift / (1.0 - pole * shift)
-            total = total + 0.5 * np.conj(pole_gain) * shift / (
-                1.0 - np.conj(pole) * shift
-            )
+        half, pairs = 0.5 * self.pole_gains, self.pole_decays
+        gains = np.concatenate([self.gains, half, half.conj()])
+        poles = np.concatenate([self.decays, pairs, pairs.conj()])
+        for gain, pole in zip(gains, poles, strict=True):
+            total = total + gain * shift / (1.0 - pole * shift)
         result: Complex = np.asarray(total * shift**self.lag, np.complex128)
         return result
 

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from fracsys._precision import BLUR, EPSILON
-from fracsys._roots import log_zeros, two_term_zeros
+from fracsys._roots import zeros_of_terms
 from fracsys._terms import Term, collect, same
 from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
@@ -55,18 +55,7 @@ class Quotient:
 
     @classmethod
     def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
-        # most links have one pole pair; the direct formula saves a sixth of a short
-        # response
-        if len(bottom) == 2:
-            high, low = bottom
-            by_hand = two_term_zeros(
-                low.coefficient / high.coefficient, high.order - low.order, SHEET
-            )
-            zeros = np.array(by_hand, np.complex128)
-        else:
-            zeros = log_zeros(
-                [t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET
-            )
+        zeros = zeros_of_terms(bottom, SHEET)
         if len(zeros) and np.abs(zeros.real).max() > _RANGE:
             worst = float(zeros.real[np.argmax(np.abs(zeros.real))])
             raise FieldError(
@@ -94,16 +83,18 @@ class Quotient:
 
     def slope(self, z: Complex) -> Real:
         """d ln |G|/d ln |s| at points of the log-plane."""
-        return _slope(self.top, z) - _slope(self.bottom, z)
+        top, bottom = (_sum(s, z, 1) / _sum(s, z) for s in (self.top, self.bottom))
+        return np.asarray((top - bottom).real)
 
     @cached_property
     def misplaced(self) -> Quotient:
         """The quotient with its poles shifted by their possible rounding errors,
         neighbours in opposite directions.
         """
-        units = _moduli(self.bottom, self.zeros) / np.abs(
-            _rise(self.bottom, self.zeros)
-        )
+        # e^(az) is off by |az| units of rounding, and a product by two.
+        z, moduli = self.zeros, [Term(abs(t.coefficient), t.order) for t in self.bottom]
+        size = 2.0 * _sum(moduli, z.real) + np.abs(z) * _sum(moduli, z.real, 1)
+        units = size.real / np.abs(_sum(self.bottom, z, 1))
         # A pole with a larger error has a close neighbour, and their errors cancel.
         shift = EPSILON * np.minimum(units, _VAGUE)
         turns = (-1.0) ** np.arange(len(self.zeros))
@@ -127,7 +118,7 @@ class Quotient:
     def residue(self, z: complex) -> complex:
         """Residue of G(e^z) at a simple zero of D."""
         point = np.array([z])
-        return complex((_sum(self.top, point) / _rise(self.bottom, point))[0])
+        return complex((_sum(self.top, point) / _sum(self.bottom, point, 1))[0])
 
     @cached_property
     def is_sparse(self) -> bool:
@@ -200,46 +191,13 @@ class Quotient:
         return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
 
 
-def _sum(terms: Sequence[Term], z: Complex) -> Complex:
+def _sum(terms: Sequence[Term], z: Complex | Real, derivative: int = 0) -> Complex:
+    """The sum at s = e^z, or one of its derivatives over z."""
     total = np.zeros(z.shape, np.complex128)
     for t in terms:
+        factor = t.coefficient * t.order**derivative
         # A constant needs no exponential; half of the terms of a link are constants.
-        total += t.coefficient * np.exp(t.order * z) if t.order else t.coefficient
-    return total
-
-
-def _rise(terms: Sequence[Term], z: Complex) -> Complex:
-    """d sum/d ln s."""
-    total = np.zeros(z.shape, np.complex128)
-    for t in terms:
-        if t.order:
-            total += t.coefficient * t.order * np.exp(t.order * z)
-    return total
-
-
-def _slope(terms: Sequence[Term], z: Complex) -> Real:
-    """d ln |sum|/d ln |s|; each power is computed once for both the sum and its
-    derivative.
-    """
-    if len(terms) == 1:  # a power of s has the same slope everywhere
-        return np.full(z.shape, terms[0].order)
-    value, rise = np.zeros(z.shape, np.complex128), np.zeros(z.shape, np.complex128)
-    for t in terms:
-        power = np.exp(t.order * z) if t.order else 1.0
-        value += t.coefficient * power
-        rise += t.coefficient * t.order * power
-    return np.asarray((rise / value).real)
-
-
-def _moduli(terms: Sequence[Term], z: Complex) -> Real:
-    """Bound of the error of `_sum` in units of rounding: |a z| units for e^(a z), two
-    for a product.
-    """
-    total = np.zeros(z.shape)
-    for t in terms:
-        total += (
-            abs(t.coefficient) * np.exp(t.order * z.real) * (2.0 + np.abs(t.order * z))
-        )
+        total += factor * np.exp(t.order * z) if t.order else factor
     return total
 
 

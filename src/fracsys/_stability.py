@@ -12,7 +12,7 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
 from fracsys._nyquist import modulus_margin, unstable_closed_loop_poles
 from fracsys._precision import COINCIDENT, RESOLUTION
-from fracsys._roots import log_zeros
+from fracsys._roots import zeros_of_terms
 from fracsys._sweep import sweep
 from fracsys._terms import Term
 from fracsys.checks import Complex, checked
@@ -280,12 +280,13 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complex, Complex]:
             allowed="delays in the numerator only",
             remedy="use is_stable or margins",
         )
-    rest, cancelled = _logs(system.denominator).tolist(), []
+    rest = zeros_of_terms(system.denominator, math.pi).tolist()
+    cancelled: list[complex] = []
     top = system.numerator
     # A common delay moves no zero; several delays give infinitely many zeros, none of
     # which cancels a pole exactly.
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
-        for zero in _logs(top).tolist():
+        for zero in zeros_of_terms(top, math.pi).tolist():
             # A zero cancels one of the poles that it coincides with: a double pole with
             # one zero on it leaves a simple pole.
             near = [p for p in rest if abs(p - zero) < COINCIDENT][:1]
@@ -293,12 +294,6 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complex, Complex]:
                 rest.remove(near[0])
                 cancelled += near
     return np.array(rest, dtype=complex), np.array(cancelled, dtype=complex)
-
-
-def _logs(terms: Sequence[Term]) -> Complex:
-    return log_zeros(
-        [t.coefficient for t in terms], [t.order for t in terms], angle=math.pi
-    )
 
 
 def _both_halves(z: Complex, at_origin: int) -> Complex:
