@@ -140,25 +140,20 @@ def _grown(
     the tolerances, or the best found.
     """
     generations: list[list[PartialFractions]] = []
-    finished: dict[int, PartialFractions] = {}
     for here in grow(target, plane, highest if order is None else order, pairs=pairs):
         generations.append(here)
         # The full sequence of norms lowers the error of the quick ones by 10 to 20 %.
         if order is None and score(here[0], target) <= 1.3:
-            fit = finished[len(generations) - 1] = finish(here, target)
+            fit = finish(here, target)
             if score(fit, target) <= _WITHIN:
                 return fit
     if order is not None:
         return finish(generations[-1], target)
     # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
     # change ranks.
-    likely = sorted(
-        range(len(generations)), key=lambda k: score(generations[k][0], target)
-    )[:2]
-    candidates = [
-        finished[k] if k in finished else finish(generations[k], target) for k in likely
-    ]
-    return min(candidates, key=lambda fit: score(fit, target))
+    likely = sorted(generations, key=lambda here: score(here[0], target))[:2]
+    fits = (finish(here, target) for here in likely)
+    return min(fits, key=lambda fit: score(fit, target))
 
 
 def _grid(band: tuple[float, float], count: int) -> Real:

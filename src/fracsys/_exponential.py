@@ -48,9 +48,9 @@ class ExponentialSum:
     def _signs(self) -> Real:
         return np.sign(self.coefficients)
 
-    def terms(self, z: Complex) -> tuple[Complex, Real]:
-        """All terms at each z, shape (K, *z.shape), divided by the largest one, and the
-        sum of their moduli.
+    def derivatives(self, z: Complex, count: int) -> tuple[Complex, Real]:
+        """D, D', …, D^(count−1) at z divided by the largest term, and the sums of
+        moduli of each.
         """
         column = (-1, *[1] * np.ndim(z))
         exponents = np.asarray(
@@ -60,14 +60,6 @@ class ExponentialSum:
         # its ratio to the largest term does not.
         exponents -= exponents.real.max(axis=0)
         terms = np.asarray(self._signs.reshape(column) * np.exp(exponents))
-        moduli: Real = np.abs(terms).sum(axis=0)
-        return terms, moduli
-
-    def derivatives(self, z: Complex, count: int) -> tuple[Complex, Real]:
-        """D, D', …, D^(count−1) at z divided by the largest term, and the sums of
-        moduli of each.
-        """
-        terms = self.terms(z)[0]
         powers = self.rates ** np.arange(count)[:, None]
         values: Complex = np.einsum("jk,k...->j...", powers, terms)
         moduli: Real = np.einsum("jk,k...->j...", powers, np.abs(terms))

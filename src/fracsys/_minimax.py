@@ -93,8 +93,6 @@ class PartialFractions:
         (M, order + 1).
         """
         real, pair, mirrored = self.shapes(x)
-        if not pair.shape[1]:
-            return np.concatenate([np.ones((len(real), 1)), real], axis=1)
         return np.concatenate(
             [
                 np.ones((len(real), 1)),
@@ -111,9 +109,6 @@ class PartialFractions:
         """
         sigma = np.exp(self.real_logs)
         real = sigma / (x + sigma)
-        # most fits have none; the empty arrays would take half of the time
-        if not len(self.pair_logs):
-            return real, real[:, :0], real[:, :0]
         q = self.poles_of_pairs()
         return real, q / (x + q), q.conj() / (x + q.conj())
 

@@ -258,12 +258,7 @@ class _Modes:
             self.complex.append(np.array([places, weights]))
 
     def add_pole(self, z: complex, weight: complex) -> None:
-        place = (
-            complex(np.exp(z))
-            if abs(z.imag - math.pi) >= RESOLUTION
-            else complex(-math.exp(z.real))
-        )
-        self.add_poles(z, np.array([place]), np.array([weight]))
+        self.add_poles(z, np.exp(np.array([z])), np.array([weight]))
 
     def expansion(self, shortest: float, tolerance: float) -> Expansion:
         """The modes above 1e-3 · tolerance at the shortest time."""

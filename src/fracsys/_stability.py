@@ -12,6 +12,7 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
 from fracsys._nyquist import modulus_margin, unstable_closed_loop_poles
 from fracsys._precision import COINCIDENT, RESOLUTION
+from fracsys._quotient import singular_order
 from fracsys._roots import zeros_of_terms
 from fracsys._sweep import sweep
 from fracsys._terms import Term
@@ -248,15 +249,7 @@ def _integrators(system: FractionalTransferFunction) -> float:
     """a > 0 with G ~ s^(−a) at s = 0; the lowest terms of numerator and denominator may
     cancel.
     """
-    return (
-        max(0.0, _lowest(system.denominator) - _lowest(system.numerator))
-        if system.numerator
-        else 0.0
-    )
-
-
-def _lowest(terms: Sequence[Term]) -> float:
-    return min(t.order for t in terms)
+    return max(0.0, singular_order(system.numerator, system.denominator))
 
 
 def _poles_at_origin(system: FractionalTransferFunction) -> int:
