@@ -12,8 +12,9 @@ from fracsys._precision import ROUNDING
 from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import NotConvergedError
 
-# intervals of one walk; a path that needs more passes through a zero
-PIECE_LIMIT = 20_000
+# Zeros in one strip, reached by orders of about 4000 on the principal sheet, and pieces
+# of one path: one that needs more passes through a zero.
+LIMIT = 4096
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,11 @@ class ExponentialSum:
         while a.size:
             # Pieces of 1e-13 are at the limit of rounding; halving them again shows
             # nothing new.
-            if a.size > PIECE_LIMIT or np.min(np.abs(b - a)) < 1e-13:
+            if a.size > LIMIT or np.min(np.abs(b - a)) < 1e-13:
                 raise NotConvergedError(
                     "phase along the path",
                     reached=a.size,
-                    wanted=PIECE_LIMIT,
+                    wanted=LIMIT,
                     remedy="move the path off the zero",
                 )
             phase, sure = self._pieces(a, b)

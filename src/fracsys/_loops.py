@@ -133,7 +133,6 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
 # response within about d of it. Points at d sinh(0.45 k), up to the distance 0.12 of
 # the ordinary points, keep the change between neighbours below 24° in phase and a
 # factor of 1.6 in modulus.
-_REACH = 0.15
 _NEAR = 0.3  # 20 points per decade resolve zeros farther from the axis than this
 FAINT = 1e-3  # |L| of −60 dB, below which crossings do not matter
 
@@ -261,7 +260,7 @@ def around(zero: complex) -> Real:
         steps = 0.45 * COINCIDENT * 1.7 ** np.arange(37)
     else:
         steps = distance * np.sinh(
-            0.45 * np.arange(math.asinh(_REACH / distance) / 0.45)
+            0.45 * np.arange(math.asinh(0.5 * _NEAR / distance) / 0.45)
         )
     return zero.real + np.concatenate([-steps, steps])
 

@@ -19,7 +19,7 @@ from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError
 
-TOLERANCE = 1e-12  # largest error of a response, relative to its peak
+TOLERANCE = RESOLUTION  # largest error of a response, relative to its peak
 
 
 @compared

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fracsys._exponential import ExponentialSum, count_strip
+from fracsys._exponential import LIMIT, ExponentialSum, count_strip
 from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING
 from fracsys._terms import Term
 from fracsys.checks import Complex, Mask
@@ -164,9 +164,6 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
 # Widest first: the twelve points that rounding leaves around a twelvefold zero fill a
 # disc of radius 0.1, and two of them alone would pass for a double zero.
 _CLUSTERS = (0.25, 0.06, 0.015, 3e-3)
-# limit on the zeros in one strip, reached by orders of about 4000 on the principal
-# sheet
-START_LIMIT = 4096
 
 
 def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
@@ -196,11 +193,11 @@ def _starts(sum_: ExponentialSum, height: float) -> Complex:
         x = math.log(abs(a[j] / a[k])) / gap
         first = math.pi / gap if a[j] * a[k] > 0 else 0.0
         reach = math.ceil((height + 0.5) * gap / (2 * math.pi)) + 1
-        if len(points) + 2 * reach > START_LIMIT:
+        if len(points) + 2 * reach > LIMIT:
             raise NotConvergedError(
                 "zeros to find",
                 reached=2 * reach,
-                wanted=START_LIMIT,
+                wanted=LIMIT,
                 remedy="lower the orders: no physical model needs thousands of poles",
             )
         points += [
@@ -222,7 +219,7 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     starts = _starts(sum_, height)
     z, fresh = starts.copy(), 1
     (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
-    for _ in range(START_LIMIT):
+    for _ in range(LIMIT):
         values, moduli = sum_.derivatives(z, 2)
         # At the level of rounding the quotient D/D' is noise and would throw points off
         # a multiple zero.

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracsys.checks import rules
-from fracsys.checks.ranges import ARGUMENTS, Refused, Rule
+from fracsys.checks.ranges import ARGUMENTS, Refused
 from fracsys.checks.ranges import Array as Array
 from fracsys.checks.ranges import Between as Between
 from fracsys.checks.ranges import Where as Where
@@ -218,7 +218,7 @@ def checked_choice(
     remedy: str = "choose one of these",
 ) -> str:
     """Return `value` if it is one of the words in `choices`."""
-    return str(_checked(rules.choice(tuple(choices)), field, value, remedy))
+    return str(rules.choice(tuple(choices)).check(field, value, remedy=remedy))
 
 
 def checked_noun(
@@ -227,7 +227,7 @@ def checked_noun(
     """Return `value` if it is a `kind`; `remedy` says where to get one, by default the
     class itself.
     """
-    return cast(Instance, _checked(rules.instance(kind), field, value, remedy))
+    return cast(Instance, rules.instance(kind).check(field, value, remedy=remedy))
 
 
 def checked_series(
@@ -241,11 +241,3 @@ def checked_series(
     # A copy: the data of a fit must not change while the caller goes on recording into
     # the array.
     return np.array(series.check(field, value, error=error))
-
-
-def _checked(admitted: Rule, field: str, value: object, remedy: str) -> Any:
-    try:
-        return admitted.convert(value, ARGUMENTS)
-    except Refused as refused:
-        refused.remedy = remedy or refused.remedy
-        raise refused.error(field, FieldError) from None

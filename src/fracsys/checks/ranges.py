@@ -92,10 +92,15 @@ class Rule:
     named: bool = False
 
     def check(
-        self, name: str, value: object, *, error: type[FieldError] = FieldError
+        self,
+        name: str,
+        value: object,
+        *,
+        error: type[FieldError] = FieldError,
+        remedy: str = "",
     ) -> Any:
         """Return `value` normalised; raise `error`, a FieldError about `name`, if it is
-        rejected.
+        rejected, with the rule's own remedy or another one.
 
         >>> number(Between(0.0, 1e6, "s")).check("filter_time", -2)
         Traceback (most recent call last):
@@ -107,6 +112,7 @@ class Rule:
         except Refused as refused:
             # Without the inner frames: the mistake is at the call, and the internals of
             # the check do not help to find it.
+            refused.remedy = remedy or refused.remedy
             raise refused.error(name, error) from None
 
 
