@@ -404,6 +404,7 @@ def _infeasible(problem: PidProblem) -> InfeasibleError:
                 "phase_margin", explanation, {"phase_margin": float(angle)}
             )
     explanation = (
-        f"no {_words(problem)} with gains >= 0 crosses there in a stable loop within every bound; {more}"
+        f"no {_words(problem)} with gains >= 0 crosses there in a stable loop within "
+        f"every bound; {more}"
     )
     return InfeasibleError("gain_crossover", explanation)
