@@ -57,8 +57,6 @@ const spread = (length, count) => Array.from({length: Math.min(length, count)}, 
 const STILL = {begin() {}, change() {}, end() {}, cancel() { this.change(); }};
 const WHOLE = 1e6; // a share of the axes that exceeds every plot
 const ROWS = 14; // of a table of numbers
-// Delivered at once where the browser can: the other one waits for the next frame, and Python could have begun.
-const MOVED = 'onpointerrawupdate' in window ? 'pointerrawupdate' : 'pointermove';
 const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are left out of the readings and tables
 
 let clips = 0;
@@ -262,7 +260,7 @@ export class Plot {
       hand.begin();
       grabbed = {pointer: h.drag === 'x' ? event.clientX : event.clientY, own: this.part(h.drag === 'x' ? this.x : this.y, to(h.get()))};
     });
-    on(g, MOVED, (event) => {
+    on(g, 'pointermove', (event) => {
       if (!grabbed) return;
       const moved = (h.drag === 'x' ? event.clientX - grabbed.pointer : grabbed.pointer - event.clientY);
       const room = h.drag === 'x' ? this.W - LEFT - RIGHT : this.height - TOP - FOOT;
@@ -312,7 +310,7 @@ export class Plot {
       move(from, from);
       hand.change(event.timeStamp);
     });
-    on(this.svg, MOVED, (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
+    on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
     on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
   }
   /** Draw a hairline in every plot with the same axis, with the values of its curves there, and dots on curves along it. */

@@ -11,7 +11,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
   /** the request, with the option names of the command line */
-  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, placing: 0, exactly: '', refused: false, told() {},
+  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
   link: null,
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -31,10 +31,9 @@ export const app = {
         performance.measure('drag', {start: at, end: performance.now()});
       });
     });
-    // behind the request, which Python answers in the meantime, and in a gesture once a frame
-    if (app.began) app.placing ||= requestAnimationFrame(app.place); else app.place();
+    design.fields(); // behind the request, which Python answers in the meantime
+    design.place();
   },
-  place() { app.placing = 0; design.fields(); design.place(); },
   end() {
     design.ghost(false);
     const before = app.began;
