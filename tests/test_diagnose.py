@@ -244,40 +244,6 @@ def test_a_late_gauge_is_measured() -> None:
     assert finding.evidence["delay_s"] == pytest.approx(0.048, abs=0.004)
 
 
-def test_stiction_needs_a_voltage_to_be_seen() -> None:
-    count = 3000
-    time = 0.004 * np.arange(count)
-    voltage = 2 * np.sin(2 * np.pi * 0.3 * time)
-    speed = np.where(np.abs(voltage) > 1.0, voltage - np.sign(voltage), 0.0)
-    motor = 0.001 * np.round(np.cumsum(speed) * 0.004 / 0.001)
-    log = Experiment(
-        period=0.004,
-        motor_angle=motor,
-        output=made_output(motor),
-        voltage=voltage,
-        payload=0.03,
-    )
-    finding = found(log, "W232")
-    assert finding.evidence["voltage"] == pytest.approx(1.0, rel=0.15)
-    first = round(finding.evidence["time_s"] / 0.004)
-    assert (
-        np.ptp(motor[first : first + round(finding.evidence["longest_s"] / 0.004)])
-        <= 0.002
-    )
-    assert "W232" not in codes(dataclasses.replace(log, voltage=None))
-
-
-def test_voltage_at_its_limit() -> None:
-    voltage = np.clip(20 * GOOD.motor_angle, -10, 10)
-    voltage[100:200] = 10.0
-    assert (
-        found(changed(voltage=voltage), "W236", Rig.named("paper-2023")).evidence[
-            "limit"
-        ]
-        == 10
-    )
-
-
 def test_merced_is_sensible() -> None:
     rig = Rig.load(RIGS / "merced.toml")
     log = read_log(

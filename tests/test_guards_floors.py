@@ -197,7 +197,7 @@ CEILINGS = {
     "_reading": 1123,
     "_simulate": 1168,
     "lab": 1935,
-    "logs": 754,
+    "logs": 730,
     "studio": 1143,
     "trials": 1412,
     "view": 1559,

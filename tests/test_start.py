@@ -703,6 +703,29 @@ def test_a_recorded_log_without_a_signal_ends_in_what_goes_on(
     assert len(asked) <= 3
 
 
+@pytest.mark.parametrize(
+    ("motor", "link"), [("q_m [deg]", "q_l [deg]"), ("th_m", "th_l")]
+)
+def test_an_index_is_no_quantity(motor: str, link: str, tmp_path: Path) -> None:
+    # Not a moment: its index says that the first is the motor's angle.
+    columns = {"t": TIME, motor: DEG * MOTOR, link: DEG * (MOTOR - DEFLECTION)}
+    stated = ["motor_angle=[deg]"]
+    path = Shape(columns).write(tmp_path / "log.csv")
+    (question,) = match(path, column=stated).questions
+    option = re.fullmatch('--column "(.*)"', question.option)[1]
+    found = match(path, column=[*stated, option]).columns
+    assert found.motor_angle.column == motor
+    assert found.output.column == f"{motor} - {link}"
+
+
+def test_a_column_is_no_answer_to_a_question_of_a_unit(tmp_path: Path) -> None:
+    path = Shape({"t": TIME, "theta_rad": MOTOR, "gamma": TORQUE})
+    (question,) = match(path.write(tmp_path / "log.csv")).questions
+    assert question.part == "unit"
+    with pytest.raises(FieldError, match="theta_rad"):
+        question.statement("theta_rad [deg]")
+
+
 def test_no_column_is_suggested_for_two_roles(tmp_path: Path) -> None:
     path = Shape({"t": TIME, "a": MOTOR, "b": TORQUE}).write(tmp_path / "log.csv")
     angle, output = match(path).questions

@@ -36,7 +36,7 @@ from fracsys.checks import Between, Parameter, parameters, rule
 from fracsys.checks.ranges import Form, Refused, Rule, number
 from fracsys.checks.rules import REQUIRED
 
-__all__ = ["Reading", "faults_of", "from_plain", "plain", "suggestion"]
+__all__ = ["Decoder", "faults_of", "from_plain", "plain", "suggestion"]
 
 T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
@@ -71,7 +71,7 @@ class _Plain(Form):
         return rule.convert(value, self) if own is None else own(rule, value)
 
 
-class _Writing(_Plain):
+class _Encoder(_Plain):
     """Values in the form of JSON; with `arrays`, arrays become members of an archive."""
 
     def __init__(self, *, hex_floats: bool = False, arrays: bool = False) -> None:
@@ -108,7 +108,7 @@ class _Writing(_Plain):
             return values
         if values.dtype.kind == "c":
             values = np.stack([values.real, values.imag], axis=-1)
-        return _Writing().anything(rule, values.tolist())
+        return _Encoder().anything(rule, values.tolist())
 
     def anything(self, rule: Rule, value: Any) -> Any:
         """Any value of JSON itself, with non-finite reals as words and tuples as lists."""
@@ -118,7 +118,7 @@ class _Writing(_Plain):
         if isinstance(value, list | tuple):
             return [self.anything(rule, item) for item in value]
         if isinstance(value, float):
-            return _Writing().real(rule, value)
+            return _Encoder().real(rule, value)
         if isinstance(value, bool | int | str | None):
             return value
         raise _misfit(type(value).__name__, "without a form in a file", rule)
@@ -134,7 +134,7 @@ class _Writing(_Plain):
         return content
 
 
-class Reading(_Plain):
+class Decoder(_Plain):
     """Values from JSON, or from an archive with `arrays`."""
 
     def __init__(
@@ -235,7 +235,7 @@ def _unlisted(rule_: Rule, data: list[Any]) -> NDArray[Any]:
     # Each leaf by itself: np.array would turn [1, "a"] into strings, and true into a
     # number.
     leaf = rule({"f": float, "c": float, "b": bool}.get(dtype.kind, int))
-    decimal = Reading()
+    decimal = Decoder()
 
     def leaves(part: Any) -> Any:
         return [*map(leaves, part)] if isinstance(part, list) else decimal(leaf, part)
@@ -297,7 +297,7 @@ def plain(
 
     With `arrays`, its arrays are stored there under their path in the value.
     """
-    form = _Writing(hex_floats=hex_floats, arrays=arrays is not None)
+    form = _Encoder(hex_floats=hex_floats, arrays=arrays is not None)
     members: Arrays = {} if arrays is None else arrays
     try:
         return _put_aside(form(rule(kind), value), "", members)
@@ -339,7 +339,7 @@ def from_plain(
 
     FileFormatError names the place in the data, below `path`.
     """
-    form = Reading(hex_floats=hex_floats, arrays=arrays)
+    form = Decoder(hex_floats=hex_floats, arrays=arrays)
     try:
         value: T = form(rule(cast(Any, kind)), data)
     except Refused as refused:

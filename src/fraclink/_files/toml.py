@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fraclink._files.codec import Reading, faults_of, suggestion
+from fraclink._files.codec import Decoder, faults_of, suggestion
 from fraclink._files.containers import read_text
 from fraclink.errors import FieldError, FileFormatError
 from fracsys.checks import Parameter, parameters
@@ -89,7 +89,7 @@ def keys_of(kind: type) -> dict[str, Parameter]:
     }
 
 
-class _Tables(Reading):
+class _Tables(Decoder):
     """Values in the form of TOML: within the ranges of their annotations, under keys
     with units.
     """

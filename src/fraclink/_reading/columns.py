@@ -69,9 +69,6 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
     return LogColumns(**channels) if complete else None
 
 
-_LOOKED_AT = 100_000  # samples; a 16-bit converter has 65 536 values
-
-
 def converter_step(values: Real) -> float:
     """Step of the converter: the smallest gap between distinct values, 0 if values do
     not repeat.
@@ -79,10 +76,10 @@ def converter_step(values: Real) -> float:
     Gaps below a thousandth of the median gap are due to the decimal digits and not
     steps.
     """
-    distinct = np.unique(values[:_LOOKED_AT])
+    distinct = np.unique(values)
     # Readings of a converter repeat often. If more than half of the values are
     # distinct, they are continuous, and their smallest difference is accidental.
-    if distinct.size < 2 or distinct.size > 0.5 * min(values.size, _LOOKED_AT):
+    if distinct.size < 2 or distinct.size > 0.5 * values.size:
         return 0.0
     gaps = np.diff(distinct)
     return float(gaps[gaps > 1e-3 * np.median(gaps)].min())

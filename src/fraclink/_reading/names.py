@@ -201,7 +201,7 @@ def role_of_name(name: str) -> tuple[str, str]:
     """
     unit, ending = unit_of_name(name), next(filter(_is_unit, _endings(name)), "")
     words = words_of(name[: name.rfind(ending)] if ending in name else name)
-    by_words = _by_words(words)
+    by_words = _by_words(words, unit)
     # Potentiometers and strain gauges are also read in volts; only a column that is no
     # sensor is the voltage of the motor.
     if by_words[0] in ("", "voltage") and unit in UNITS["voltage"]:
@@ -240,18 +240,24 @@ def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
     return roles
 
 
-def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
+def _by_words(words: Sequence[str], unit: str) -> tuple[str, str]:
+    # What is in degrees is neither a torque nor a voltage.
+    others = {"torque", "voltage"} if unit in UNITS["angle"] else ()
+    roles = {role: hints for role, hints in _ROLES.items() if role not in others}
     # In this order, as names may hold two words: "motor_torque" and "joint_effort" are
-    # torques, "motor_voltage" is none of the three. Words of one or two letters are the
-    # weakest hints: theta_m is not a torque.
-    hints = [(role, hint) for role, own in _ROLES.items() for hint in own]
-    hints.sort(key=lambda each: len(each[1]) < 3)
-    for role, hint in hints:
-        if any(_hits(word, hint) for word in words):
-            return role, hint
+    # torques, "motor_voltage" is none of the three.
+    for role, hints in roles.items():
+        for hint in hints:
+            if len(hint) >= 3 and any(_hits(word, hint) for word in words):
+                return role, hint
+    # Of symbols of one or two letters the first counts, the others are its indices: q_m
+    # and th_m are angles of the motor, M_z is a torque.
+    for word in words:
+        for role, hints in roles.items():
+            if word in hints:
+                return role, word
     return "", ""
 
 
 def _hits(word: str, hint: str) -> bool:
-    begins = len(hint) >= 3 and word.startswith(hint)
-    return word == hint or begins or (len(hint) >= 5 and hint in word)
+    return word.startswith(hint) or (len(hint) >= 5 and hint in word)

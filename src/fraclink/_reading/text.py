@@ -61,8 +61,6 @@ _SEPARATORS = ("\t", ";", ",", "")  # "": blanks
 
 LINE_LIMIT = 100_000  # bytes of one line
 _HEAD = 200  # lines in which a table must begin
-# rows of a transposed table: more than the channels of any log, fewer than its samples
-_MOST_CHANNELS = 64
 _DAY = 86_400.0
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 _LABVIEW = ("LabVIEW Measurement", "***End_of_Header***")
@@ -238,7 +236,7 @@ def _is_comment(line: str) -> bool:
 
 def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
     """A table whose channels are rows is transposed, with a remark."""
-    if text.count(b"\n") > 4 * _MOST_CHANNELS:
+    if text.count(b"\n") > _HEAD:
         return text, ()
     lines = text.decode().split("\n")
     comments = [line for line in lines if _is_comment(line)]
@@ -246,7 +244,7 @@ def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
     for separator in _SEPARATORS:
         table = [_cells(row, separator) for row in rows]
         width = len(table[0]) if table else 0
-        if not 2 <= len(table) <= _MOST_CHANNELS or {len(x) for x in table} != {width}:
+        if not 2 <= len(table) <= width or {len(x) for x in table} != {width}:
             continue
         heads = [row[0] for row in table]
         # Either every row begins with a distinct name, or there are no names and this

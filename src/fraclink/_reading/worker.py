@@ -145,9 +145,6 @@ def _text(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-_STRUCTURE_DEPTH = 6  # structures within structures
-
-
 def read_mat5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
     """Every numeric column of the file, in its order."""
     from scipy.io import loadmat
@@ -158,31 +155,26 @@ def read_mat5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
         column
         for name, value in data.items()
         if not name.startswith("__")
-        for column in _flat(name, value, _STRUCTURE_DEPTH)
+        for column in _flat(name, value)
     ]
     return columns, {}
 
 
-def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
+def _flat(name: str, value: object) -> Iterator[RawColumn]:
     # Cells arrive as object arrays without fields, sparse matrices not as arrays at
     # all; timetables, time series and function handles arrive as arrays with internal
     # fields of MATLAB, which hold no samples.
-    if (
-        not isinstance(value, np.ndarray)
-        or not depth
-        or type(value).__name__.startswith("Matlab")
-    ):
+    if not isinstance(value, np.ndarray) or type(value).__name__.startswith("Matlab"):
         return
     if value.dtype.names is None:
         yield from columns_of(name, value)
         return
     elements = value.reshape(-1)
-    # An array of structures is a list of recordings; 64 are more than a log has, and
-    # each adds columns.
-    for place, element in enumerate(elements[:64]):
+    # An array of structures is a list of recordings.
+    for place, element in enumerate(elements):
         label = name if elements.size == 1 else f"{name}({place + 1})"
         for field in value.dtype.names:
-            yield from _flat(f"{label}.{field}", element[field], depth - 1)
+            yield from _flat(f"{label}.{field}", element[field])
 
 
 # --- ROS 2: rosbag2 folders, .db3 and .mcap, without ROS -------------------------------------------------
@@ -195,7 +187,6 @@ _UNITS = {
     "velocity": "rad/s",
     "effort": "Nm",
 }
-_MESSAGE_DEPTH = 4
 
 
 def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
@@ -224,9 +215,7 @@ def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             # of a microsecond.
             stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
             joints = connection.msgtype == _JOINT_STATE
-            numbers = (
-                _joints(message) if joints else _numbers(message, "", _MESSAGE_DEPTH)
-            )
+            numbers = _joints(message) if joints else _numbers(message, "")
             records[connection.topic].append((stamp, numbers))
     columns, notes = [], {}
     for topic, rows in records.items():
@@ -252,7 +241,7 @@ def _joints(message: Any) -> dict[str, float]:
     }
 
 
-def _numbers(value: Any, name: str, depth: int) -> dict[str, float]:
+def _numbers(value: Any, name: str) -> dict[str, float]:
     """The plain numbers of any stamped message by dotted path."""
     numbers: dict[str, float] = {}
     for field in getattr(value, "__dataclass_fields__", {}):
@@ -260,8 +249,8 @@ def _numbers(value: Any, name: str, depth: int) -> dict[str, float]:
         label = f"{name}.{field}" if name else field
         if isinstance(item, (int, float)) and not isinstance(item, bool):
             numbers[label] = float(item)
-        elif depth and field not in ("header", "__msgtype__"):
-            numbers |= _numbers(item, label, depth - 1)
+        elif field not in ("header", "__msgtype__"):
+            numbers |= _numbers(item, label)
     return numbers
 
 

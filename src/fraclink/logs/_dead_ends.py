@@ -65,6 +65,7 @@ def dead_end(
     names = {place: shlex.quote(matching.label(place)) for place in free}
     sensors = [place for place in free if roles[place][0] == "an acceleration"]
     voltages = [place for place in free if roles[place][0] == "voltage"]
+    speeds = [place for place in free if roles[place][0] == "a speed"]
     rings = [place for place in free if roles[place][0] in _RINGS]
     mode, channels = '"k/(s**a + w)*exp(-L*s)"', ""
     if missing == "output" and angle is not None and sensors:
@@ -89,9 +90,9 @@ def dead_end(
             "of a motor without a signal of its link's flexion",
             f"run fraclink identify {file} --structure motor {columns}",
         )
-    # One signal that rings and nothing that drives it; with two it would be unknown
+    # One signal that rings and nothing that moves it; with two it would be unknown
     # which one is the output.
-    elif missing == "motor_angle" and len(rings) == 1 and not voltages:
+    elif missing == "motor_angle" and len(rings) == 1 and not (voltages or speeds):
         channels = f"--ring-down --output {names[rings[0]]}"
         problem = "without a motor that moves"
         remedy = "if the link was bent and let go, run"

@@ -20,7 +20,7 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding, Findings, worst_first
 from fracsys.checks import Real, checked
 
-__all__ = ["diagnose", "share_of", "vibration_of"]
+__all__ = ["CLEARER", "PERIODS", "SHOWN", "diagnose", "share_of", "vibration_of"]
 
 # Findings of a one-mode fit that concern the columns and not the model.
 _OF_COLUMNS = ("W209", "W211", "W324")
@@ -30,23 +30,18 @@ _CLIPPED = 0.005  # share of samples at the extreme value
 _PILE = 4.0
 # multiple of the range that holds 99 % of the samples; no motion reaches that far
 _FAR = 8.0
-# Levels: with more, beyond a converter of 14 bits, the steps are those of the decimal
-# digits.
-_FINE = 20_000
 # fractions of the standard deviation of the motion
 _OFFSET_INFO, _OFFSET_WARNING = 0.1, 0.5
-_PERIODS = 3.0  # fewer periods do not separate damping from amplitude
+PERIODS = 3.0  # fewer periods do not separate damping from amplitude
 # samples per period: with fewer, the hold between samples matters as much as the
 # damping
 _SAMPLES = 10.0
-_EXPLAINED = 0.3  # share of the output's variance: below it no mode was found
-# explained share with exchanged roles, above which they are reported as exchanged
-_SWAPPED = 0.8
-# [s]: over a shorter time a coarse encoder cannot tell a slow motion from a standstill
-_WINDOW = 0.05
-_SHORTEST = 0.02  # [s]: a shorter standstill is a reversal
-# fraction of the largest voltage: less is the offset of an idle amplifier
-_DRIVEN = 0.02
+# More than half of the variance of an output: a single vibration cannot explain that
+# much of two signals.
+SHOWN = 0.5
+# A residual of half the amplitude, a quarter of the variance: the noise of two sensors
+# of one motion differs less.
+CLEARER = 0.25
 
 
 @checked
@@ -54,7 +49,7 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> Findings:
     """Examine a log before a model is fitted to it; the gravest findings come first.
 
     Looks at the start (at rest?), the gauge's offset and sign, the delay of the output,
-    quantisation, clipping, stiction, outliers, excitation of the resonance, number of
+    quantisation, clipping, outliers, excitation of the resonance, number of
     periods and samples in each. What needs a vibration stands on the fit of one mode
     Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs), which needs no guess.
 
@@ -103,7 +98,6 @@ def _findings(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
         return
     yield from _outliers(log)
     yield from _limits(log, rig)
-    yield from _stiction(log)
     mode = vibration_of(log)
     yield from _mode(log, mode)
     yield from _rest_at_start(log, mode)
@@ -253,21 +247,6 @@ def _limits(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
             },
             "move less or lower the amplifier's gain",
         )
-    limit = rig.motor.voltage_limit
-    full = np.abs(log.voltage if log.voltage is not None else 0.0) >= 0.99 * limit
-    if full.any():
-        share = float(full.mean())
-        yield Finding(
-            "W236",
-            "info",
-            f"the voltage is at its limit in {100 * share:.3g} % of the samples",
-            {
-                "limit": limit,
-                "share": share,
-                "time_s": float(np.argmax(full)) * log.period,
-            },
-            "the link's model is not affected; a motor model is",
-        )
 
 
 def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
@@ -282,12 +261,11 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
         )
         return
     # The motor angle follows from the torque as a double integral, so exchanged columns
-    # show as a large explained share in this direction and a small one in the other.
-    # "Small" is half as much, because in a log filled by one vibration each signal
-    # explains the other well.
+    # leave a clearly smaller residual in this direction. In a log filled by one
+    # vibration each signal explains the other well.
     exchanged = replace(log, motor_angle=log.output, output=log.motor_angle)
     share, reverse = share_of(mode), share_of(vibration_of(exchanged))
-    if reverse > _SWAPPED and share < 0.5 * reverse:
+    if reverse > SHOWN and 1 - reverse < CLEARER * (1 - share):
         yield Finding(
             "W210",
             "error",
@@ -299,7 +277,7 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     frequency = mode.model.natural_frequency
     # Before sign, periods and delay, which would describe noise if the mode explains
     # nothing.
-    if share < _EXPLAINED:
+    if share < SHOWN:
         yield Finding(
             "W233",
             "warning",
@@ -311,20 +289,18 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     yield from (each for each in mode.findings if each.code in _OF_COLUMNS)
     yield Finding(
         "W235",
-        "info" if share > 0.6 else "warning",
+        "info",
         f"a mode at {frequency:.4g} rad/s explains {100 * share:.3g} % of the output",
         {
             "frequency": frequency,
             "damping_ratio": mode.model.damping / (2 * frequency),
             "explained": share,
         },
-        ""
-        if share > 0.6
-        else "the rest is noise, offset, another mode or history before the log",
+        "",
     )
     cycle = 2 * math.pi / frequency
     periods, samples = log.duration / cycle, cycle / log.period
-    if periods < _PERIODS:
+    if periods < PERIODS:
         yield Finding(
             "W204",
             "error",
@@ -412,59 +388,17 @@ def _quantisation(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     for (name, values, unit), finest in zip(_channels(log), (0.0, rest), strict=True):
         step = converter_step(values)
         levels = float(np.ptp(values)) / step if step else math.inf
-        if levels > _FINE:
-            continue
         # A step q is a noise of q/√12: with 50 levels 0.6 % of the range; at twice the
         # residual of the mode, a third of its power.
-        coarse = levels < 50 or step > 2 * finest > 0
-        yield Finding(
-            "W214",
-            "warning" if coarse else "info",
-            f"the {name} has steps of {step:.4g} {unit}: {levels:.0f} levels",
-            {"step": step, "levels": levels, "noise_of_steps": step / math.sqrt(12)},
-            "move further or use a finer converter"
-            if coarse
-            else "fine enough for a fit",
-        )
-
-
-def _stiction(log: Experiment) -> Iterator[Finding]:
-    """A motor that stands still under voltage, and the voltage that did not move it.
-
-    Without a voltage a standstill cannot be distinguished from a constant reference.
-    """
-    if log.voltage is None:
-        return
-    size, angle = np.abs(log.voltage), log.motor_angle
-    driven = size > _DRIVEN * float(size.max())
-    # One step of the encoder may flicker at rest; two are motion. The result of a
-    # window applies to its middle: the motor stood still before and after it.
-    window = max(3, round(_WINDOW / log.period))
-    still = np.zeros(angle.size, dtype=bool)
-    still[window // 2 : window // 2 + angle.size - window] = np.abs(
-        angle[window:] - angle[:-window]
-    ) <= 1.5 * converter_step(angle)
-    stuck = still & driven
-    # Zeros at both ends, so that standstills at the beginning or end of the log also
-    # have two edges.
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], stuck, [0]))))
-    lengths = edges[1::2] - edges[::2]
-    shortest = max(5, round(_SHORTEST / log.period))
-    if lengths.size == 0 or lengths.max() < shortest:
-        return
-    share, longest = float(stuck.sum() / driven.sum()), int(np.argmax(lengths))
-    # Not the largest value: the voltage that breaks the motor loose belongs to the last
-    # sample of a standstill.
-    level = float(np.quantile(size[stuck], 0.95))
-    yield Finding(
-        "W232",
-        "warning" if share > 0.1 else "info",
-        f"the motor stands still in {100 * share:.3g} % of its driven time, up to about {level:.3g} V",
-        {
-            "share": share,
-            "voltage": level,
-            "longest_s": float(lengths[longest]) * log.period,
-            "time_s": float(edges[2 * longest]) * log.period,
-        },
-        "stiction: compensate it in the motor loop; the model of the link is not affected",
-    )
+        if levels < 50 or step > 2 * finest > 0:
+            yield Finding(
+                "W214",
+                "warning",
+                f"the {name} has steps of {step:.4g} {unit}: {levels:.0f} levels",
+                {
+                    "step": step,
+                    "levels": levels,
+                    "noise_of_steps": step / math.sqrt(12),
+                },
+                "move further or use a finer converter",
+            )

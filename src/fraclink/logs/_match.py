@@ -41,8 +41,8 @@ from fraclink._reading.table import (
 )
 from fraclink.errors import LogError
 from fraclink.logs._dead_ends import check_signals_in, dead_end
-from fraclink.logs._diagnosis import share_of
-from fraclink.logs._pairs import CLEARER, LATE, SHOWN, Candidate, Pairs, phase
+from fraclink.logs._diagnosis import CLEARER, SHOWN, share_of
+from fraclink.logs._pairs import LATE, Candidate, Pairs, phase
 from fraclink.logs._questions import (
     ABSENT,
     Certainty,
@@ -365,6 +365,8 @@ class _Matching:
             if role == "output":
                 text = "Which column is the link's output, its torque or deflection?"
                 example = f'torque={first} [Nm]" or "deflection={first} [raw]'
+                if first not in map(self.label, free):  # a difference of two angles
+                    example = f"deflection={first} [deg]"
             self.ask(role, "column", text, labels, example)
         return places
 
@@ -384,12 +386,8 @@ class _Matching:
         hub = {"motor", "hub", "m", "joint"} & set(words_of(name))
         ranks = {"motor_angle": 0 if hub else 1, "the tip": _UNNAMED}
         if role == "output":
-            ranks = {
-                "torque": 0,
-                "deflection": 0,
-                "the tip": 1,
-                "motor_angle": _UNNAMED,
-            }
+            ranks = {"torque": 0, "deflection": 0, "the tip": 1}
+            ranks["motor_angle"] = _UNNAMED
         # What turns by its whole range within one sample has no inertia: it is a command.
         elif self.table.is_switched(place):
             return _UNLIKELY
@@ -506,7 +504,10 @@ class _Matching:
             odd = gain and not 1 / _OTHER_UNIT < calibrated < _OTHER_UNIT
             if odd and not statement.unit:
                 text = f"{name} is in {own} by its name, but {calibrated:.3g} times "
-                text += "what the motor turns: in which unit?"
+                text += (
+                    "what the motor turns: in which unit? (Or state motor_angle=NAME "
+                )
+                text += "* 1/N, if that angle is measured before a gear.)"
                 example = f"deflection={name} [deg]"
                 self.ask("output", "unit", text, ("rad", "deg", "raw"), example)
                 return None

@@ -15,17 +15,11 @@ from fraclink._identify import Fit
 from fraclink._reading.names import length_of_name
 from fraclink._reading.table import LogTable
 from fraclink.errors import FieldError, LogError
-from fraclink.logs._diagnosis import share_of, vibration_of
+from fraclink.logs._diagnosis import CLEARER, PERIODS, share_of, vibration_of
 from fracsys.checks import Real
 
-__all__ = ["CLEARER", "LATE", "SHOWN", "Candidate", "Pairs", "phase"]
+__all__ = ["LATE", "Candidate", "Pairs", "phase"]
 
-# More than half of the variance of an output: a single vibration cannot explain that
-# much of two signals.
-SHOWN = 0.5
-# A residual of half the amplitude, a quarter of the variance: the noise of two sensors
-# of one motion differs less.
-CLEARER = 0.25
 # An output may be delayed by half a period of the vibration before it looks like an
 # early one of the other sign. With unknown sign the limit is a quarter in either
 # direction; half of that is allowed.
@@ -148,7 +142,7 @@ class Pairs:
         angle = self.period * mode.model.natural_frequency
         longest = max(values.size for values in self.table.values)
         # Three periods, and four samples in each, as `diagnose` demands them.
-        shown = 6 * math.pi / longest < angle < 0.5 * math.pi
+        shown = 2 * math.pi * PERIODS / longest < angle < 0.5 * math.pi
         return shown and phase(mode) > -LATE
 
 

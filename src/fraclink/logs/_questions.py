@@ -105,18 +105,21 @@ class Question:
         if of_column and self.role == "motor_angle" and each.unit is None:
             # This extends the existing question instead of adding a second one.
             each = replace(each, unit=own if own in units else "")
-        columns = (*self.choices, *self.others)
-        complete = not of_column or any(name in text for name in columns)
+        # A unit has a number before it at most: a column there would be lost.
+        complete = each.column == "x"
+        if of_column:
+            complete = any(name in text for name in (*self.choices, *self.others))
         optional = of_column and self.role == "output" and each.unit is None
         if not complete or (each.unit not in units and not optional):
             problem = "not understood" if each.unit else "without a unit"
-            allowed = f"a column and one of {', '.join(units)}"
-            if not complete:
-                problem = "none of these columns"
-                allowed = f"{', '.join(self.choices[:12])}, a sum such as a + b [rad], or none"
+            allowed = f"one of {', '.join(units)}, behind a number where it needs one"
             remedy = f"such as {', '.join(self.choices)}"
             if of_column:
+                allowed = f"a column and one of {', '.join(units)}"
                 remedy = f"such as {self.choices[0]} [deg]"
+            if of_column and not complete:
+                problem = "none of these columns"
+                allowed = f"{', '.join(self.choices[:12])}, a sum such as a + b [rad], or none"
             raise FieldError("answer", text, problem, allowed=allowed, remedy=remedy)
         if self.part == "period":
             return replace(each, column=ROW_NUMBER)
