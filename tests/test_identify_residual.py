@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
-from scipy.stats import t as student
 
 from fraclink._identify.residual import (
     autocovariance,
@@ -49,11 +48,6 @@ def test_newey_and_wests_sum_with_bartletts_weights(count: int, lags: int) -> No
     assert long_run_covariance(scores, lags) == pytest.approx(wanted, abs=1e-10)
 
 
-def _covariance(regressors: Array, residual: Array) -> tuple[Array, float]:
-    noise = noise_behind(regressors, autocovariance(residual))
-    return noise.covariance, noise.freedom
-
-
 @pytest.mark.slow
 def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     """Σ_kl x_k γ(k − l) x_lᵀ with the known γ(l) = 0.9^|l| of the noise."""
@@ -62,20 +56,21 @@ def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     wanted = regressors @ (0.9**lags) @ regressors.T
     found = np.mean(
-        [_covariance(regressors, wandering(count, 0.9, seed))[0] for seed in range(20)],
+        [
+            noise_behind(regressors, wandering(count, 0.9, seed)).covariance
+            for seed in range(20)
+        ],
         axis=0,
     )
     # The variance of 1500 such samples is itself known to 10 %, and their sum over lags
     # in 20 runs to 7 %.
     assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.2)
-    white, freedom = _covariance(
+    white = noise_behind(
         regressors, np.random.default_rng(0).normal(0, 3.0, count)
-    )
+    ).covariance
     assert np.diag(white) == pytest.approx(
         9.0 * np.diag(regressors @ regressors.T), rel=0.25
     )
-    # of the level at 0 of a first-order spectrum
-    assert freedom == pytest.approx(count / 2, rel=0.25)
 
 
 @pytest.mark.slow
@@ -104,14 +99,16 @@ def test_what_a_fit_took_out_of_slow_noise_is_given_back() -> None:
     for seed in range(100):
         noise = wandering(count, 0.9, seed)
         error = inverse @ rows @ noise
-        meat, freedom = _covariance(rows, noise - error @ rows)
+        meat = noise_behind(rows, noise - error @ rows).covariance
         found = np.diag(inverse @ meat @ inverse)
         ratios.append(found / true)
-        inside.append(np.abs(error) < student.ppf(0.975, freedom) * np.sqrt(found))
-    # 0.7 with the residual as it is
-    assert np.mean(ratios, axis=0) == pytest.approx(np.ones(5), abs=0.15)
+        inside.append(np.abs(error) < 1.96 * np.sqrt(found))
+    # 0.7 with the residual as it is. More than 1, since ρ is not known either: 1.96 such
+    # standard errors hold what they should.
+    assert np.all(np.median(ratios, axis=0) > 1.0)
+    assert np.all(np.median(ratios, axis=0) < 1.5)
     # 0.87 with that and the 1.96 of the normal distribution
-    assert 0.91 < np.mean(inside) < 0.98
+    assert 0.93 < np.mean(inside) < 0.98
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
 from fraclink._display import Overview, Row, number
 from fraclink._files import document
+from fraclink._identify.structure_data import Limits
 from fraclink._identify.structure_findings import BEYOND
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import POSITIVE_LIMITS
@@ -29,10 +30,7 @@ from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding, errors_of
 from fracsys.checks import Between, Positive, checked
 
-__all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
-
 Output = Literal["motor_angle", "torque"]
-Band = tuple[float, float]
 
 # λ up to 2.2: the value of a classical link then lies inside the range, and its
 # interval includes 2.
@@ -177,7 +175,7 @@ def identify_driven_link(
     measured: FrequencyResponse,
     *,
     output: Output = "motor_angle",
-    band: Band | None = None,
+    band: tuple[float, float] | None = None,
     weighting: Weighting | None = None,
     details: bool = True,
 ) -> DrivenLinkFit:
@@ -239,7 +237,7 @@ def identify_driven_link(
     return fit
 
 
-def _narrower(band: Band) -> Iterator[Band]:
+def _narrower(band: Limits) -> Iterator[Limits]:
     """Parts of a band, shortened by octaves at either end, the widest first.
 
     The model of a motor with a one-mode link fails at high frequencies, where higher
@@ -255,7 +253,7 @@ def _narrower(band: Band) -> Iterator[Band]:
 
 def _holds(
     measured: FrequencyResponse,
-    part: Band,
+    part: Limits,
     output: Output,
     weighting: Weighting | None,
 ) -> bool:
@@ -266,7 +264,7 @@ def _holds(
         return False  # too few lines for the parameters, or no fit
 
 
-def _of_the_rest(part: Band, band: Band) -> Finding:
+def _of_the_rest(part: Limits, band: Limits) -> Finding:
     low, high = part
     return Finding(
         "W349",

@@ -20,8 +20,6 @@ from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys.checks import Complex
 
-__all__ = ["Expression", "Role", "parse_expression"]
-
 Role = Literal["order", "delay", "coefficient"]
 
 _LONGEST = 1000  # characters; a structure written by hand has about fifty

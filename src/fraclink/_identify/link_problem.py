@@ -25,8 +25,6 @@ from fraclink._identify.shape import (
 from fraclink._kernels import FitProblem
 from fracsys.checks import Real
 
-__all__ = ["LinkProblem", "quadratic_of"]
-
 _NO_DAMPING = 1e-12  # ζ below which α has no meaning
 
 

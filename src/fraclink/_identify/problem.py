@@ -22,26 +22,6 @@ from scipy.special import ndtri
 
 from fracsys.checks import Mask, Real
 
-__all__ = [
-    "AT_LIMIT",
-    "CERTAIN",
-    "FIRST_STEPS",
-    "LEVEL",
-    "ORDER_MOST",
-    "QUANTILE",
-    "RESOLUTION",
-    "Descent",
-    "Interval",
-    "Problem",
-    "Quadratic",
-    "descend",
-    "descend_within_samples",
-    "interval_ends",
-    "inverted",
-    "reduced",
-]
-
-
 # Chance below which something counts as shown, and the standard errors beyond which noise
 # gets with it, to either side; and those of a 95 % interval.
 LEVEL = 1e-3

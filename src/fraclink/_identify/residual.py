@@ -11,7 +11,7 @@ from scipy.linalg import lstsq, toeplitz
 from scipy.special import gammaincc
 
 from fraclink._arm.link import SecondMode
-from fraclink._identify.problem import CERTAIN
+from fraclink._identify.problem import CERTAIN, LEVEL
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import Window, columns_of, mask_of
 from fracsys.checks import Real
@@ -20,12 +20,6 @@ _LAGS = 25  # lags of the portmanteau tests
 # Order of the residual's autoregression: a few resonances, mains hum and slow drift
 # together.
 _AR_MOST = 30
-# Rounds of correction for the noise that the fit removed. One round leaves a third of
-# the error under AR(1) noise with ρ = 0.97; ten give the same intervals, except on some
-# short logs, where they diverge to ρ = 1.
-_ROUNDS = 3
-# degrees of freedom, with a quantile of Student's distribution of 2.8
-_LEAST_FREEDOM = 4.0
 
 
 def autocovariance(first: Real, second: Real | None = None) -> Real:
@@ -79,11 +73,7 @@ def autoregression(series: Real) -> tuple[Real, float]:
     Levinson's recursion gives all orders up to `_AR_MOST` from the autocovariances;
     Akaike's criterion picks one.
     """
-    return _levinson(autocovariance(series))
-
-
-def _levinson(gamma: Real) -> tuple[Real, float]:
-    """The autoregression of autocovariances at lags 0..n−1 of n samples."""
+    gamma = autocovariance(series)
     # At least ten samples per coefficient: a longer autoregression fits the particular
     # noise.
     most = min(_AR_MOST, gamma.size // 10)
@@ -102,9 +92,6 @@ def _levinson(gamma: Real) -> tuple[Real, float]:
         # Levinson: the last coefficient of the next order, from the correlation left by
         # the present one at that lag.
         reflection = -float(coefficients @ gamma[order + 1 : 0 : -1]) / variance
-        # corrected autocovariances, see `noise_behind`, need not be definite
-        if abs(reflection) >= 1.0:
-            break
         longer = np.append(coefficients, 0.0)
         coefficients = longer + reflection * longer[::-1]
         variance *= 1 - reflection**2
@@ -115,80 +102,116 @@ def _levinson(gamma: Real) -> tuple[Real, float]:
 class Noise:
     """The noise behind the residual of a fit, as its regressors (p, n) meet it.
 
-    `covariance` (p, p) is that of regressors · noise, `freedom` are the degrees of
-    freedom with which the level of the noise is known, and `observed` is the trace of
+    `covariance` (p, p) is that of regressors · noise, and `observed` is the trace of
     the covariance with orthonormal regressors, for the residual as it is.
     """
 
     covariance: Real
-    freedom: float
     observed: float
 
 
-def noise_behind(regressors: Real, covariance: Real) -> Noise:
-    """The noise behind a residual with these autocovariances at lags 0..n−1, from the
-    autoregression that describes it:
+def noise_behind(regressors: Real, residual: Real) -> Noise:
+    """The noise behind a residual, with the regressors (p, n) of its fit:
 
         Σ_k Σ_l x_k γ(k − l) x_lᵀ
 
-    The estimate of Newey and West from the products x_k e_k cuts off their correlation
-    after some lags and tapers it before: at five correlation times its standard errors
-    were 15 to 20 % too small under slow noise (83 % of "95 %" intervals held the
-    truth), a fault that the autoregression does not have. It assumes that noise and
-    motion are independent, as they are for the residual of a complete model.
+    with the autocovariance γ of an autoregression. The estimate of Newey and West from
+    the products x_k e_k cuts off their correlation after some lags and tapers it before:
+    at five correlation times its standard errors were 15 to 20 % too small under slow
+    noise (83 % of "95 %" intervals held the truth). An autoregression has no such lag.
+    It assumes that noise and motion are independent, as they are for the residual of a
+    complete model.
 
-    With P = QQᵀ the projection on the regressors, the residual's covariance is (I − P)
-    Γ (I − P), not Γ: a fit removes from slow noise the part that resembles the link's
-    response, and the rest looks faster and smaller. The autocovariances are therefore
-    increased by the loss that their autoregression predicts, and it is fitted again.
-
-    The level of slow noise is its spectrum at low frequencies, and that of AR(1) is
-    known badly: with T = Σ ρ(l) over all lags ln S(0) has the variance 4T/n of a χ² of
-    ν = n/2T degrees of freedom.
+    A fit removes from slow noise the part that resembles the link's response, and the
+    rest looks faster and smaller; and a short log shows the correlation of such noise
+    badly. Its slowest real root ρ is therefore not taken from the residual, but
+    integrated over its restricted likelihood (`_with_slow_root`).
     """
-    count = covariance.size
-    # no lag within the record wraps around
-    size = next_fast_len(2 * count, real=True)
     scale = np.maximum(np.linalg.norm(regressors, axis=1), 1e-300)
     columns, triangle = np.linalg.qr((regressors / scale[:, None]).T)
-    basis, weights = columns.T, scale[:, None] * triangle.T
-    spectra = rfft(basis, size, axis=1)
+    weights = scale[:, None] * triangle.T
+    count, size = residual.size, max(float(np.linalg.norm(residual)), 1e-300)
+    series = np.vstack([columns.T, residual / size])
+    coefficients, variance = autoregression(residual)
+    fast = _without_slow_root(coefficients)
+    # Schwarz's criterion decides whether the fast roots belong to the noise: those of a
+    # short log may be only the gap that the fit has left at its resonance.
+    evidence, roots, levels = _with_slow_root(series, np.ones(1), fast.size)
+    better = _with_slow_root(series, fast, fast.size)
+    if better[0] - 0.5 * (fast.size - 1) * math.log(count) > evidence:
+        _, roots, levels = better
+    else:
+        fast = np.ones(1)
+    # No lag within the record wraps around.
+    length = next_fast_len(2 * count, real=True)
+    spectra = rfft(columns.T, length, axis=1)
+    turn = np.exp(-2j * np.pi / length * np.arange(spectra.shape[1]))
+    slow = size**2 * levels @ (1 / np.abs(1 - roots[:, None] * turn) ** 2)
 
-    # Each line but the first counts for its negative frequency, too.
-    both = np.where(np.arange(spectra.shape[1]) > 0, 2.0, 1.0) / size
-    energy = np.sum(np.abs(spectra) ** 2, axis=0)
+    def met(power: Real) -> Real:
+        """The covariance of basis · noise with this spectrum."""
+        # Each line but the first counts for its negative frequency, too.
+        both = np.where(np.arange(power.size) > 0, 2.0, 1.0) / length
+        return np.asarray(((spectra * (power * both)) @ spectra.conj().T).real)
 
-    def modelled(gamma: Real) -> tuple[Real, Real]:
-        """Spectrum of the autoregression of autocovariances, and QᵀΓQ."""
-        coefficients, variance = _levinson(gamma)
-        power = variance / np.abs(rfft(coefficients, size)) ** 2
-        return power, ((spectra * (power * both)) @ spectra.conj().T).real
-
-    power, inner = modelled(covariance)
-    observed = float(np.trace(inner))
-    for _ in range(_ROUNDS):
-        # The spectrum of Γ − (I − P) Γ (I − P): twice ΓQQᵀ, and QQᵀΓQQᵀ once.
-        loss = 2 * power * energy - np.sum(spectra.conj() * (inner @ spectra), axis=0)
-        # And the loss by the division by n at every lag.
-        model, lost = irfft(np.stack([power, loss.real]), size, axis=1)[:, :count]
-        again = modelled(covariance + (lost + np.arange(count) * model) / count)
-        # Noise without four independent samples in a log is a drift or a misfit: its
-        # strength cannot be estimated from a spectrum, and the correction diverges. For
-        # a ring-down of 8 s without noise, fitted to 0.004 %, the frequency was "not
-        # determined" because of rounding.
-        if _freedom(again[0], count) < _LEAST_FREEDOM:
-            break
-        power, inner = again
-    meat = weights @ inner @ weights.T
-    return Noise(meat, max(_freedom(power, count), _LEAST_FREEDOM), observed)
+    meat = weights @ met(slow / np.abs(rfft(fast, length)) ** 2) @ weights.T
+    observed = met(variance / np.abs(rfft(coefficients, length)) ** 2)
+    return Noise(meat, float(np.trace(observed)))
 
 
-def _freedom(power: Real, count: int) -> float:
-    """Degrees of freedom with which `count` samples show the level of noise with this
-    spectrum: T is its value at zero over the variance, which is its mean.
+def _without_slow_root(coefficients: Real) -> Real:
+    """An autoregression without its largest positive real root."""
+    roots = np.roots(coefficients)
+    real = np.where(np.isreal(roots), roots.real, 0.0)
+    if not real.max(initial=0.0) > 0:
+        return coefficients
+    return np.atleast_1d(np.poly(np.delete(roots, real.argmax())).real)
+
+
+def _with_slow_root(series: Real, fast: Real, start: int) -> tuple[float, Real, Real]:
+    """How likely it is that the noise is an autoregression `fast` with one more root ρ,
+    whatever that is; and the ρ (K,) that are likely, with the variance of the innovations
+    of each times its probability.
+
+    `series` (p + 1, n) are an orthonormal basis of the regressors and the residual,
+    scaled likewise; the samples from `start` on count. For ρ = sin φ, the restricted
+    likelihood (Patterson and Thompson, Biometrika 58 (1971) 545)
+
+        √(1 − ρ²) |XᵀR⁻¹X|^(−1/2) q^(−(n − p)/2)
+
+    with the sum of squares q that the regressors leave of the whitened residual is that
+    of the part of the noise that no regressor can remove. With φ uniform it is the
+    posterior for the reference prior (Berger and Yang, Econometric Theory 10 (1994)
+    461), and its standard deviation in φ is 1/√n for every ρ, so that the rectangle rule
+    with that step is exact.
     """
-    together = float(power[0] / np.mean(power)) if np.any(power) else 1.0
-    return count / (2 * max(together, 1.0))
+    rows = np.stack([np.convolve(row, fast, "valid") for row in series])
+    rows = rows[:, start - fast.size :]
+    free = rows.shape[1] - len(rows) + 1
+    count = math.ceil(math.pi * math.sqrt(rows.shape[1]))
+    roots = np.sin(math.pi * ((np.arange(count) + 0.5) / count - 0.5))
+    # Noise that is correlated over the whole log, (1 + ρ)/(1 − ρ) samples, is an offset.
+    roots = roots[1 + roots < (1 - roots) * rows.shape[1]]
+    across = rows[:, 1:] @ rows[:, :-1].T
+    ends = [rows[:, [k]] @ rows[:, [k]].T for k in (0, -1)]
+    whole = rows @ rows.T
+    # RᵀR of x_k − ρ x_(k−1), and of √(1 − ρ²) x_0.
+    grams = (
+        whole
+        - np.multiply.outer(roots, across + across.T)
+        + np.multiply.outer(roots**2, whole - ends[0] - ends[1])
+        # Rounding: `fast` may be the very vibration that a regressor is.
+        + np.finfo(np.float64).eps * np.eye(len(rows))
+    )
+    model = np.linalg.slogdet(grams[:, :-1, :-1])[1]
+    square = np.linalg.slogdet(grams)[1] - model
+    likelihood = 0.5 * (np.log(1 - roots**2) - model - free * square)
+    most = float(likelihood.max())
+    chance = np.exp(likelihood - most)
+    # What is left out changes a standard error by less than a thousandth.
+    likely = chance > LEVEL * chance.max()
+    levels = chance * np.exp(square) / free / chance[likely].sum()
+    return most + math.log(chance.mean()), roots[likely], levels[likely]
 
 
 def correlation_lag(covariance: Real) -> int:

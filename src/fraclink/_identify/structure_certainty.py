@@ -21,9 +21,6 @@ from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
 
-__all__ = ["Certainty", "certainty_of"]
-
-
 # share in an undetermined direction beyond which a parameter belongs to it
 _SHARE = 0.1
 # Relative half-width of the interval of a coefficient beyond which the data do not

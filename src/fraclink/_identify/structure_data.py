@@ -21,8 +21,6 @@ from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
 from fracsys.checks import Complex, Mask, Real
 
-__all__ = ["Blocks", "Lines", "Samples", "Signals"]
-
 Limits = tuple[float, float]
 
 # Like `shape.HISTORY`, but shorter: every candidate is a response to all of it, and a

@@ -22,8 +22,6 @@ from fraclink._identify.structure_search import Place
 from fraclink.findings import Finding, worst_first
 from fracsys._loops import log_corners
 
-__all__ = ["structure_findings"]
-
 # Correlation beyond which a parameter would be known seven times better if the other
 # one were given.
 _CORRELATED = 0.99

@@ -21,8 +21,6 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
-__all__ = ["StructureFit"]
-
 
 @displayed
 @document(

@@ -12,17 +12,9 @@ import numpy as np
 
 from fraclink._identify.expression import Expression
 from fraclink._identify.problem import Problem, Quadratic, reduced
-from fraclink._identify.structure_data import Samples
+from fraclink._identify.structure_data import Limits, Samples
 from fracsys.checks import Real
 
-__all__ = [
-    "COEFFICIENT_LIMITS",
-    "ORDER_LIMITS",
-    "POSITIVE_LIMITS",
-    "StructureProblem",
-]
-
-Limits = tuple[float, float]
 Values = Mapping[str, float]
 
 # Below 0.02 a term is constant over any band that can be measured; above 4 no

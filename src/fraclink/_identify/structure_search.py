@@ -27,8 +27,6 @@ from fraclink._identify.structure_problem import StructureProblem
 from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
 
-__all__ = ["Place", "best_places", "in_order", "place_of"]
-
 # A valley that holds one in 200 of the places is missed by all of them in e⁻⁵ = 0.7 % of
 # logs.
 _DRAWS, _DESCENTS = 1000, 16

@@ -23,15 +23,13 @@ from fraclink._identify.structure_problem import (
     COEFFICIENT_LIMITS,
     ORDER_LIMITS,
     StructureProblem,
+    Values,
 )
 from fraclink._identify.structure_search import Place, best_places, in_order, place_of
 from fraclink.errors import FieldError, LogError
 from fracsys.checks import Between, Real, checked, checked_choice
 
-__all__ = ["Weighting", "identify_structure"]
-
 Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
-Values = Mapping[str, float]
 Bounds = Mapping[str, tuple[float, float]]
 
 # Wider than any use, and narrow enough for s^order to stay a double over six decades of

@@ -11,7 +11,6 @@ from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import block_diag, lstsq
-from scipy.special import stdtrit
 
 from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.link_problem import LinkProblem
@@ -71,21 +70,24 @@ class Covariance:
         # n − p: the fit uses p of the residual's degrees of freedom.
         variance = cost / max(residual.size - len(regressors), 1)
         wide, lag, effective = variance * inverse, 1, float(len(regressors))
-        if coloured:
+        if coloured and are_lines:
+            # Lines are measured one by one: their errors are independent, and stronger
+            # at some lines than at others (White, Econometrica 48 (1980) 817).
+            scores = regressors * residual
+            wide = inverse @ scores @ scores.T @ inverse
+        elif coloured:
             colour = autocovariance(residual)
-            noise = noise_behind(regressors, colour)
-            # A misfit that depends on the motion is not independent noise, nor is noise
-            # that is stronger at some lines than at others; there the products of both
-            # give more information.
-            lags = 0 if are_lines else correlated_lags(colour)
-            products = long_run_covariance(regressors * residual, lags)
+            noise = noise_behind(regressors, residual)
+            # A misfit that depends on the motion is not independent noise; there the
+            # products of both give more information.
+            products = long_run_covariance(
+                regressors * residual, correlated_lags(colour)
+            )
             wide, lag = _sandwich(inverse, noise, products), correlation_lag(colour)
             # Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and
             # larger under slow noise in proportion to its lack of independent samples.
-            # For the residual as it is: the correction for the noise removed by the fit
-            # is estimated for each structure separately, and for a log with friction in
-            # its residual it gave 1217 effective parameters for one structure and 388
-            # for its rival.
+            # For the residual as it is: the noise behind it is estimated for each
+            # structure separately, and rivals are compared with these numbers.
             effective = noise.observed / variance if variance > 0 else effective
         return cls(names, inverse, variance, wide, lag, effective, unseen)
 
@@ -159,15 +161,12 @@ def _sandwich(inverse: Real, noise: Noise, products: Real) -> Real:
     """Covariance under a coloured residual, at least as wide as the `products` of
     regressors and residual say.
 
-    `inverse` is that of the normal matrix of the regressors. The covariance is widened
-    so that 1.96 of its standard errors hold what Student's quantile would: the level of
-    slow noise in a short log is known by few degrees of freedom.
+    `inverse` is that of the normal matrix of the regressors.
     """
     own = noise.covariance
     wider = np.sqrt(
         np.maximum(_diagonal(inverse, products) / _diagonal(inverse, own), 1.0)
     )
-    wider *= float(stdtrit(noise.freedom, 0.975)) / QUANTILE
     return np.asarray(inverse @ own @ inverse * np.outer(wider, wider))
 
 

@@ -26,8 +26,6 @@ from fraclink.findings import Finding, errors_of, worst_first
 from fracsys.checks import Complex, Real
 from fracsys.checks.equality import compared
 
-__all__ = ["LogValidation", "Validation", "Value", "validate"]
-
 
 class Value(NamedTuple):
     """A figure of the link with its 95 % interval; nan where the fit has none."""

@@ -15,9 +15,6 @@ from fraclink._arm.experiment import Experiment
 from fraclink._identify.fit import Fit
 from fracsys.checks import Complex, Real
 
-__all__ = ["EXCITED", "WelchResponse", "mean_power", "segments", "welch_response"]
-
-
 # The average over this many lengths of half-overlapping segments has a standard error
 # of a quarter: enough to see at which frequencies a model is wrong, and a coherence of
 # 0.3 is not accidental.
