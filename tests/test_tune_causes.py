@@ -106,10 +106,12 @@ def test_a_bend_that_no_linear_link_explains_is_named(
     noise = float(np.sqrt(NOISE**2 + quantum**2 / 12.0 + np.mean(np.square(played))))
     # 8 mrad, as a torque: 12 mN·m.
     for left, named in ((0.0, False), (0.009, False), (0.015, True)):
-        words = unexplained(fit(link, np.hypot(noise, left)), moved, wiring, 0.008)
+        words = unexplained(
+            np.full(9, np.hypot(noise, left)), link, moved, wiring, 0.008
+        )
         assert bool(words) is named, (left, words)
     silent = replace(wiring, gauge_noise=0.0)
-    assert not unexplained(fit(link, 0.05), moved, silent, 0.008)
+    assert not unexplained(np.full(9, 0.05), link, moved, silent, 0.008)
 
 
 def test_hum_before_the_first_voltage_is_not_the_links() -> None:
@@ -118,8 +120,8 @@ def test_hum_before_the_first_voltage_is_not_the_links() -> None:
     voltage = np.where(time > 1.0, 1.0, 0.0)
     moved = replace(record(vibration() + hum), voltage=voltage)
     quiet = replace(moved, torque=np.where(time > 1.0, moved.torque, hum))
-    assert not unexplained(fit(link, 0.036), quiet, WIRING, 0.008)
-    assert unexplained(fit(link, 0.036), record(vibration()), WIRING, 0.008)
+    assert not unexplained(np.full(9, 0.036), link, quiet, WIRING, 0.008)
+    assert unexplained(np.full(9, 0.036), link, record(vibration()), WIRING, 0.008)
 
 
 @pytest.mark.slow

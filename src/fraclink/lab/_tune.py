@@ -16,7 +16,6 @@ from typing import Any
 from fraclink._arm.experiment import Experiment
 from fraclink._design import Design
 from fraclink._files import load, output_path, save
-from fraclink._identify import Fit
 from fraclink._law import Law
 from fraclink._simulate.metrics import BAND
 from fraclink.errors import FieldError, FraclinkError
@@ -283,7 +282,7 @@ class _Session:
             (self.out / name).unlink(missing_ok=True)
         assert self.state.link is not None  # it has a law  # noqa: S101
         fit, payload = self.state.link.fit, self.plan.payload
-        reasons = self._causes(guard) + self._unexplained(guard, fit, 0.0)
+        reasons = self._causes(guard) + self._unexplained(guard, self.state.link, 0.0)
         # With the payload that it was measured with, an arm that has changed fails for
         # that reason, whatever else is visible; a move that was stopped at once shows too
         # little to tell.
@@ -342,9 +341,13 @@ class _Session:
             self._hunts,
         )
 
-    def _unexplained(self, guard: Guard, fit: Fit, least: float) -> tuple[str, ...]:
+    def _unexplained(
+        self, guard: Guard, link: LinkResult, least: float
+    ) -> tuple[str, ...]:
         assert self.state.wiring is not None  # checked first  # noqa: S101
-        return unexplained(fit, guard.record(), self.state.wiring, least)
+        return unexplained(
+            link.residual, link.fit.model, guard.record(), self.state.wiring, least
+        )
 
     @property
     def _hunts(self) -> bool:
@@ -354,7 +357,7 @@ class _Session:
         """Save the results based on the model, each part to its own file."""
         hints = self._causes(guard)
         move = built.move or (PLANNED * self.plan.limits.angle, 0.0)
-        rest = self._unexplained(guard, link.fit, BAND * move[0])
+        rest = self._unexplained(guard, link, BAND * move[0])
         built = replace(built, reasons=built.reasons + rest)
         if built.passed:
             built = replace(built, assumptions=built.assumptions + hints)
@@ -407,7 +410,7 @@ class _Session:
         hints = () if self.state.wiring is None else self._causes(guard)
         if self.state.link is not None:
             least = BAND * PLANNED * self.plan.limits.angle
-            hints += self._unexplained(guard, self.state.link.fit, least)
+            hints += self._unexplained(guard, self.state.link, least)
         self.state = replace(self.state, stopped="; ".join((reason, *hints)))
         self._tell((reason, *hints))
 

@@ -150,19 +150,20 @@ def _late_gauge(link: LinkModel) -> tuple[str, ...]:
 
 
 def unexplained(
-    fit: Fit, record: Record, wiring: Wiring, least: float
+    residual: Real, model: LinkModel, record: Record, wiring: Wiring, least: float
 ) -> tuple[str, ...]:
     """What bends the link by more than `least` [rad], and by more than the sensors'
-    noise, that its model does not know.
+    noise, that its model does not know, from its `residual` [N·m] in moves.
     """
     # What the gauge reads before the first voltage is not the link's answer, hum as well.
     rest = record.torque[: int(np.argmax(record.voltage != 0.0))]
     noise = max(
-        sensor_noise(fit.model, record.torque, record.period, wiring),
+        sensor_noise(model, record.torque, record.period, wiring),
         float(np.std(rest)) if rest.size else 0.0,
     )
-    left = math.sqrt(max(fit.mse - noise**2, 0.0)) / fit.model.stiffness
-    bound = max(least, noise / fit.model.stiffness)
+    power = float(np.mean(np.square(residual)))
+    left = math.sqrt(max(power - noise**2, 0.0)) / model.stiffness
+    bound = max(least, noise / model.stiffness)
     # A reading without any noise is a simulation's, whose residual is the fit's own.
     if left <= bound or wiring.gauge_noise == 0.0:
         return ()

@@ -68,6 +68,13 @@ class LinkResult:
     motor: MotorResult
     rounds: tuple[tuple[float, float, float], ...]
 
+    @property
+    def residual(self) -> Real:
+        """What the fit leaves of the moves [N·m], without the burst after them: in that,
+        an error of the gauge's delay is a torque of the second mode.
+        """
+        return self.fit.residual[: round(self.rounds[-1][1] / self.fit.period)]
+
 
 def tune_link(
     guard: Guard,
@@ -216,7 +223,7 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
         alone = replace(whole, output=rest - rings)
         fit = identify(alone, "UD-FOM", heldout=0.0, details=False)
         link = fit.model
-        rings, fixed = _ringing(fit, rest), {"delay": fit.delay}
+        rings, fixed = _ringing(fit, rest, mode), {"delay": fit.delay}
         if (
             before is not None
             and mode is not None
@@ -275,20 +282,21 @@ def second_torque(
     )
 
 
-def _ringing(fit: Fit, output: Real) -> Real:
-    """The free vibration in the residual of a fit: it begins with the record and only
-    decays.
+def _ringing(fit: Fit, output: Real, mode: SecondMode | None) -> Real:
+    """The free vibrations in the residual of a fit: they begin with the record and only
+    decay.
 
     Two dampings represent all others: a fit to a record that still contains the
-    vibration does not know the damping of the link.
+    vibration does not know the damping of the link. That of its second mode is known,
+    as it vibrates freely after every edge.
     """
     time = fit.period * np.arange(output.size)
     # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ =
     # −cos(π/λ).
-    turns = [
-        np.exp(cmath.rect(abs(fit.model.pole), math.pi / order) * time)
-        for order in _DECAYS
-    ]
+    poles = [cmath.rect(abs(fit.model.pole), math.pi / order) for order in _DECAYS]
+    if mode is not None:
+        poles.append(cmath.rect(mode.frequency, math.acos(-mode.damping_ratio)))
+    turns = [np.exp(pole * time) for pole in poles]
     columns = np.column_stack(
         [part for turn in turns for part in (turn.real, turn.imag)]
     )
