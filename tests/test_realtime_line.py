@@ -22,7 +22,6 @@ from fraclink.errors import FraclinkError
 from fraclink.lab._line import (
     ArmLine,
     Reading,
-    _noted_signals,
     open_line,
 )
 from fraclink.lab._tune_guard import Guard
@@ -68,7 +67,7 @@ class Way:
 
 
 def line(way: Way) -> ArmLine:
-    return ArmLine(way, PERIOD, way.clock, threading.Event())
+    return ArmLine(way, PERIOD, way.clock)
 
 
 # --- an arm with a clock of its own ----------------------------------------------------------------------
@@ -102,18 +101,6 @@ def test_an_arm_that_is_silent_for_five_periods_is_lost() -> None:
     assert line(late).exchange(0.0).angle == 0.1
 
 
-# --- an arm without one ----------------------------------------------------------------------------------
-
-
-def test_a_signal_ends_the_exchange_before_anything_is_sent() -> None:
-    way = Way(Clock(), [(0.0, (0, 0.1, 0.0))])
-    noted = threading.Event()
-    noted.set()
-    with pytest.raises(FraclinkError, match="stopped by a signal; the drive is off"):
-        ArmLine(way, PERIOD, way.clock, noted).exchange(5.0)
-    assert way.written == []
-
-
 # --- opening ---------------------------------------------------------------------------------------------
 
 
@@ -140,19 +127,23 @@ def test_signals_are_noted_and_given_back() -> None:
 
     def noted_here() -> None:
         for number in numbers:
-            with _noted_signals() as noted:
-                assert not noted.is_set()
+            arm_end = Callback(lambda: (0.1, 0.2), sent.append)
+            with open_line(arm_end, PERIOD, clock="none") as (arm, _):
+                arm.exchange(3.0)
                 signal.raise_signal(number)
-                seen.append(noted.is_set())
+                with pytest.raises(FraclinkError, match="stopped by a signal"):
+                    arm.exchange(5.0)
 
-    seen: list[bool] = []
+    sent: list[Any] = []
     try:
         noted_here()
         # as in a notebook, where Python delivers no signals
         thread = threading.Thread(target=noted_here)
         thread.start()
         thread.join()
-        assert seen == [True] * 2 * len(names)
+        # nothing is sent after the signal but the stop
+        voltages = [command.voltage for command in sent if command.mode]
+        assert voltages == [3.0, 0.0] * 2 * len(names)
         assert [signal.getsignal(number) for number in numbers] == before
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)

@@ -181,6 +181,7 @@ def serve_arm(
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
     # Filled and not only allocated: page faults at first access would delay the loop.
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
+    noise = np.random.default_rng(seed).standard_normal(count)
     with arm_end(connection, begin) as way:
         outcome = _kernels.realtime_serve(
             way,
@@ -193,7 +194,7 @@ def serve_arm(
             arm.counters,
             # Drawn in advance: the loop in C calls no Python, and the noise is that of
             # `simulate` with the same seed.
-            _gauge_error(twin, count, seed),
+            twin.gauge.offset + twin.gauge.noise * noise,
             record,
             nanoseconds,
             watchdog,
@@ -210,12 +211,6 @@ def serve_arm(
         period=period,
         scheduling=granted_priority(priority, outcome["priority_error"]),
     )
-
-
-def _gauge_error(twin: Twin, count: int, seed: int) -> Real:
-    """Offset and noise of the gauge, drawn as in `simulate`."""
-    noise = np.random.default_rng(seed).standard_normal(count)
-    return np.asarray(twin.gauge.offset + twin.gauge.noise * noise)
 
 
 class SimulatedArm:

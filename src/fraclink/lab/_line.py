@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from fraclink import _kernels
 from fraclink._law import MODES
@@ -49,12 +49,6 @@ class Reading(NamedTuple):
     periods: int
 
 
-class SignalWatch(Protocol):
-    """Whether a signal has requested the end."""
-
-    def is_set(self) -> bool: ...
-
-
 class ArmLine:
     """An open connection to an arm; `exchange` sends a voltage and returns the next
     sample.
@@ -63,11 +57,9 @@ class ArmLine:
     deadlines of `clock`.
     """
 
-    def __init__(
-        self, way: Any, period: float, clock: Any, signals: SignalWatch
-    ) -> None:
+    def __init__(self, way: Any, period: float, clock: Any) -> None:
         self.period = period
-        self._way, self._clock, self._signals = way, clock, signals
+        self._way, self._clock = way, clock
         self._tick = 0
         # A board without a clock starts at its first read, so the next one is due a
         # period later.
@@ -82,7 +74,7 @@ class ArmLine:
         An arm with its own clock numbers its samples: if this process missed some, the
         newest one shows how many.
         """
-        if self._signals.is_set():
+        if _kernels.realtime_signalled():
             raise Stopped
         self._tick += 1
         # Mode 1, "run"; an arm controlled by voltages ignores the motor reference.
@@ -184,17 +176,21 @@ def open_line(
     check_machine()
     time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)
     with contextlib.ExitStack() as stack:
-        signals = stack.enter_context(_noted_signals())
+        # Every signal that would end or stop the process is recorded instead of acting
+        # on it, in any thread. This uses the signal handling of the loop, since Python's
+        # `signal.signal` only works in the main thread, while a notebook or a server
+        # runs this in a worker thread. Stop signals are included, because a process
+        # suspended by Ctrl-Z no longer controls the arm.
+        _kernels.realtime_watch_signals()
+        stack.callback(_kernels.realtime_release_signals)
         if clock is None:
             stack.enter_context(real_time())
         if isinstance(connection, Callback):
             way: Any = _Called(connection)
         else:
             way = stack.enter_context(controller_end(connection))
-        first = _first_sample(way, connection, period, patience, time, signals)
-        line = ArmLine(
-            way, 1e-9 * first[0] if first[0] else period or 0.0, time, signals
-        )
+        first = _first_sample(way, connection, period, patience, time)
+        line = ArmLine(way, 1e-9 * first[0] if first[0] else period or 0.0, time)
         try:
             yield line, Reading(first[1], first[2], 1)
         finally:
@@ -207,11 +203,10 @@ def _first_sample(
     period: float | None,
     patience: float,
     clock: Any,
-    signals: SignalWatch,
 ) -> tuple[int, float, float]:
     last, look = clock.now + patience, (period or 0.004) / _LOOKS
     while (sample := way.read()) is None or not math.isfinite(sample[1]):
-        if signals.is_set():
+        if _kernels.realtime_signalled():
             raise Stopped
         # idle: from this message an arm learns where to send its samples
         way.write(0.0, 0.0, 0, 0, 0, 0)
@@ -242,27 +237,3 @@ def _first_sample(
             remedy="leave it out: this arm states its own",
         )
     return sample  # type: ignore[no-any-return]
-
-
-class _Noted:
-    """Whether a signal has arrived since they are watched."""
-
-    def is_set(self) -> bool:
-        return bool(_kernels.realtime_signalled())
-
-
-@contextlib.contextmanager
-def _noted_signals() -> Iterator[_Noted]:
-    """Record every signal that would end or stop the process instead of acting on it,
-    in any thread.
-
-    This uses the signal handling of the loop, since Python's `signal.signal` only works
-    in the main thread, while a notebook or a server runs this in a worker thread. Stop
-    signals are included, because a process suspended by Ctrl-Z no longer controls the
-    arm.
-    """
-    _kernels.realtime_watch_signals()
-    try:
-        yield _Noted()
-    finally:
-        _kernels.realtime_release_signals()
