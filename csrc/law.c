@@ -456,8 +456,8 @@ static uint32_t watch(law_state *s, const law_params *p)
     if ((s->mode == copied(LAW_DEGRADED)) || (credible(s->torque, p->torque_block) != 0U)) {
         s->overload = 0U;
     } else {
-        s->overload = counted(s->overload); /* one beyond its limit is damaged memory, not a blocked link */
-        if ((s->overload == (2U * p->block_limit)) ||
+        s->overload = counted(s->overload);
+        if ((s->overload >= p->block_limit) ||
             ((s->overload >= p->bad_limit) && (credible(s->torque, p->torque_trip) == 0U))) {
             latch(s, LAW_OVERLOAD);
         }

@@ -127,7 +127,7 @@ typedef struct {
     uint32_t residual_limit; /* periods in a row with a residual above `residual_angle` */
     uint32_t stuck_limit;    /* periods in a row with an unchanged gauge while the model moves */
     uint32_t frozen_limit;   /* periods in a row with an unchanged encoder while the model moves */
-    uint32_t block_limit;    /* half of the periods in a row above `torque_block`: half a vibration and more */
+    uint32_t block_limit;    /* periods in a row with a torque above `torque_block`: half a vibration and more */
     law_real period;
     law_real compliance; /* 1/c: torque to deflection [rad/(N m)] */
     /* correction (1 - 1/z)(direct + sum of modes) of the error */
@@ -148,7 +148,7 @@ typedef struct {
     law_real torque_limit;     /* largest credible gauge torque [N m] */
     law_real torque_step;      /* largest credible change in one period [N m] */
     law_real torque_trip;      /* torque of a blocked link [N m] */
-    law_real torque_block;     /* the same where it does not swing back in twice `block_limit` periods [N m] */
+    law_real torque_block;     /* the same where it does not swing back in `block_limit` periods [N m] */
     law_real reference_step;   /* largest change of the reference in one period [rad] */
     law_real reference_rate;   /* part of a jump of the reference that is followed in one period */
     law_real acceleration_limit; /* largest acceleration that is fed forward [rad/s^2] */

@@ -90,10 +90,7 @@ MUTANTS: tuple[tuple[str, str], ...] = (
     ),
     ("if (s->residual >= p->residual_limit) {", "if (s->residual == 0U) {"),
     ("((s->overload >= p->bad_limit) &&", "((s->overload == 0xFFFFU) &&"),
-    (
-        "if ((s->overload == (2U * p->block_limit)) ||",
-        "if ((s->overload > (2U * p->block_limit)) ||",
-    ),
+    ("if ((s->overload >= p->block_limit) ||", "if ((s->overload > p->block_limit) ||"),
     (
         "if ((reading < s->encoder) || (reading > s->encoder)) {",
         "if (reading > s->encoder) {",

@@ -442,7 +442,7 @@ static void blocked(void)
         step(1U);
         periods += (in.torque > law_data.torque_block) ? 1U : 0U;
     }
-    require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD) && (periods == (2U * law_data.block_limit)));
+    require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD) && (periods == law_data.block_limit));
 }
 
 static void held(void)

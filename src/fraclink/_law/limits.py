@@ -124,12 +124,11 @@ def derive_limits(
     error = lag * moves.velocity
     # A vibrating link swings back within half a period. A deflection that lasts longer
     # is due to an acceleration, which is limited by the change of the reference's speed
-    # from one extreme to the other: the longer it lasts, the smaller a torque of a
-    # blocked link is told from it.
-    window = 3 * math.pi / resonance
-    slow = abs(1 / link.tip()(1j * math.pi / window) - 1) * (window / math.pi) ** 2
+    # from one extreme to the other.
+    hold = 1.5 * math.pi / resonance
+    slow = abs(1 / link.tip()(1j * math.pi / hold) - 1) * (hold / math.pi) ** 2
     block = (
-        2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / window)
+        2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / hold)
     )
     # at the full speed and acceleration of the command: one missed period, and the part
     # of the loop that the model leaves out
@@ -183,7 +182,7 @@ def derive_limits(
             8 * gauge_noise / link.stiffness,
         ),
         stop_ringing=moves.vibration is not None,
-        block_limit=max(5, round(window / 2 / period)),
+        block_limit=max(5, round(hold / period)),
         # sum of squared motor steps whose torque is 6 standard deviations above the
         # noise of a torque step, at least that of 0.1 rad in 25 periods
         wiring_energy=max(
