@@ -5,7 +5,6 @@ certificate.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -34,11 +33,11 @@ from fraclink._design.completed import design_for
 from fraclink._identify import MotorFit
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin, damping_of
-from fraclink._simulate.metrics import BAND
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.lab._tune_guard import PLANNED, MotionLimits
+from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_wiring import Wiring
 from fracsys.checks import Real
@@ -301,20 +300,26 @@ def planned_move(
     """Amplitude [rad] and duration [s] of the quintic move within the limits that
     settles first with the payload that takes longest; None and a reason if none passes.
 
-    What counts is half of the usual band: an arm that differs a little from its model
-    then settles when it was promised, and a swing as large as the band is not chosen.
-    Simulated with both extreme payloads, with the link's own second mode and the
-    gauge's noise; a move at the same speed that nearly reaches the angle limit has to
-    pass as well.
+    Simulated with the extreme payloads and the tuning's own, with the link's own second
+    mode and the gauge's noise, and judged as the arm's own moves will be; a move at the
+    same speed that nearly reaches the angle limit has to pass as well.
     """
     best, least, reason = None, math.inf, ""
     amplitude, longer = PLANNED * _LONGEST * limits.angle, 1.0 / PLANNED
+    # A vibration larger than the model's by as much as a promise may be wrong must not
+    # change when the move has settled.
+    band = (1.0 - _AGREEMENT) * settling_band(amplitude, design)
     # The reference alone takes four fifths of the planned speed of the first one.
     shortest = 1.875 * amplitude / (0.8 * PLANNED * limits.speed)
     for duration in (shortest * 1.15 ** np.arange(20)).tolist():
         runs = _simulated(design, law, amplitude, duration)
         far = _simulated(design, law, longer * amplitude, longer * duration)
-        settling = max(_within(run, 0.5 * BAND * amplitude) for run in runs)
+        settling = max(
+            judged(
+                run.motor_angle_measured, run.torque_measured, band, duration, design
+            )[0]
+            for run in runs
+        )
         reason = _objection(runs, far, limits, law.period)
         if not reason and settling < least:
             best, least = (amplitude, duration), settling
@@ -328,20 +333,14 @@ def planned_move(
 def _simulated(
     design: Design, law: Law, amplitude: float, duration: float
 ) -> list[Run]:
-    """A move of every twin with either extreme payload."""
+    """A move of every twin with either extreme payload and the measured one."""
     move = smooth_step(amplitude, duration)
+    low, high = design.payloads
     return [
         simulate(law, move, arm=twin, payload=payload, told=True)
-        for twin, payload in itertools.product(twins_of(design), design.payloads)
+        for twin in twins_of(design)
+        for payload in (low, design.model.payload, high)
     ]
-
-
-def _within(run: Run, band: float) -> float:
-    """Time [s] from which the tip stays within a band [rad] about its last angle, where
-    friction may have left it.
-    """
-    outside = np.flatnonzero(np.abs(run.tip_angle - run.tip_angle[-1]) > band)
-    return float(run.time[outside[-1]]) if outside.size else 0.0
 
 
 def _objection(
@@ -366,7 +365,7 @@ def _objection(
     if speed > PLANNED * limits.speed or torque > PLANNED * limits.torque:
         return f"it takes more than {100 * PLANNED:g} % of the limits"
     # The first and the last twin with the same payload.
-    if not all(map(agree, times[-2:], times[:2])):
+    if not all(map(agree, times[-3:], times[:3])):
         return "its settling time depends on the link's mass, which was not seen"
     return ""
 

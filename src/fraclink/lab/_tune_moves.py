@@ -13,28 +13,20 @@ from fraclink._arm.reference import Reference, sampled, smooth_step
 from fraclink._design import Design
 from fraclink._display import Row
 from fraclink._law import Law
-from fraclink._simulate.metrics import BAND
 from fraclink._simulate.simulate import simulate
 from fraclink.lab._tune_build import agree, twins_of
 from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_motion import Follower, calm, follow, motor_law
 from fraclink.lab._tune_motor import MotorResult
 from fracsys.checks import Real
 
 __all__ = ["FirstMove", "first_moves"]
 
-# Settling time [s], residual vibration [rad], and half of the peak-to-peak motor angle
-# in the last two seconds [rad].
-Judged = tuple[float, float, float]
-
-# multiple of the gauge's white noise, as shaped by the loop: noise alone would leave a
-# narrower band
-_ABOVE = 6.0
 _AFTER = 2.5  # [s] observed after a reference has come to rest
 # the first move: a tenth of the speed, two fifths of the distance
 _SLOW, _PART = 10.0, 0.4
 _FIRST = 5  # periods in which a bump of the transfer would show
-_LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
 _HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
 
 
@@ -144,11 +136,11 @@ def first_moves(
     amplitude, duration = move
     # The band of the full move is also used for the slow one: with a smaller band,
     # friction and noise would determine the settling time.
-    band = _band(amplitude, design)
+    band = settling_band(amplitude, design)
     # The slow move first: it shows a wrong law at a tenth of the speed.
     moves = ((_PART * amplitude, _SLOW * _PART * duration), move, move)
     promises = [
-        _judged(
+        judged(
             *_simulated(design, law, smooth_step(*each), payload), band, each[1], design
         )
         for each in moves
@@ -191,7 +183,7 @@ def first_moves(
         records, moves, promises, strict=True
     ):
         turned = record.angle - record.angle[0]
-        measured = _judged(turned, record.torque, band, length, design)
+        measured = judged(turned, record.torque, band, length, design)
         first.append(
             FirstMove(
                 amplitude=far,
@@ -227,50 +219,3 @@ def _simulated(
         duration=path.duration + _AFTER,
     )
     return run.motor_angle_measured, run.torque_measured
-
-
-def _band(amplitude: float, design: Design) -> float:
-    """The band about its last angle in which the smoothed tip of a move has settled
-    [rad].
-    """
-    rig, model = design.rig, design.model
-    # The estimate contains the noise of the gauge: it would never stay in a narrower
-    # band.
-    noise = rig.gauge.noise / model.stiffness / math.sqrt(_width(design))
-    return max(BAND * abs(amplitude), _ABOVE * noise)
-
-
-def _width(design: Design) -> int:
-    """Samples of a mean over a quarter of a vibration period, which preserves 2√2/π of
-    the amplitude.
-    """
-    return max(3, round(0.5 * math.pi / abs(design.model.pole) / design.rig.period))
-
-
-def _judged(
-    angle: Real, torque: Real, band: float, ends: float, design: Design
-) -> Judged:
-    """Time from which the tip estimate, smoothed over a quarter of a vibration, stays
-    within the band, its residual vibration after `ends` [s], and the remaining motion
-    of the motor.
-    """
-    model, period, width = design.model, design.rig.period, _width(design)
-    # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
-    # the motor would appear as vibration.
-    late = round(max(model.gauge_delay, 0.0) / period)
-    tip = angle[: angle.size - late] - torque[late:] / model.stiffness
-    # Only means over the whole width: a shorter one at the end would show the noise of
-    # single samples.
-    smooth = np.convolve(tip, np.full(width, 1 / width), "valid")
-    # About its final position and not the reference, since friction of the motor leaves
-    # a small offset.
-    final = float(np.mean(tip[-round(_LAST / period) :]))
-    outside = np.flatnonzero(np.abs(smooth - final) > band)
-    middle = width // 2
-    begin, rest = (round(time / period) for time in (ends, ends + 0.5))
-    ringing = smooth[begin - middle : rest - middle]
-    return (
-        period * float(outside[-1] + 1 + middle) if outside.size else 0.0,
-        0.5 * float(np.ptp(ringing)),
-        0.5 * float(np.ptp(angle[rest:])),
-    )

@@ -1,0 +1,71 @@
+"""When a move has settled, by what the sensors of an arm read: the same for a promise
+and for the arm.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fraclink._design import Design
+from fraclink._simulate.metrics import BAND
+from fracsys.checks import Real
+
+__all__ = ["Judged", "judged", "settling_band"]
+
+# Settling time [s], residual vibration [rad], and half of the peak-to-peak motor angle
+# in the last two seconds [rad].
+Judged = tuple[float, float, float]
+
+# multiple of the gauge's white noise, as shaped by the loop: noise alone would leave a
+# narrower band
+_ABOVE = 6.0
+_LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
+
+
+def settling_band(amplitude: float, design: Design) -> float:
+    """The band about its last angle in which the smoothed tip of a move has settled
+    [rad].
+    """
+    rig, model = design.rig, design.model
+    # The estimate contains the noise of the gauge: it would never stay in a narrower
+    # band.
+    noise = rig.gauge.noise / model.stiffness / math.sqrt(_width(design))
+    return max(BAND * abs(amplitude), _ABOVE * noise)
+
+
+def _width(design: Design) -> int:
+    """Samples of a mean over a quarter of a vibration period, which preserves 2√2/π of
+    the amplitude.
+    """
+    return max(3, round(0.5 * math.pi / abs(design.model.pole) / design.rig.period))
+
+
+def judged(
+    angle: Real, torque: Real, band: float, ends: float, design: Design
+) -> Judged:
+    """Time from which the tip estimate, smoothed over a quarter of a vibration, stays
+    within the band, its residual vibration after `ends` [s], and the remaining motion
+    of the motor.
+    """
+    model, period, width = design.model, design.rig.period, _width(design)
+    # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
+    # the motor would appear as vibration.
+    late = round(max(model.gauge_delay, 0.0) / period)
+    tip = angle[: angle.size - late] - torque[late:] / model.stiffness
+    # Only means over the whole width: a shorter one at the end would show the noise of
+    # single samples.
+    smooth = np.convolve(tip, np.full(width, 1 / width), "valid")
+    # About its final position and not the reference, since friction of the motor leaves
+    # a small offset.
+    final = float(np.mean(tip[-round(_LAST / period) :]))
+    outside = np.flatnonzero(np.abs(smooth - final) > band)
+    middle = width // 2
+    begin, rest = (round(time / period) for time in (ends, ends + 0.5))
+    ringing = smooth[begin - middle : rest - middle]
+    return (
+        period * float(outside[-1] + 1 + middle) if outside.size else 0.0,
+        0.5 * float(np.ptp(ringing)),
+        0.5 * float(np.ptp(angle[rest:])),
+    )
