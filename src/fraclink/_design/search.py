@@ -158,7 +158,9 @@ class Search:
         delta = math.log(shortest), -math.log(self.table.w.min())
         if own is not None:
             delta = (math.log(max(own, 1e-12)),) * 2
-        pairs = [(-math.inf, math.inf), (_LEAST_ORDER, highest - 0.02), delta]
+        # beside 1, less than this is nothing in the numbers of the law
+        nothing = math.log(np.finfo(np.float32).eps)
+        pairs = [(nothing, math.inf), (_LEAST_ORDER, highest - 0.02), delta]
         if self.notch is not None:
             low, high = self.notch
             pairs += [
