@@ -441,7 +441,8 @@ static void work(payload_state *s, const payload_params *p, uint32_t models)
             s->models_left += remembered(m);
             s->next++;
             if (s->next == PAYLOAD_MODELS) {
-                if ((same(s->models_found, s->models) == 0U) || (same(lasting(s), s->sum) == 0U)) {
+                if ((s->best >= PAYLOAD_MODELS) || (same(s->models_found, s->models) == 0U) ||
+                    (same(lasting(s), s->sum) == 0U)) {
                     s->stamp = 0U;
                 } else if (frozen == 0U) {
                     conclude(s, p);

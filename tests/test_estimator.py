@@ -458,6 +458,21 @@ def test_any_memory_is_healed(precision: str) -> None:
         assert again.given[-1] == pytest.approx(0.03, rel=0.06)
 
 
+def test_no_flipped_counter_leads_beyond_the_memory() -> None:
+    """Every bit of the words before the models, at every stage of a sample."""
+    made = bank()
+    angle, torque = sensors(moved(0.03))
+    for periods in range(100, 108):
+        before, _ = made.run(made.initial_state(), angle[:periods], torque[:periods])
+        part = slice(periods, periods + 10)
+        for bit in range(32 * 10):
+            state = bytearray(before)
+            state[bit // 8] ^= 1 << bit % 8
+            ticks = np.arange(periods + 1, periods + 11)
+            found = made.run(bytes(state), angle[part], torque[part], ticks=ticks)[1]
+            harmless(made, found)
+
+
 def test_lost_samples_and_missed_periods_cost_little() -> None:
     angle, torque = (x.copy() for x in sensors(moved(0.03)))
     angle[50:53] = np.nan
