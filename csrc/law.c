@@ -48,7 +48,6 @@
 #define LAW_NO_PAYLOAD ((law_real)-1e6F) /* none that is given: the next one is looked at */
 #define LAW_SCALES ((law_real)8)  /* no two scales of the feed-forward are farther apart */
 #define LAW_RESTS ((law_real)1e-5F) /* a reference model this near to the reference has come to rest [rad] */
-#define LAW_WILD ((law_real)6)    /* a vibration that does not decay trips at so many times the angle that flags it */
 #define LAW_COUNT_MAX 0x7FFFFFFFU
 
 /* `value` within +-`limit`; NaN becomes 0. */
@@ -747,11 +746,9 @@ static uint32_t damaged(const law_state *s, law_real sum)
     return (credible(sum - s->sum, LAW_TINY) != 0U) ? 0U : 1U;
 }
 
-/* Flag a vibration that does not decay. Each change of the error from beyond `swing_angle` on one side to beyond it on
- * the other counts for three half periods of the link, and each period takes one off: what swings on for nine half
- * periods is seen, and one that decays, or a row of moves, is not. It trips where a person gave that angle, and at
- * `LAW_WILD` times a derived one: with the least damping that a design leaves, it would have begun beyond 1.7 rad. Two
- * such errors in a row are asked for, which noise of a fifth of that does not give. */
+/* Flag a vibration that does not decay, and trip on it where a limit was given. Each change of the error from beyond
+ * the limit on one side to beyond it on the other counts for three half periods of the link, and each period takes one
+ * off: what swings on for nine half periods is seen, and one that decays, or a row of moves, is not. */
 static uint32_t watch_ringing(law_state *s, const law_params *p, law_real error)
 {
     uint32_t flags = 0U;
@@ -759,9 +756,7 @@ static uint32_t watch_ringing(law_state *s, const law_params *p, law_real error)
         s->ringing -= 1U;
         if (s->ringing > (12U * p->block_limit)) {
             flags = LAW_FLAG_RINGING;
-            const law_real wild = LAW_WILD * p->swing_angle;
-            if (((p->options & LAW_STOP_RINGING) != 0U) ||
-                ((credible(error, wild) == 0U) && (credible(s->swing, wild) == 0U))) {
+            if ((p->options & LAW_STOP_RINGING) != 0U) {
                 latch(s, LAW_RINGING);
             } else if (s->ringing > (16U * p->block_limit)) {
                 s->ringing = 16U * p->block_limit; /* one that ends is over within sixteen half periods */

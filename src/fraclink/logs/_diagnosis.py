@@ -296,7 +296,7 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
             "damping_ratio": mode.model.damping / (2 * frequency),
             "explained": share,
         },
-        "",
+        "the rest is noise, offset, another mode or history before the log",
     )
     cycle = 2 * math.pi / frequency
     periods, samples = log.duration / cycle, cycle / log.period

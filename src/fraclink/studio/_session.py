@@ -233,6 +233,7 @@ class Session:
                 ),
                 "findings": design.findings,
                 "moves": grid_of(Table.of("", (run.rows for run in study.runs))),
+                "passed": design.passed,
             },
             "certificate": study.certificate is not None,
             "proof_said": self._proof_said(),
