@@ -172,6 +172,16 @@ def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
     assert "30 ms late" in str(e.value) and not e.value.nearest
 
 
+def test_a_request_that_no_gain_meets_is_refused_with_its_row() -> None:
+    # The search ends where the controller vanishes: no gain damps this link from there.
+    bare = fl.LinkModel(2.47, 10.14, order=2.0, payload=0.0536)
+    geared = fl.Rig.named("paper-2023-geared")
+    with pytest.raises(InfeasibleError, match="damping ratio of the vibration"):
+        fl.design(
+            bare, geared, payloads=(0.04, 0.0715), gain_crossover=7.0, nearest=False
+        )
+
+
 @pytest.mark.slow
 def test_nothing_asked_is_the_fastest_for_everything_that_is_open() -> None:
     made = fl.design(MODEL, RIG)

@@ -315,17 +315,21 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
 
 
 @pytest.mark.slow
-def test_the_second_mode_and_what_still_rings_do_not_bend_the_link() -> None:
+@pytest.mark.parametrize(("ratio", "ringing"), [(0.03, 0.0), (0.005, 0.1)])
+def test_the_second_mode_and_what_still_rings_do_not_bend_the_link(
+    ratio: float, ringing: float
+) -> None:
     period, random = 0.004, np.random.default_rng(7)
     moves = random_steps(0.1, 0.3, 0.1, 24, period)[0]
     shaken = np.repeat(random.choice([-1.0, 1.0], 170), 3)
     angle = np.concatenate([moves, 2e-3 * np.cumsum(shaken - shaken.mean())])
     link = fl.LinkModel(1.3, 10.0, 1.95)
     mode = fl.LinkModel(
-        1.3 * 1.4, 140.0, 2.0, damping=2 * 0.03 * 140.0, damping_order=1.0
+        1.3 * 1.4, 140.0, 2.0, damping=2 * ratio * 140.0, damping_order=1.0
     )
     time = period * np.arange(angle.size)
     rings = np.exp(link.pole * time).real * 0.03
+    rings += np.exp(mode.pole * time).real * ringing
     torque = rings + 0.01 * random.standard_normal(angle.size)
     for part in (link, mode):
         torque += simulated_torque(part, angle, period, delay=0.012, hold="first")
@@ -337,6 +341,8 @@ def test_the_second_mode_and_what_still_rings_do_not_bend_the_link() -> None:
     assert found.gain == pytest.approx(1.4, rel=0.1)
     assert abs(fit.model.order - 1.95) < 4 * fit.standard_errors["order"] < 0.02
     assert abs(fit.delay - 0.012) < 4 * fit.standard_errors["delay"] < 0.003
+    # of the moves, nothing is left but the noise
+    assert np.std(fit.residual[: moves.size]) == pytest.approx(0.01, rel=0.1)
     bent = fl.identify(first, "UD-FOM")
     assert abs(bent.delay - 0.012) > 2 * abs(fit.delay - 0.012)
 

@@ -595,38 +595,6 @@ def test_a_weak_motor_gets_moves_that_its_voltage_can_make(tmp_path: Path) -> No
         assert run.metrics.settling_time < 1.2 * move.duration
 
 
-def test_no_promise_hangs_on_a_swing_as_large_as_the_band(tmp_path: Path) -> None:
-    # A move in 0.76 s leaves this link with a swing of 2 % of the move, over in 3.7 s
-    # for the model and not seen by the arm.
-    light = outside_arm(
-        L=0.64344,
-        c=2.5742,
-        link=0.03859,
-        payload=0.05364,
-        J=0.04988,
-        K=0.92159,
-        visc=0.61619,
-        Fc=0.40589,
-        Fs=0.52765,
-        posfric=0.10197,
-        T=0.002,
-        zeta=0.00484,
-        zeta2=0.01767,
-        gdelay=0.0,
-        vdelay=0.00089,
-        gnoise=0.00276,
-        goffset=0.04596,
-        counts=4096,
-        taue=0.00293,
-    )
-    limits = {"angle": 0.4725, "speed": 4.584, "torque": 0.91914}
-    tuned = tuned_outside(light, tmp_path / "tuned", moves=True, **limits)
-    assert tuned.passed, tuned
-    move = tuned.moves[-1]
-    assert move.promised_settling < 1.2 * move.duration, move
-    assert move.promised_residual < 0.95 * move.band, move
-
-
 def test_an_arm_that_loses_samples_is_measured_on_its_own_time(tmp_path: Path) -> None:
     own, chance = arm(seed=1), np.random.default_rng(1)
     last: list[Any] = []
