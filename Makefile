@@ -51,9 +51,9 @@ RESULTS := results/demo
 demo: $(STAMP)
 	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out $(RESULTS) --certify --force
 
-# Their tests start browsers, solvers, compilers, a fuzzer, a cluster: in a run of their own, which has loaded
+# Their tests start browsers, solvers, compilers, a fuzzer: in a run of their own, which has loaded
 # little else.
-LARGE := tests/test_arm_page.py tests/test_campaign_cluster.py tests/test_engine.py tests/test_export_fmu_sources.py \
+LARGE := tests/test_arm_page.py tests/test_engine.py tests/test_export_fmu_sources.py \
   tests/test_export_gates.py tests/test_report.py tests/test_studio_browser.py prove/tests
 
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.

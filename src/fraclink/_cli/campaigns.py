@@ -54,7 +54,7 @@ def montecarlo(
         Path | None,
         "Move of `fraclink shape`, or a table, that every arm follows; default: quintics",
     ] = None,
-    **machines: Annotated[Any, Keywords(run_campaign, "workers", "scheduler")],
+    **machines: Annotated[Any, Keywords(run_campaign, "workers")],
 ) -> Answer:
     """Run a law on many varied arms; resumes, and gives the same result whatever
     the workers.

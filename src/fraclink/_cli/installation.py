@@ -22,7 +22,6 @@ _EXTRAS = (
     ("h5py", "io", "logs in HDF5 and MATLAB 7.3"),
     ("npTDMS", "io", "logs of LabVIEW"),
     ("rosbags", "io", "logs of ROS"),
-    ("distributed", "cluster", "campaigns on a cluster"),
     ("starlette", "studio", "the studio"),
 )
 

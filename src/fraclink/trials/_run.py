@@ -1,5 +1,4 @@
-"""Compute the missing parts of a campaign in processes on this machine or on a Dask
-cluster.
+"""Compute the missing parts of a campaign in processes on this machine.
 
 A part is done if its file exists and reads back as one of this campaign; everything
 else is computed again. An interruption therefore only costs the parts in progress, and
@@ -20,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from fraclink._files import checked_path, document, load, save
-from fraclink.errors import FieldError, FileFormatError, MissingExtraError
+from fraclink.errors import FieldError, FileFormatError
 from fraclink.trials._arms import simulate_part
 from fraclink.trials._campaign import (
     FILE,
@@ -63,7 +62,6 @@ def run_campaign(
     folder: FilePath,
     *,
     workers: Workers = 1,
-    scheduler: str | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Progress:
     """Compute what is missing of a campaign into `folder`; return how far it is, which
@@ -80,9 +78,6 @@ def run_campaign(
         processes on this machine. The result does not depend on their number. One is
         this process. More import the script that runs: it calls this below ``if
         __name__ == "__main__":``.
-    scheduler
-        address of a Dask scheduler, such as tcp://host:8786; its workers must see the
-        folder.
     watch
         called after every part.
 
@@ -106,7 +101,7 @@ def run_campaign(
         before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
         progress = Progress(before, before, campaign.runs)
         # Closed in any case: an exception in `watch` must not leave processes behind.
-        with closing(_computed(place, missing, workers, scheduler)) as finished:
+        with closing(_computed(place, missing, workers)) as finished:
             for part, failures in finished:
                 progress = replace(
                     progress,
@@ -148,43 +143,18 @@ def _claim(campaign: Campaign, place: Path) -> None:
 
 
 def _computed(
-    place: Path, missing: list[int], workers: int, scheduler: str | None
+    place: Path, missing: list[int], workers: int
 ) -> Generator[tuple[int, int], None, None]:
     """Yield the result of `compute` for every missing part, in the order of completion."""
     folder = str(place.resolve())
-    if workers == 1 and not scheduler:
+    if workers == 1:
         # A single worker needs no separate process, which would take a second to start
         # and execute the script again.
         yield from (compute(folder, part) for part in missing)
         return
-    with cluster(scheduler) if scheduler else process_pool(workers) as executor:
+    with process_pool(workers) as executor:
         tasks = [executor.submit(compute, folder, part) for part in missing]
         yield from (task.result() for task in as_completed(tasks))
-
-
-@contextmanager
-def cluster(scheduler: str) -> Iterator[Executor]:
-    """Provide the workers of a Dask scheduler."""
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise MissingExtraError("distributed", "cluster") from error
-    try:
-        client = Client(scheduler)
-    except (OSError, ValueError) as error:
-        raise FieldError(
-            "scheduler",
-            scheduler,
-            "not answering",
-            allowed="the address of a running Dask scheduler, e.g. tcp://127.0.0.1:8786",
-            remedy="start one: dask scheduler; dask worker ADDRESS",
-        ) from error
-    with client:
-        # retries: Dask gives the parts of a worker that died to another one.
-        # pure=False: keys derived from the arguments would make Dask return the result
-        # of an earlier campaign for the same folder and part, although its files are
-        # gone.
-        yield client.get_executor(pure=False, retries=3)
 
 
 # --- processes ------------------------------------------------------------------------
