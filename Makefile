@@ -14,8 +14,8 @@ CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bind
 # Matrices of a few rows gain nothing by threads, and with them last bits depend on the machine.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test quick core interpreters coverage lint bench bench-short build docs \
-  fuzz reproduce clean lock dist-check
+.PHONY: setup demo test quick core interpreters coverage lint style types types-of-tests bench bench-short \
+  build docs fuzz reproduce clean lock dist-check
 
 setup: $(VENV)/.locked $(VENV)/.proving
 
@@ -59,7 +59,7 @@ LARGE := tests/test_arm_page.py tests/test_engine.py tests/test_export_fmu_sourc
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.
 # 1 is pytest's code for tests that failed: the others are tried, too. What interrupted it ends all.
 test: setup
-	@$(PY) -m pytest $(LARGE); large=$$?; [ $$large -le 1 ] || exit $$large; \
+	@$(PY) -m pytest -n 2 --dist loadfile $(LARGE); large=$$?; [ $$large -le 1 ] || exit $$large; \
 	  $(PY) -m pytest -n 2 --dist loadfile $(LARGE:%=--ignore=%) && exit $$large
 
 # What a contributor runs before every commit: under a minute on two cores.
@@ -81,10 +81,17 @@ coverage: setup
 	$(PY) -m pytest -n 2 --dist loadfile --cov=fraclink --cov-append --cov-report=term:skip-covered \
 	  --cov-fail-under=90 $(LARGE:%=--ignore=%)
 
-lint: setup
+# Independent of each other: `make -j2 lint` takes half the time.
+lint: style types types-of-tests
+
+style: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: setup
 	$(BIN)/mypy
+
+types-of-tests: setup
 	$(BIN)/mypy --config-file tests/mypy.ini
 
 bench: setup

@@ -415,7 +415,7 @@ def named_boxes(count: int) -> None:
 
 
 def main() -> None:
-    given = sizes(__doc__, cases=(60, 2), first=(0, 0), boxes=(2, 0))
+    given = sizes(__doc__, cases=(60, 1), first=(0, 1), boxes=(2, 0))
     named_boxes(given.boxes)
     against_search(given.first, given.cases, SEED)
 

@@ -2,8 +2,8 @@
 
 A benchmark prints one line per figure: `ok` or `MISS`, the figure, the measured value
 with its spread, the goal. The exit code is 1 if a benchmark crashed or printed nothing;
-a missed figure is a result. `--short` uses the smallest sizes: in a minute it shows
-that all of them run; its times are meaningless.
+a missed figure is a result. `--short` uses the smallest sizes, one benchmark on each
+processor: in a minute it shows that all of them run; its times are meaningless.
 
 `--record` appends the figures to history.csv with version, commit and processor, so
 that a figure can be followed over the releases. Record on an otherwise idle machine.
@@ -17,7 +17,10 @@ import os
 import platform
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from fraclink import __version__
@@ -28,7 +31,7 @@ MARKS = ("ok", "MISS")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one benchmark printed: its figures, its processor seconds and its exit code."""
+    """What one benchmark printed: its figures, its duration [s] and its exit code."""
 
     name: str
     figures: tuple[str, ...]
@@ -45,23 +48,27 @@ def is_figure(line: str) -> bool:
     return line.split(maxsplit=1)[:1] in ([MARKS[0]], [MARKS[1]]) or " wanted " in line
 
 
-def run(script: Path, *words: str) -> Outcome:
-    """Run one benchmark with these arguments, passing its lines on as they come."""
-    before = os.times()
-    print(f"\n{script.stem}", flush=True)
+def run(script: Path, *, short: bool = False) -> Outcome:
+    """Run one benchmark, passing its lines on as they come; in the short form, where
+    others run beside it, when it has ended.
+    """
+    began = time.monotonic()
     figures: list[str] = []
     with subprocess.Popen(  # noqa: S603
-        [sys.executable, str(script), *words],
+        [sys.executable, str(script), *(["--short"] if short else [])],
         cwd=HERE.parent,
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        for line in process.stdout or ():
+        assert process.stdout is not None
+        lines = process.stdout.readlines() if short else process.stdout
+        print(f"\n{script.stem}", flush=True)
+        for line in lines:
             print(line, end="", flush=True)
             if is_figure(line):
                 figures.append(line.rstrip())
-    spent = [after - began for began, after in zip(before, os.times(), strict=True)]
-    return Outcome(script.stem, tuple(figures), sum(spent[2:4]), process.returncode)
+    spent = time.monotonic() - began
+    return Outcome(script.stem, tuple(figures), spent, process.returncode)
 
 
 def record(outcomes: list[Outcome]) -> Path:
@@ -108,12 +115,14 @@ def main() -> int:
     if unknown:
         known = ", ".join(script.stem.removeprefix("bench_") for script in scripts)
         parser.error(f"no benchmark named {', '.join(unknown)}; there are {known}")
-    outcomes = [
-        run(script, *(["--short"] if options.short else []))
+    chosen = [
+        script
         for script in scripts
         if not wanted or script.stem.removeprefix("bench_") in wanted
     ]
-    print(f"\n{'benchmark':<24} {'figures':>8} {'missed':>8} {'CPU [s]':>8}")
+    with ThreadPoolExecutor(os.cpu_count() if options.short else 1) as pool:
+        outcomes = list(pool.map(partial(run, short=options.short), chosen))
+    print(f"\n{'benchmark':<24} {'figures':>8} {'missed':>8} {'time [s]':>8}")
     for outcome in outcomes:
         missed = sum(line.startswith("MISS") for line in outcome.figures)
         note = f"  CRASHED (exit code {outcome.code})" if outcome.crashed else ""
