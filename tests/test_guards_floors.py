@@ -196,7 +196,7 @@ CEILINGS = {
     "_law": 979,
     "_reading": 1123,
     "_simulate": 1168,
-    "lab": 1932,
+    "lab": 1937,
     "logs": 730,
     "studio": 1143,
     "trials": 1404,

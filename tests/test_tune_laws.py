@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import fraclink as fl
-from fraclink.lab._tune_build import measured_rig
+from fraclink.lab._tune_build import built_laws, measured_rig
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, staged
 
 if sys.platform != "linux":
@@ -95,6 +95,53 @@ def test_the_moves_of_a_law_are_those_that_the_motor_can_make(
     # full speed and full acceleration at once, against friction
     voltage = (moves.acceleration + decay * moves.velocity) / rig.motor.gain
     assert voltage + fit.coulomb_voltage <= LIMITS.voltage
+
+
+# --- a link whose second mode no record shows --------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_mode_that_was_not_seen_is_left_room(stages: Stages) -> None:
+    *_, link = stages
+    model = fl.LinkModel(
+        stiffness=1.195,
+        natural_frequency=4.7345,
+        order=1.976,
+        payload=0.060,
+        unseen_up_to=85.6,
+    )
+    long_link = replace(link, fit=replace(link.fit, model=model))
+    rig = rig_of(stages)
+    rig = replace(
+        rig,
+        motor=replace(
+            rig.motor,
+            inertia=0.0524,
+            viscous_friction=0.642,
+            torque_constant=0.422,
+            coulomb_torque=0.093,
+        ),
+        link=replace(rig.link, length=0.9426, flexural_rigidity=0.37547, mass=0.0),
+        payloads=replace(rig.payloads, low=0.045, high=0.080, nominal=0.060),
+        encoder=replace(rig.encoder, counts_per_revolution=16384),
+        gauge=replace(rig.gauge, noise=0.0037),
+        motor_loop=replace(rig.motor_loop, pole=60.0),
+    )
+    limits = replace(LIMITS, speed=3.0, torque=1.2)
+    made = next(built_laws(rig, long_link, limits))
+    assert made.passed, made.reasons
+    # the beam whose mode lies where the record ends
+    beam = fl.extend.Beam.from_rig(made.rig, payload=0.060)
+    assert beam.modes(2).frequencies[1] == pytest.approx(85.6, rel=0.02)
+    assert any("second mode" in words for words in made.rig.assumptions)
+    for mass in (0.0, made.rig.link.mass):
+        arm = fl.Twin.from_rig(
+            replace(made.rig, link=replace(made.rig.link, mass=mass)), model=model
+        )
+        run = fl.simulate(
+            made.law, fl.smooth_step(0.3, 1.0), arm=arm, payload=0.060, told=True
+        )
+        assert run.verdict.passed, run.verdict.reason
 
 
 # --- the first moves -------------------------------------------------------------------------------------

@@ -199,15 +199,35 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
     model = replace(fit.model, gauge_delay=max(fit.model.gauge_delay, 0.0))
     fallback: Built | None = None
     any_passed, reasons = False, list[str]()
-    for candidate, words in _designs(rig, model, reasons):
-        result = _proved(rig, candidate.doubted(fit.findings), words, limits)
-        any_passed |= result.passed
-        if result.passed:
-            yield result
-        else:
-            fallback = fallback or result
-    if not any_passed:
-        yield fallback or Built(rig, None, None, None, tuple(reasons))
+    for each in _rigs(rig, model):
+        for candidate, words in _designs(each, model, reasons):
+            result = _proved(each, candidate.doubted(fit.findings), words, limits)
+            any_passed |= result.passed
+            if result.passed:
+                yield result
+            else:
+                fallback = fallback or result
+        if any_passed:
+            return
+    yield fallback or Built(rig, None, None, None, tuple(reasons))
+
+
+def _rigs(rig: Rig, model: LinkModel) -> tuple[Rig, ...]:
+    """The rig as measured; and without a visible second mode, also with the heaviest
+    link whose mode would be invisible.
+    """
+    if rig.link.mass > 0.0:
+        return (rig,)
+    assert model.payload is not None  # the tuning's own  # noqa: S101
+    top = model.unseen_up_to or math.pi / rig.period
+    ratio = _mass_ratio(lambda w, size: w[0] / w[1] - abs(model.pole) / top)
+    mass = min(ratio, _UNSEEN) * model.payload
+    words = f"a link of {1e3 * mass:.2g} g, the heaviest whose second mode would not have shown"
+    return rig, replace(
+        rig,
+        link=_bar(model, model.payload, mass),
+        assumptions=(*rig.assumptions, words),
+    )
 
 
 def _designs(
@@ -374,19 +394,13 @@ def twins_of(made: Design) -> tuple[Twin, ...]:
     """The arm as measured; and without a visible second mode, also with the heaviest
     link whose mode would be invisible.
     """
-    model, link, payload = made.model, made.rig.link, made.model.payload
-    assert payload is not None  # the tuning's own  # noqa: S101
-    links = [link]
-    if link.mass == 0.0:
-        top = model.unseen_up_to or math.pi / made.rig.period
-        ratio = _mass_ratio(lambda w, size: w[0] / w[1] - abs(model.pole) / top)
-        links.append(_bar(model, payload, min(ratio, _UNSEEN) * payload))
+    model = made.model
     damping, mode = damping_of(model), model.second_mode
     if mode is not None:  # ζ = ηω/2
         damping = replace(damping, higher=2.0 * mode.damping_ratio / mode.frequency)
     return tuple(
-        Twin.from_rig(replace(made.rig, link=each), damping=damping, model=model)
-        for each in links
+        Twin.from_rig(rig, damping=damping, model=model)
+        for rig in _rigs(made.rig, model)
     )
 
 
