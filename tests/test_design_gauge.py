@@ -116,6 +116,19 @@ def test_a_crossing_on_a_lobe_of_a_very_late_gauge_is_no_crossover(
     assert f"the gauge is {1e3 * delay:g} ms late" in str(caught.value)
 
 
+@pytest.mark.slow
+def test_no_crossing_below_the_nyquist_frequency_is_overlooked() -> None:
+    """A gauge 1 ms late raises |L| up to 785 rad/s, past forty times the resonance."""
+    late = replace(MODEL, gauge_delay=0.001)
+    asked = {"gain_crossover": 16.0, "phase_margin": fl.deg(35)}
+    made = fl.design(late, RIG, payloads=(0.020, 0.040), **asked, law=False)
+    (row,) = (one for one in made.requirements if one.name == "last gain crossing")
+    w = FREQUENCY[::10]
+    for payload in (0.020, 0.030, 0.040):
+        gain = np.abs(made.full_loop(w, made.natural_frequency(payload)))
+        assert w[gain > 1.0].max() <= row.achieved <= row.wanted
+
+
 def test_a_design_that_does_not_know_the_delay_is_unstable_with_it() -> None:
     blind = fl.design(MODEL, RIG, **WANTED, **IDEAL, law=False)
     late = replace(MODEL, gauge_delay=0.057)

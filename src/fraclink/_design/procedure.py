@@ -42,7 +42,6 @@ _SHARES = 0.9, 0.75, 0.5
 # Relative distance beyond the limit that an offer may have in order to pass with its
 # law.
 _LOOSER = (0.0, 0.01, 0.1)
-_BOX = "ParameterBox.of(model, rig), or True for it"
 
 
 def design(
@@ -167,7 +166,8 @@ def request_of(
         box = True  # nothing requested: also cover the uncertainty of fit and rig
     arms = ParameterBox.of(payload_model, rig) if box is True else None
     if box and arms is None:
-        arms = checked_noun("box", box, ParameterBox, remedy=_BOX)
+        remedy = "ParameterBox.of(model, rig), or True for it"
+        arms = checked_noun("box", box, ParameterBox, remedy=remedy)
     return Request.of(payload_model, rig, spec, arms)
 
 

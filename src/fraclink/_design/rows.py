@@ -121,10 +121,6 @@ def _own(key: str) -> Callable[[Request], float | None]:
     return lambda request: request.spec.get(key)
 
 
-def _settling(trial: Trial, request: Request) -> Figure:
-    return trial.crossover.scaled(-1.0, math.log(2.0 * math.pi))
-
-
 def _noise_share(trial: Trial, request: Request) -> Figure:
     rig = request.rig
     size = rig.gauge.noise / request.model.stiffness / rig.motor.voltage_limit
@@ -161,7 +157,7 @@ ROWS = (
         "s",
         "at most",
         _own("settling_time"),
-        _settling,
+        lambda trial, request: trial.crossover.scaled(-1.0, math.log(2.0 * math.pi)),
         bound=lambda trial, wanted: trial.crossed_beyond(2.0 * math.pi / wanted),
     ),
     Row(

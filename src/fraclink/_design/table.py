@@ -95,7 +95,9 @@ def tabulated(
     """
     w0 = np.atleast_1d(np.asarray(natural_frequencies, dtype=float))
     mode = bare.peak(w0)
-    top = min(bare.highest, max(40.0 * float(mode.max()), 8.0 / (bare.lag or 0.1)))
+    top = bare.highest
+    if bare.exact_gauge:  # |L| falls far above the mode; that of a late gauge may not
+        top = min(top, max(40.0 * float(mode.max()), 8.0 / (bare.lag or 0.1)))
     decades = math.log10(top / (0.05 * float(mode.min())))
     shape = np.concatenate(
         [
