@@ -131,9 +131,7 @@ def test_a_replay_names_what_it_misses(
     )
     fl.save(table, tmp_path / "faults.json")
     words = ["replay", str(tmp_path), "--out", str(tmp_path / "run.npz")]
-    assert run(words) == 2 and "--run of a campaign" in capsys.readouterr().err
-    assert run([*words, "demo", "--run", "F02-2-30g-mid-1"]) == 2
-    assert "given beside --run" in capsys.readouterr().err
+    assert run(words) == 2 and "'--run'" in capsys.readouterr().err
     assert run([*words, "--run", "F03-2-30g-mid-1"]) == 2
     assert "such as F02-2-30g-mid-1" in capsys.readouterr().err
     # The table of the studio has no command: the design of its folder was tested, and

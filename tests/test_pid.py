@@ -5,7 +5,6 @@ arithmetic, and its exports.
 from __future__ import annotations
 
 import math
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -413,7 +412,7 @@ def test_a_torque_is_without_effect() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
-def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
+def test_self_test(tmp_path: Path, precision: Any) -> None:
     law = fl.extend.discretize_pid(pid(), 0.004, **LAW, precision=precision)
     fl.export_c(law, tmp_path / "c")
     compiler = tool("cc", "gcc")
@@ -436,16 +435,6 @@ def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
         ["./selftest"], cwd=tmp_path / "c", check=True, capture_output=True, text=True
     )
     assert "passed" in said.stdout
-    rng = np.random.default_rng(0)
-    record = fl.extend.Recording(
-        period=0.004, input=rng.uniform(-1, 1, 400), output=rng.uniform(-1, 1, 400)
-    )
-    assert fl.extend.replay_log(tmp_path / "c", record).passed
-    with pytest.raises(fl.errors.FieldError, match="of another kind"):
-        fl.extend.replay_log(
-            tmp_path / "c",
-            fl.Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01]),
-        )
     page = (tmp_path / "c" / "README.md").read_text()
     assert "`input.motor_angle` the measurement y" in page
     assert "feed-forward" not in page
@@ -479,12 +468,6 @@ def test_command(
     assert "✓ passed" in capsys.readouterr().out
     assert main(["export", "c", "pid.json", "--out", "fw"]) == 0
     assert main(["export", "fmu", "pid.json", "--out", "pid.fmu", "--source"]) == 0
-    rows = "\n".join(
-        f"{0.02 * k:.2f},{float(k > 20)},{0.01 * (k % 7)}" for k in range(100)
-    )
-    Path("log.csv").write_text(f"time_s,r,y\n{rows}\n", encoding="utf-8")
-    if shutil.which("cc"):
-        assert main(["replay", "fw", "log.csv", "--input", "r", "--output", "y"]) == 0
     assert main(["export", "c", "pid.json", "--estimate", "--out", "other"]) == 2
     assert main(["tune-pid", "k/(s + 1)", "--out", "no.json"]) == 2
     assert "identify --structure" in capsys.readouterr().err

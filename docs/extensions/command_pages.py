@@ -45,7 +45,7 @@ SHOWN: dict[str, tuple[str, str]] = {
     "shape": ("moves", "how-to/shape-a-move"),
     "campaign montecarlo": ("arms", "how-to/run-a-campaign"),
     "campaign faults": ("dropped", "how-to/run-a-fault-campaign"),
-    "replay": ("loop", "how-to/flash-a-board"),
+    "replay": ("arms", "how-to/run-a-campaign"),
     "doctor": ("arm", "how-to/bring-your-rig"),
 }
 

@@ -78,7 +78,7 @@ COMMANDS: dict[str, str] = {
     "export-c": "export c design.json",
     "export-fmu": "export fmu design.json --source",
     "export-arm-firmware": "export arm-firmware",
-    "replay-of-nothing": "replay nothing demo",
+    "replay-of-nothing": "replay nothing --run 1 --out nothing.npz",
     "run": f"run {RIG} --log demo --out results",
     "report": "report results --out page.html",
     "compare": "compare geared.json --only ZV",

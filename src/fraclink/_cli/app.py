@@ -50,7 +50,7 @@ _SECTIONS: dict[str, dict[str, tuple[str, str]]] = {
         "shape": ("moves", "shape the fastest move within the limits"),
         "tune-pid": ("assessments", "tune a fractional PID for any plant"),
         "campaign": ("campaigns", "many runs: Monte Carlo and faults"),
-        "replay": ("boards", "run a log through an exported law, bit for bit"),
+        "replay": ("campaigns", "repeat one run of a campaign with its signals"),
     },
 }
 _LISTED = {name: each for listed in _SECTIONS.values() for name, each in listed.items()}

@@ -1,4 +1,4 @@
-"""Commands that hand a law on: export, replay, and the law in real time."""
+"""Commands that hand a law on: export, and the law in real time."""
 
 from __future__ import annotations
 
@@ -10,27 +10,19 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fraclink import lab
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.recording import Recording
 from fraclink._arm.reference import Reference, prbs
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
-from fraclink._cli.campaigns import replayed
 from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps, tell
 from fraclink._cli.options import (
     Amplitude,
-    Columns,
     DesignFile,
     Estimate,
     MoveTime,
     NominalPayload,
     ReferenceFile,
-    RigName,
     load_design,
-    load_log,
-    load_rig,
-    named_channels,
     reference_of,
     refuse_beside,
 )
@@ -41,13 +33,11 @@ from fraclink._export import (
     export_arm_firmware,
     export_c,
     export_fmu,
-    replay_log,
 )
 from fraclink._files import check_ending, kind_of, output_path
 from fraclink._law import Law, discretize
-from fraclink._reading.responses import read_recording
 from fraclink._simulate import Twin
-from fraclink.errors import LogError, MissingExtraError, required
+from fraclink.errors import LogError, MissingExtraError
 from fraclink.lab._machine import signals_held
 from fraclink.lab._rehearsal import rehearse
 from fraclink.lab._run import saved
@@ -146,7 +136,7 @@ def c(
             estimator=design.estimator() if estimate and design else None,
             force=force,
         )
-    listing = _listed(paths, f"fraclink replay {out} demo" if design else "")
+    listing = _listed(paths)
     if not prove:
         return listing
     proof = Proof.load(out / "proof.json")
@@ -216,62 +206,6 @@ def arm_firmware(
     return _listed(
         export_arm_firmware(out, force=force),
         "fraclink tune --io serial:/dev/ttyACM0@1000000 --payload KG",
-    )
-
-
-@command(app)
-def replay(
-    folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER"),
-        "Folder of `fraclink export c`, or of a campaign",
-    ],
-    log_file: Annotated[
-        str | None,
-        typer.Argument(metavar="[LOG]"),
-        "Log for the exported law, or demo for the bundled one",
-    ] = None,
-    run: Annotated[
-        str | None,
-        "Run of the campaign to repeat: its number, or the name of a fault's, e.g. F07-3-30g-mid-3",
-    ] = None,
-    out: Annotated[Path, "File for the signals of that run (.npz)"] = Path("run.npz"),
-    rig: RigName = "paper-2023",
-    column: Columns = None,
-    input: Annotated[
-        str | None, "Column of a fractional PID's reference, instead of an arm's log"
-    ] = None,
-    output: Annotated[str | None, "Column of its measurement"] = None,
-    allow_changed: Annotated[
-        bool, "Compile and run C that differs from what fraclink exports"
-    ] = False,
-    force: bool = False,
-) -> Answer:
-    """Compile an exported law and run a log through it beside the package's: bit for
-    bit, or exit code 1; or repeat one run of a campaign.
-
-    The folder's law.c, law.h and data are compiled by cc and run on this computer, with
-    your rights. Files that are not as `fraclink export c` writes them are refused.
-
-    $ fraclink replay firmware log.csv --rig rig.toml
-    """
-    if run is not None:
-        refuse_beside("--run", "a campaign's own arm", log_file=log_file)
-        return replayed(folder, run, output_path(out, force=force), force=force)
-    sources = "a log for a law, or --run of a campaign"
-    log_file = required("log_file", log_file, allowed=sources, remedy="give one")
-    log: Experiment | Recording
-    # The log of an arm needs a rig for its columns; that of a PID has two columns with
-    # unknown names.
-    if input is None and output is None:
-        log = load_log(log_file, load_rig(rig), column)
-    else:
-        log = read_recording(Path(log_file), *named_channels(input, output))
-    result = replay_log(folder, log, allow_changed=allow_changed)
-    return Answer(
-        result,
-        result.passed,
-        remarks=(f"{folder}/law.c was compiled and run on this computer",),
     )
 
 

@@ -97,10 +97,22 @@ def summary_answer(
     return Answer(summary, summary.passed, written=written, following=following)
 
 
-def replayed(folder: Path, run: str, out: Path, *, force: bool) -> Answer:
+@command(app)
+def replay(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of a campaign"],
+    run: Annotated[
+        str,
+        "Run to repeat: its number, or the name of a fault's, e.g. F07-3-30g-mid-3",
+    ],
+    out: Annotated[Path, "File for the signals of that run (.npz)"] = Path("run.npz"),
+    force: bool = False,
+) -> Answer:
     """Repeat one run of a campaign with all its signals: a run on varied arms by its
     number, the run of a fault by its name. A fault is drawn, too.
+
+    $ fraclink replay mc --run 65
     """
+    place = output_path(out, force=force)
     if is_campaign(folder):
         if not run.isdigit():
             raise FieldError(
@@ -112,10 +124,10 @@ def replayed(folder: Path, run: str, out: Path, *, force: bool) -> Answer:
             )
         move = replay_run(load_campaign(folder), int(run))
         return Answer(
-            move, move.verdict.passed, values={"run": int(run)}, saved={out: move}
+            move, move.verdict.passed, values={"run": int(run)}, saved={place: move}
         )
     figure = output_path(out.with_suffix(".svg"), force=force)
-    return _repeat_fault(folder, run, out, figure)
+    return _repeat_fault(folder, run, place, figure)
 
 
 # --- faults -----------------------------------------------------------------------------------------------

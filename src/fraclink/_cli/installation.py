@@ -49,7 +49,7 @@ def doctor() -> Answer:
     $ fraclink doctor
     """
     extras = {name: _installed(name) for name, _, _ in _EXTRAS}
-    # Only `cc`, the compiler that replay and FMU call; another one would not help them.
+    # Only `cc`, the compiler that the FMU calls; another one would not help them.
     compiler = shutil.which("cc")
     rows = [
         _part("Python", platform.python_version(), "", ""),
@@ -60,7 +60,7 @@ def doctor() -> Answer:
             _part(name, extras[name], f"pip install 'fraclink[{extra}]'", use)
             for name, extra, use in _EXTRAS
         ),
-        _part("C compiler", compiler, "none found", "replay, FMU"),
+        _part("C compiler", compiler, "none found", "FMU"),
         _part(
             "real-time loop",
             "here" if _kernels.REALTIME else None,

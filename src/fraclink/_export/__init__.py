@@ -1,6 +1,4 @@
-"""Exports: C and FMU files, replay of logs through them, and a starting point for a
-board.
-"""
+"""Exports: C and FMU files, and a starting point for a board."""
 
 from __future__ import annotations
 
@@ -8,14 +6,11 @@ from fraclink._export.board import export_arm_firmware
 from fraclink._export.c import export_c
 from fraclink._export.claims import Claim, Proof
 from fraclink._export.fmu import export_fmu
-from fraclink._export.replay import Replay, replay_log
 
 __all__ = [
     "Claim",
     "Proof",
-    "Replay",
     "export_arm_firmware",
     "export_c",
     "export_fmu",
-    "replay_log",
 ]

@@ -50,7 +50,7 @@ def export_c(
 
     law.h and law.c are the files that were simulated, to the byte; law_data.h holds the
     coefficients as hex floats; law_selftest.c prints a hash to compare on the target;
-    law.json is the law for `replay`; README.md tells the call sequence, memory in [B],
+    law.json is the law itself; README.md tells the call sequence, memory in [B],
     limits in [rad], [N·m] and [V], and what is claimed.
 
     Parameters
@@ -145,7 +145,7 @@ def export_c(
     for file, content in files.items():
         with atomic_write(place / file, "wb") as stream:
             stream.write(content)
-    # the law itself, for `fraclink replay`; no compiled file reads it
+    # no compiled file reads it
     shipped.save(place / "law.json")
     paths = [*(place / file for file in files), place / "law.json"]
     if proof is not None:

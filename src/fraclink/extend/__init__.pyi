@@ -29,7 +29,6 @@ from fraclink._display import quantity as quantity
 from fraclink._display import source_name as source_name
 from fraclink._display import state_of as state_of
 from fraclink._export.board import export_reference as export_reference
-from fraclink._export.replay import replay_log as replay_log
 from fraclink._files import kind_of as kind_of
 from fraclink._identify.driven import identify_driven_link as identify_driven_link
 from fraclink._identify.fitting import simulated_torque as simulated_torque
