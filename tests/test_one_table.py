@@ -54,15 +54,15 @@ class Request:
 
 
 def drawn(seed: int) -> Request:
-    """Return the request of a seed; of twenty-five, one is over the box of its rig, and one
-    states nothing, of a rig that states nothing either, which is over the box too.
+    """Return the request of a seed; one is over the box of its rig, and one states
+    nothing, of a rig that states nothing either, which is over the box too.
     """
     draw = np.random.default_rng(seed)
     name = str(draw.choice(["paper-2023", "paper-2023-geared"], p=[0.8, 0.2]))
     rig = fl.Rig.named(name)
     light = float(draw.uniform(0.015, 0.025))
     payloads = (light, light * float(draw.uniform(1.2, 2.2)))
-    if seed % 25 == 9:
+    if seed == 9:
         return Request(replace(rig, design=None), {"payloads": payloads})
     options: dict[str, Any] = {
         "gain_crossover": float(draw.uniform(8.0, 14.0)),
@@ -77,7 +77,7 @@ def drawn(seed: int) -> Request:
         "filter_order": 2,
     }
     options |= {key: value for key, value in optional.items() if draw.random() < 0.25}
-    if seed % 25 == 4:
+    if seed == 4:
         options["box"] = True
     return Request(rig, options)
 
@@ -165,11 +165,9 @@ def test_a_request_has_one_table(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("crossover", "margin_deg"), [(11.4, 45.0), (10.8, 48.0)])
-def test_what_tuning_leaves_has_the_table_of_its_request(
-    crossover: float, margin_deg: float, tmp_path: Path
-) -> None:
+def test_what_tuning_leaves_has_the_table_of_its_request(tmp_path: Path) -> None:
     """The request of the rig, over the box of what was measured."""
+    crossover, margin_deg = 10.8, 48.0
     folder = tmp_path / "tuned"
     assert RIG.design is not None
     wanted = replace(RIG.design, gain_crossover=crossover, phase_margin_deg=margin_deg)
