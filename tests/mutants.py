@@ -16,7 +16,7 @@ from fraclink.errors import FraclinkError
 from made_files import made_file
 from made_logs import made_rows, write_log
 
-KINDS = ("text", "rig", "mat5", "mat73", "hdf5", "tdms", "mcap", "db3")
+KINDS = ("text", "rig", "mat5", "mat73", "tdms", "mcap", "db3")
 _TELLING = (
     b"\x00",
     b"\xff",
@@ -33,7 +33,6 @@ SUFFIX = {
     "rig": ".toml",
     "mat5": ".mat",
     "mat73": ".mat",
-    "hdf5": ".h5",
 }
 
 

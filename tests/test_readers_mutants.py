@@ -13,7 +13,7 @@ from mutants import KINDS, run
 @pytest.mark.parametrize("kind", KINDS)
 def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
     # Each binary file needs a process.
-    count = {"text": 160, "rig": 160}.get(kind, 12)
+    count = {"text": 160, "rig": 160}.get(kind, 6)
     outcome = run(kind, count, tmp_path, seed=7)
     assert outcome.surprises == []
     assert sum(outcome.counts.values()) == count
