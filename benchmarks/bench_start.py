@@ -108,7 +108,7 @@ def gone_on(said: str, answer: str, path: Path) -> list[str]:
         code = command(
             [
                 *words[1:],
-                *(() if "--structure" not in words else ("--out", str(path) + ".json")),
+                *(("--out", str(path) + ".json") if "s**a" in named[0] else ()),
             ]
         )
     text = output.getvalue()

@@ -138,11 +138,11 @@ def stamped(form: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def labview(*, stamps: bool) -> str:
-    """A measurement file of LabVIEW, with or without a column of stamps."""
+def labview() -> str:
+    """A measurement file of LabVIEW."""
     m = motion()
     rows = "\n".join(
-        f"{format(t, '.6f') if stamps else ''}\t{DEG * a:.6f}\t{g:.6f}\t"
+        f"{t:.6f}\t{DEG * a:.6f}\t{g:.6f}\t"
         for t, a, g in zip(m["t"], m["angle"], m["torque"], strict=True)
     )
     return (
@@ -290,8 +290,9 @@ def forms() -> dict[str, Shape]:
             written(table(joint)),
             (("in which unit", "motor_angle=[rad]"), ("is a torque", "torque=[Nm]")),
         ),
-        "LabVIEW .lvm": Shape(written(labview(stamps=True), "log.lvm")),
-        "LabVIEW .lvm without stamps": Shape(written(labview(stamps=False), "log.lvm")),
+        "LabVIEW .lvm": Shape(
+            written(labview(), "log.lvm"), (("sed -n '/^X_Value/,$p'", ""),)
+        ),
         "ISO stamps over midnight": Shape(written(stamped("%Y-%m-%dT%H:%M:%S"))),
         "a clock over midnight": Shape(written(stamped("%H:%M:%S"))),
         "a title and a row of units": Shape(
@@ -300,7 +301,7 @@ def forms() -> dict[str, Shape]:
                 + body({"t": t, "a": DEG * a, "g": g})
             )
         ),
-        "on its side": Shape(written(side)),
+        "on its side": Shape(written(side), (("one sample a line", ""),)),
         "decimal commas in quotes": Shape(written(quoted(table(degrees)))),
         "UTF-16 with tabs": Shape(
             written(table(degrees, "\t").encode("utf-16"), "log.txt")
@@ -309,7 +310,7 @@ def forms() -> dict[str, Shape]:
             written(body(plain, "  "), "log.dat"),
             (
                 ("Which column is the motor angle", "motor_angle=#2 [rad]"),
-                ("Which column is the output", "deflection=#3 [raw]"),
+                ("Which column is the link's output", "deflection=#3 [raw]"),
             ),
             kind="deflection",
             raw=True,
@@ -332,7 +333,7 @@ def forms() -> dict[str, Shape]:
             numpy_file,
             (
                 ("Which column is the motor angle", "motor_angle=#2 [deg]"),
-                ("Which column is the output", "deflection=#3 [raw]"),
+                ("Which column is the link's output", "deflection=#3 [raw]"),
             ),
             kind="deflection",
             raw=True,
@@ -435,12 +436,17 @@ def signals() -> dict[str, Shape]:
                     }
                 )
             ),
-            (("Which column is the output", "deflection=strain1_V - strain2_V [raw]"),),
+            (
+                (
+                    "Which column is the link's output",
+                    "deflection=strain1_V - strain2_V [raw]",
+                ),
+            ),
             **raw,
         ),
         "two gauges that the call adds": Shape(
             written(table({**both, "g1": 0.25 * d, "g2": 0.75 * d})),
-            (("Which column is the output", "deflection=g1 + g2 [rad]"),),
+            (("Which column is the link's output", "deflection=g1 + g2 [rad]"),),
             **bent,
         ),
         "an encoder at the tip": Shape(
@@ -482,7 +488,7 @@ def signals() -> dict[str, Shape]:
             written(table({"t": t, "enc": counts, "torque": g})),
             (
                 (
-                    '--column "motor_angle=enc * 1/4096 [rev]"',
+                    '--column "motor_angle=enc * 1/N [rev]"',
                     "motor_angle=enc * 1/4096 [rev]",
                 ),
                 ("is a torque", "torque=[Nm]"),
@@ -492,7 +498,7 @@ def signals() -> dict[str, Shape]:
             written(table({"t": t, "pot_V": DEG * a / 36.8 + 2.5, "torque_Nm": g})),
             (
                 (
-                    '--column "motor_angle=pot_V * 36.8 [deg]"',
+                    '--column "motor_angle=pot_V * N [deg]"',
                     "motor_angle=pot_V * 36.8 [deg]",
                 ),
             ),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from made_logs import made_motion, made_output
 
 Columns = dict[str, NDArray[np.float64]]
-KINDS = ("mat5", "mat73", "hdf5", "tdms", "mcap", "db3")
+KINDS = ("mat5", "mat73", "hdf5", "tdms")
 
 
 def made_columns(count: int = 400) -> Columns:
@@ -70,61 +70,9 @@ def write_tdms(path: Path, columns: Columns) -> Path:
     return path
 
 
-def write_rosbag(folder: Path, columns: Columns, kind: str) -> Path:
-    """A rosbag2 folder with joint states; the bag receives each message 2 to 7 ms late."""
-    pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    state, header, stamp = (
-        store.types[name]
-        for name in (
-            "sensor_msgs/msg/JointState",
-            "std_msgs/msg/Header",
-            "builtin_interfaces/msg/Time",
-        )
-    )
-    late = np.random.default_rng(2).integers(
-        2_000_000, 7_000_000, columns["time_s"].size
-    )
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
-        connection = writer.add_connection(
-            "/joint_states", state.__msgtype__, typestore=store
-        )
-        rows = zip(
-            columns["time_s"],
-            columns["motor_angle_rad"],
-            columns["torque_Nm"],
-            late,
-            strict=True,
-        )
-        for time, angle, torque, delay in rows:
-            at = 1_700_000_000_000_000_000 + round(time * 1e9)
-            message = state(
-                header=header(
-                    stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id=""
-                ),
-                name=["shoulder"],
-                position=np.array([angle]),
-                velocity=np.array([]),
-                effort=np.array([torque]),
-            )
-            writer.write(
-                connection,
-                at + int(delay),
-                store.serialize_cdr(message, state.__msgtype__),
-            )
-    return folder
-
-
 def made_file(kind: str, folder: Path, count: int = 400) -> Path:
-    """A good log in a format; for ROS recordings the file inside the folder."""
+    """A good log in a format."""
     columns = made_columns(count)
-    if kind in ("mcap", "db3"):
-        bag = write_rosbag(folder / f"bag_{kind}", columns, kind)
-        return next(bag.glob(f"*.{kind}"))
     write, name = {
         "mat5": (write_mat5, "log.mat"),
         "mat73": (write_mat73, "log73.mat"),

@@ -16,7 +16,7 @@ from fraclink.errors import FraclinkError
 from made_files import made_file
 from made_logs import made_rows, write_log
 
-KINDS = ("text", "rig", "mat5", "mat73", "tdms", "mcap", "db3")
+KINDS = ("text", "rig", "mat5", "mat73", "tdms")
 _TELLING = (
     b"\x00",
     b"\xff",

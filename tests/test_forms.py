@@ -14,7 +14,6 @@ import pytest
 from fraclink import inspect_log, read_log
 from fraclink.errors import FileFormatError, LogError
 from fraclink.extend import read_columns
-from fraclink.logs import start
 from made_logs import HEADER, made_rows, write_log
 
 ROWS = made_rows(300)
@@ -32,20 +31,6 @@ def stamped(date: str, point: str = ".") -> str:
         stamp = moment.strftime(date) + f"{moment.microsecond // 1000:03d}"
         lines.append(";".join((stamp.replace("#", point), row[1], row[2])))
     return "clock;motor_angle_rad;torque_Nm\n" + "\n".join(lines) + "\n"
-
-
-def labview(*, stamps: bool) -> str:
-    """The text that LabVIEW writes in a measurement file."""
-    rows = "\n".join(
-        "\t".join((row[0] if stamps else "", *row[1:], "")) for row in ROWS
-    )
-    return (
-        "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nX_Columns\tOne\n"
-        "Date\t2026/03/01\nTime\t10:00:00.123\n***End_of_Header***\t\n\t\nChannels\t2\t\t\n"
-        "Samples\t300\t300\t\nY_Unit_Label\tdeg\tN m\t\nX_Dimension\tTime\tTime\t\nX0\t0\t0\t\n"
-        "Delta_X\t0.004\t0.004\t\n***End_of_Header***\t\t\t\n"
-        "X_Value\tTheta\tTorque\tComment\n" + rows + "\n"
-    )
 
 
 # The content of the file, the names and units it is read with, and a word of the
@@ -88,32 +73,6 @@ FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
         (*HEADER,),
         (),
         "at the end of every row",
-    ),
-    "on its side": (
-        "\n".join(
-            ",".join(cells) for cells in zip(HEADER, *ROWS, strict=True)
-        ).encode(),
-        (*HEADER,),
-        (),
-        "turned upright",
-    ),
-    "on its side, nameless": (
-        "\n".join(",".join(cells) for cells in zip(*ROWS, strict=True)).encode(),
-        ("#1", "#2", "#3"),
-        (),
-        "turned upright",
-    ),
-    "LabVIEW": (
-        labview(stamps=True).encode(),
-        ("X_Value", "Theta", "Torque"),
-        ("s", "deg", "Nm"),
-        "LabVIEW",
-    ),
-    "LabVIEW without stamps": (
-        labview(stamps=False).encode(),
-        ("X_Value", "Theta", "Torque"),
-        ("s", "deg", "Nm"),
-        "steps of 0.004 s",
     ),
     "ISO stamps": (
         stamped("%Y-%m-%dT%H:%M:%S#").encode(),
@@ -173,26 +132,20 @@ def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None
 def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
     stamps = [1_764_000_000_250_000_000 + round(1e9 * float(row[0])) for row in ROWS]
     rows = [
-        [str(n // 10**9), str(n % 10**9), row[1], row[2]]
+        [str(n // 10**9), str(n % 10**9), "arm_joint", row[1], row[2]]
         for n, row in zip(stamps, ROWS, strict=True)
     ]
-    path = write_log(
-        tmp_path / "a.csv",
-        rows,
-        header=["stamp.sec", "stamp.nanosec", "position", "effort"],
+    path = tmp_path / "echo.csv"  # of `ros2 topic echo --csv`: without a header
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    log = read_log(
+        path,
+        columns={
+            "time": "#1 + 1e-9 * #2 [s]",
+            "motor_angle": "#4 [rad]",
+            "torque": "#5 [Nm]",
+        },
     )
-    mapping = inspect_log(path).suggestion
-    assert (
-        'time = { column = "stamp.sec + 1e-9 * stamp.nanosec", unit = "s" }' in mapping
-    )
-    columns = {
-        "time": "stamp.sec + 1e-9 * stamp.nanosec [s]",
-        "motor_angle": "position [rad]",
-    }
-    log = read_log(path, columns={**columns, "torque": "effort [Nm]"})
     assert log.period == pytest.approx(0.004, rel=1e-6)
-    found = start(path, column=["motor_angle=[rad]", "torque=[Nm]"])
-    assert found.columns.time.column == "stamp.sec + 1e-9 * stamp.nanosec"
 
 
 def test_dates_of_a_country_serve_within_a_day(tmp_path: Path) -> None:

@@ -47,7 +47,6 @@ WANTED = np.array([1.0, 0.1j])
             "Frequency (Hz)\tMagnitude\tPhase (rad)\n1\t1\t0\n2\t0.1\t1.5707963267948966\n",
             None,
         ),
-        ("f [Hz],1,2\nmag [dB],0,-20\nphase [deg],0,90\n", None),
         (
             "1,0,0\n2,-20,90\n",
             {"frequency": "#1 [Hz]", "gain": "#2 [dB]", "phase": "#3 [deg]"},

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
-import shlex
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -122,82 +119,13 @@ def test_an_answer_may_be_a_column_that_was_not_suggested(tmp_path: Path) -> Non
 # --- forms of files ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("bits", [16, 32])
-def test_a_counter_that_wraps_is_continued(tmp_path: Path, bits: int) -> None:
-    stamps = (np.round(1e3 * TIME) * (1 if bits == 16 else 1000) + 2.0**bits - 4000) % (
-        2.0**bits
-    )
-    columns = {"ticks": stamps, "theta_rad": MOTOR, "alpha_rad": DEFLECTION}
-    path = written(tmp_path / "log.csv", columns)
-    result, _ = started(path, time="ms" if bits == 16 else "us")
-    assert result.experiment.period == pytest.approx(0.004)
-    assert finds_the_link(result)
-
-
-def test_an_angle_within_one_turn_is_continued_and_a_command_is_not(
+def test_a_motor_angle_that_begins_again_after_a_turn_is_refused(
     tmp_path: Path,
 ) -> None:
     angle = (DEG * MOTOR + 350) % 360
-    square = np.where(np.sin(2 * TIME) > 0, 180.0, -180.0)
-    columns = {"t": TIME, "theta_deg": angle, "alpha_rad": DEFLECTION, "u_V": square}
-    path = written(tmp_path / "log.csv", columns)
-    assert np.ptp(angle) > 350
-    result, _ = started(path)
-    assert np.ptp(result.experiment.motor_angle) == pytest.approx(np.ptp(MOTOR))
-    assert any("continued" in item.message for item in result.experiment.findings)
-    assert np.ptp(fl.extend.read_columns(path)["u_V"]) == 360
-    assert finds_the_link(result)
-
-
-def test_a_glitch_is_not_taken_for_the_turn_of_an_angle(tmp_path: Path) -> None:
-    angle = DEG * MOTOR
-    angle[700] += 359
-    path = written(tmp_path / "log.csv", {"t": TIME, "theta_deg": angle})
-    assert fl.extend.read_columns(path)["theta_deg"][700] == pytest.approx(angle[700])
-
-
-def test_of_recordings_one_behind_the_other_the_printed_line_keeps_the_longest(
-    tmp_path: Path,
-) -> None:
-    start = slice(300)
-    columns = {
-        "t_s": np.concatenate([TIME[start], TIME]),
-        "theta_rad": np.concatenate([MOTOR[start], MOTOR]),
-        "alpha_rad": np.concatenate([DEFLECTION[start], DEFLECTION]),
-    }
-    path = written(tmp_path / "log.csv", columns)
-    with pytest.raises(LogError, match="2 recordings") as error:
-        started(path)
-    line = re.search(r"sed -n '.*' LOG > run.csv", str(error.value))
-    assert line is not None
-    words = shlex.split(line[0].replace("LOG > run.csv", str(path)))
-    kept = tmp_path / "run.csv"
-    kept.write_bytes(subprocess.run(words, check=True, capture_output=True).stdout)  # noqa: S603
-    result, _ = started(kept)
-    assert result.experiment.motor_angle.size == TIME.size
-    assert finds_the_link(result)
-
-
-@pytest.mark.parametrize(
-    "form",
-    [
-        "t:{:.3f},theta:{:.5f},alpha:{:.5f}",
-        "INFO [{:.3f}] [arm_node]: theta={:.5f} alpha={:.5f}",
-        "[2026-05-04 12:00:{:06.3f}] theta {:.5f}, alpha {:.5f}",
-    ],
-)
-def test_lines_of_one_form_are_a_table(tmp_path: Path, form: str) -> None:
-    path = tmp_path / "log.txt"
-    rows = zip(TIME, MOTOR, DEFLECTION, strict=True)
-    path.write_text("".join(form.format(*row) + "\n" for row in rows))
-    names = fl.inspect_log(path).channels
-    answers = {"motor_angle": f"{names[1].name} [rad]"}
-    result, _ = (
-        started(path, motor_angle="rad", output=f"{names[2].name} [rad]", time="s")
-        if names[1].name == "theta"
-        else started(path, **answers, output=f"{names[2].name} [rad]", time="s")
-    )
-    assert finds_the_link(result)
+    columns = {"t": TIME, "theta_deg": angle, "alpha_rad": DEFLECTION}
+    with pytest.raises(LogError, match="an angle to unwrap"):
+        started(written(tmp_path / "log.csv", columns), motor_angle="none")
 
 
 def test_a_dump_of_words_is_refused_by_its_cells(tmp_path: Path) -> None:

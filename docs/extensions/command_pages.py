@@ -46,7 +46,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "campaign montecarlo": ("arms", "how-to/run-a-campaign"),
     "campaign faults": ("dropped", "how-to/run-a-fault-campaign"),
     "replay": ("arms", "how-to/run-a-campaign"),
-    "doctor": ("arm", "how-to/bring-your-rig"),
 }
 
 

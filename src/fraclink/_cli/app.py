@@ -33,7 +33,6 @@ _SECTIONS: dict[str, dict[str, tuple[str, str]]] = {
         "export": ("boards", "write the controller as C99 or FMU"),
         "report": ("designs", "gather a folder of results into one HTML file"),
         "studio": ("studio", "a page on this machine: drag the loop, see the arm"),
-        "doctor": ("installation", "check this installation"),
     },
     "On an arm": {
         "tune": ("tunings", "tune an unknown arm within limits, up to its first moves"),

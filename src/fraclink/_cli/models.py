@@ -1,4 +1,4 @@
-"""Commands on logs: inspect, diagnose, validate, record."""
+"""Commands on logs: inspect, diagnose, validate."""
 
 from __future__ import annotations
 
@@ -33,13 +33,11 @@ app = group()
 
 @command(app)
 def inspect(log: LogName) -> Answer:
-    """List a log's channels, rates and ranges, and a mapping to paste into the rig
-    file.
+    """List a log's channels, rates and ranges.
 
     $ fraclink inspect log.csv
     """
-    listing = inspect_log(log_path(log))
-    return Answer(text=str(listing), values=listing.values())
+    return Answer(inspect_log(log_path(log)))
 
 
 @command(app)

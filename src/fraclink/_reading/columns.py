@@ -12,7 +12,6 @@ import re
 import numpy as np
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
-from fraclink._files.toml import toml_value
 from fraclink._reading.table import NUMBER, LogTable
 from fraclink.errors import LogError
 from fraclink.findings import Finding
@@ -83,41 +82,6 @@ def converter_step(values: Real) -> float:
         return 0.0
     gaps = np.diff(distinct)
     return float(gaps[gaps > 1e-3 * np.median(gaps)].min())
-
-
-# --- what a log that states nothing suggests --------------------------------------------
-
-
-def suggested_mapping(table: LogTable) -> str:
-    """A `[log]` table to paste into a rig file; unknown entries are a ``?`` for the
-    user to fill in.
-    """
-    lines = ["[log] # check every line: column, unit and sign"]
-    for role, name, unit in suggested_columns(table):
-        column, unit = toml_value(name), toml_value(unit)
-        lines.append(f"{role} = {{ column = {column}, unit = {unit} }}")
-    return "\n".join(lines)
-
-
-def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
-    """Suggestions from names and values: (role, column, unit), "?" if there is none."""
-    roles = [role for role, _ in table.roles]
-    clock = table.clock()
-    output = "torque" if "torque" in roles else "deflection"
-    rows = [("time", clock or "?", _unit(table, "time", clock))]
-    for role in ("motor_angle", output, "voltage"):
-        columns = [table.label(k) for k, own in enumerate(roles) if own == role]
-        column = next((each for each in columns if each != clock), "")
-        if column or role != "voltage":
-            rows.append((role, column or "?", _unit(table, role, column)))
-    return rows
-
-
-def _unit(table: LogTable, role: str, column: str) -> str:
-    units = UNITS[QUANTITY_OF[role]]
-    if column not in table.names:  # the sum of two columns is in seconds
-        return "s" if role == "time" and column else "?"
-    return table.unit(table.names.index(column), units) or "?"
 
 
 # --- what a stated column must be -------------------------------------------------------

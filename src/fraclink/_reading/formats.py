@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from fraclink._files.containers import read_archive
-from fraclink._reading.table import LogTable, check_bytes, check_file
+from fraclink._reading.table import LogTable, check_file
 from fraclink._reading.text import read_text_table
 from fraclink._reading.worker import CPU_SECONDS, MEMORY_LIMIT
 from fraclink.errors import (
@@ -33,18 +33,23 @@ _MAGIC = (
     (512, b"\x89HDF\r\n\x1a\n", "HDF5"),
     (0, b"TDSm", "TDMS"),
     (0, b"\x93NUMPY", "NumPy"),
-    (0, b"\x89MCAP0\r\n", "ROS 2"),
-    (0, b"SQLite format 3\x00", "ROS 2"),
 )
+_EXPORT = "export it as CSV"
+_ECHO = "play it, and write a topic by `ros2 topic echo --csv TOPIC > log.csv`"
+_TABLE = "keep its table alone: sed -n '/^X_Value/,$p' LOG > log.csv"
+# The first bytes of files that are no logs, what they are, and the way to a log.
 _FOREIGN = (
-    (b"PK\x03\x04", "a zip or spreadsheet"),
-    (b"\x1f\x8b", "gzip"),
-    (b"\xd0\xcf\x11\xe0", "an old spreadsheet"),
-    (b"%PDF", "PDF"),
-    (b"PAR1", "Parquet"),
-    (b"\x80\x04", "pickle"),
-    (b"{", "JSON"),
-    (b"<", "HTML or XML"),
+    (b"PK\x03\x04", "a zip or spreadsheet", _EXPORT),
+    (b"\x1f\x8b", "gzip", _EXPORT),
+    (b"\xd0\xcf\x11\xe0", "an old spreadsheet", _EXPORT),
+    (b"%PDF", "PDF", _EXPORT),
+    (b"PAR1", "Parquet", _EXPORT),
+    (b"\x80\x04", "pickle", _EXPORT),
+    (b"\x89MCAP", "a recording of ROS 2", _ECHO),
+    (b"SQLite format 3", "a database", _ECHO),
+    (b"LabVIEW Measurement", "a measurement file of LabVIEW", _TABLE),
+    (b"{", "JSON", _EXPORT),
+    (b"<", "HTML or XML", _EXPORT),
 )
 # Name endings that imply a format; others (.txt, .dat, .log …) imply none.
 _PROMISED = {
@@ -53,25 +58,16 @@ _PROMISED = {
     ".hdf5": ("HDF5",),
     ".tdms": ("TDMS",),
     ".npy": ("NumPy",),
-    ".mcap": ("ROS 2",),
-    ".db3": ("ROS 2",),
     ".csv": ("text",),
     ".tsv": ("text",),
 }
 
 
 def sniffed_kind(path: Path) -> str:
-    """The format of the file at `path`: text, MAT v5, HDF5, TDMS, NumPy or ROS
-    2.
+    """The format of the file at `path`: text, MAT v5, HDF5, TDMS or NumPy.
 
     Raises FileFormatError if its content is not a log, or contradicts its name.
     """
-    if path.is_dir():
-        if (path / "metadata.yaml").is_file():
-            return "ROS 2"
-        raise _other(
-            path, "a folder", "a file, or a rosbag2 folder", "give the file itself"
-        )
     check_file(path)
     with path.open("rb") as stream:
         head = stream.read(1024)
@@ -79,11 +75,11 @@ def sniffed_kind(path: Path) -> str:
     # on its age.
     kinds = (kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic)
     kind = next(kinds, "text")
-    foreign = next((name for magic, name in _FOREIGN if head.startswith(magic)), "")
     promised = _PROMISED.get(path.suffix.lower(), (kind,))
-    if foreign:
-        formats = "text, MAT, HDF5, TDMS, NumPy, rosbag2, MCAP"
-        raise _other(path, f"{foreign} by its content", formats, "export it as CSV")
+    formats = "text, MAT, HDF5, TDMS, NumPy"
+    for magic, name, remedy in _FOREIGN:
+        if head.startswith(magic):
+            raise _other(path, f"{name} by its content", formats, remedy)
     if kind not in promised:
         remedy = "it is damaged, or its name has the wrong ending"
         if path.suffix.lower() == ".mat":
@@ -104,11 +100,7 @@ def read_table(path: Path) -> LogTable:
     """
     kind = sniffed_kind(path)
     if kind == "text":
-        return read_text_table(path).continued()
-    if path.is_dir():
-        # Recorders split a bag into files, each of which may be small.
-        files = [file for file in path.iterdir() if file.is_file()]
-        check_bytes(sum(file.stat().st_size for file in files))
+        return read_text_table(path)
     table = _parsed_by_child(path, kind)
     if not table.names:
         raise LogError(
@@ -118,7 +110,7 @@ def read_table(path: Path) -> LogTable:
             allowed="arrays of real numbers",
             remedy="export plain arrays; in MATLAB save log.mat t theta torque -v7",
         )
-    return table.continued()
+    return table
 
 
 _WALL_SECONDS = 60  # wall time of the child for one file: the disk may be slow

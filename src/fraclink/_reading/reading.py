@@ -5,7 +5,7 @@ lists the content of a file.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from fraclink._arm.log_columns import (
 )
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base, uniform_before
+from fraclink._display import Overview, Row, Table, displayed
 from fraclink._files import sha256_of
 from fraclink._reading.columns import (
     check_count,
@@ -28,8 +29,6 @@ from fraclink._reading.columns import (
     columns_of_names,
     converter_step,
     stated_payload,
-    suggested_columns,
-    suggested_mapping,
 )
 from fraclink._reading.formats import read_table
 from fraclink._reading.table import LogTable, check_size, clock_step
@@ -97,8 +96,7 @@ def read_log(
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
-    """Read a recorded log: CSV and other text, MAT, HDF5, TDMS, NumPy, rosbag2
-    or MCAP.
+    """Read a recorded log: CSV and other text, MAT, HDF5, TDMS or NumPy.
 
     Which column is what, in which unit and with which sign, is stated and never
     guessed: by `columns`, by the rig's `[log]` table, or by names in the log that are a
@@ -215,16 +213,13 @@ def _kept(stamps: Real, begin: float, end: float) -> tuple[Mask, Finding]:
 
 
 def _unstated(table: LogTable) -> LogError:
-    words = " ".join(
-        f'--column "{role}={name} [{unit}]"'
-        for role, name, unit in suggested_columns(table)
-    )
     return LogError(
         "columns",
         ", ".join(table.names[:12]),
         "not stated: which column is what, in which unit, is never guessed",
         allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
-        remedy=f"paste what inspect_log (fraclink inspect) suggests into the rig file, or give {words}",
+        remedy="`fraclink start` finds them and writes that table; or give --column for each, such as "
+        '"time=t [s]", "motor_angle=theta [deg]" and "torque=gamma [Nm]"',
     )
 
 
@@ -255,8 +250,6 @@ def _channels(
             raw = np.arange(table.values[angle].size, dtype=np.float64)
         else:
             place = table.place(channel.column, role)
-            if role == "time":
-                table.check_one_recording(place)
             raw, repairs = table.clean(place, interpolate=interpolate)
             findings += [*repairs, *_contradicted(table, place, role, channel)]
         data[role] = channel.in_si(raw, role)
@@ -326,49 +319,51 @@ class ChannelSummary:
     quantum: float
     period: float | None
 
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """The channel as people and programs read it."""
+        return (
+            Row("name", "channel", _shown(self.name)),
+            Row("unit", "unit", self.unit),
+            Row("samples", "samples", self.samples, digits=8),
+            Row("missing", "missing", self.missing, digits=8),
+            Row("minimum", "minimum", self.minimum),
+            Row("maximum", "maximum", self.maximum),
+            Row("quantum", "step", self.quantum, digits=3),
+            Row("period", "every", self.period),
+        )
 
+
+@displayed
 @dataclass(frozen=True)
 class LogListing:
-    """The channels of a file, its header's notes, and a mapping to paste into a rig
-    file.
+    """The channels of a file, and the notes of its header.
 
-    `print` shows it to people; `values` gives the same to programs. `remarks` lists in
-    sentences how the form of the file was changed to read it.
+    `remarks` lists in sentences how the form of the file was changed to read it.
     """
 
     path: str
     kind: str
     channels: tuple[ChannelSummary, ...]
     notes: tuple[tuple[str, str], ...]
-    suggestion: str
     remarks: tuple[str, ...] = ()
 
-    def values(self) -> dict[str, object]:
-        """The listing as plain values; None for the range of a column without numbers."""
-        channels = [
-            {
-                key: None if value != value else value
-                for key, value in asdict(channel).items()
-            }
-            for channel in self.channels
-        ]
-        return asdict(self) | {"notes": dict(self.notes), "channels": channels}
-
-    def __str__(self) -> str:
-        head = f"{self.path}: {self.kind}, {len(self.channels)} channels"
-        width = max(7, *(len(_shown(c.name)) for c in self.channels), 7)
-        lines = [head, *(f"read as: {printable(remark)}" for remark in self.remarks)]
-        lines.append(
-            f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step"
+    def overview(self) -> Overview:
+        """Every channel with its range, and the header's notes."""
+        rows = (
+            Row("path", "", self.path),
+            Row("kind", "", self.kind),
+            Row("notes", "", dict(self.notes)),
+            Row("remarks", "", self.remarks),
         )
-        for c in self.channels:
-            clock = f"  every {c.period:.6g}" if c.period is not None else ""
-            lines.append(
-                f"{_shown(c.name):{width}}  {c.unit or '?':5}  {c.samples:7d}  {c.missing:7d}  "
-                f"{c.minimum:12.6g}  {c.maximum:12.6g}  {c.quantum:7.3g}{clock}"
-            )
+        lines = [f"read as: {remark}" for remark in self.remarks]
         lines += [f"# {_shown(key)}: {_shown(value)}" for key, value in self.notes]
-        return "\n".join([*lines, "", "to paste into the rig file:", self.suggestion])
+        return Overview(
+            f"{self.path}: {self.kind}, {len(self.channels)} channels",
+            rows=rows,
+            tables=(Table.of("channels", (each.rows for each in self.channels)),),
+            notes=tuple(lines),
+        )
 
 
 def _shown(text: str) -> str:
@@ -377,29 +372,22 @@ def _shown(text: str) -> str:
 
 
 def inspect_log(path: Path | str) -> LogListing:
-    """List the channels of a file: rates and ranges [in the file's own units], a
-    suggested mapping.
+    """List the channels of a file: rates and ranges, in the file's own units.
 
-    Nothing is interpreted: the suggestion marks with ``?`` what only a person can say.
-    Raises FileFormatError, LogError or SizeError where the file cannot be read,
+    Nothing is interpreted; `start` says what each column may be. Raises
+    FileFormatError, LogError or SizeError where the file cannot be read,
     MissingExtraError where a reader is not installed.
 
     >>> from fraclink._reading.reading import bundled_log
     >>> listing = inspect_log(bundled_log("prbs_30g"))
-    >>> print(listing.suggestion)
-    [log] # check every line: column, unit and sign
-    time = { column = "time_s", unit = "s" }
-    motor_angle = { column = "motor_angle_rad", unit = "rad" }
-    torque = { column = "torque_Nm", unit = "Nm" }
+    >>> [channel.name for channel in listing.channels]
+    ['time_s', 'motor_angle_rad', 'torque_Nm']
     """
     place = Path(path)
     table = read_table(place)
     channels = tuple(_summary(table, number) for number in range(len(table.names)))
     remarks = (*table.remarks, *table.bad_cells())
-    suggestion = suggested_mapping(table)
-    return LogListing(
-        Path(path).name, table.kind, channels, table.notes, suggestion, remarks
-    )
+    return LogListing(place.name, table.kind, channels, table.notes, remarks)
 
 
 def _summary(table: LogTable, number: int) -> ChannelSummary:

@@ -51,13 +51,13 @@ _CALLED = 'name it as the header does, or by its number: "#1" is the first'
 def read_frequency_response(
     path: Path | str, columns: Mapping[str, str] | None = None
 ) -> FrequencyResponse:
-    """Read a table of a frequency response: one line a row, or one line a column.
+    """Read a table of a frequency response, one frequency a row.
 
     Parameters
     ----------
     path
-        a table in any format of `read_log`. Names of its columns (or rows) say what
-        they are, such as ``frequency_Hz``, ``omega``, ``gain``, ``mag [dB]``,
+        a table in any format of `read_log`. Names of its columns say what they are, such
+        as ``frequency_Hz``, ``omega``, ``gain``, ``mag [dB]``,
         ``phase_deg``, ``real``, ``imag``, ``coherence``.
     columns
         says it instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase": "p
@@ -75,7 +75,7 @@ def read_frequency_response(
     --------
     >>> import tempfile
     >>> table = Path(tempfile.mkdtemp(), "frf.csv")
-    >>> _ = table.write_text("f [Hz],1,2\\nmag [dB],0,-20\\nphase [deg],0,-90\\n")
+    >>> _ = table.write_text("f [Hz],mag [dB],phase [deg]\\n1,0,0\\n2,-20,-90\\n")
     >>> read_frequency_response(table).response.round(3)
     array([1.+0.j , 0.-0.1j])
     """

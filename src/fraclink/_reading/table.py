@@ -8,7 +8,6 @@ is allocated.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -18,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from fraclink._files.codec import suggestion
-from fraclink._reading.names import names_time, roles_of, unit_of_name, words_of
+from fraclink._reading.names import names_time, roles_of, unit_of_name
 from fraclink.errors import FileFormatError, LogError, SizeError
 from fraclink.findings import Finding
 from fracsys.checks import Real
@@ -41,13 +40,8 @@ COLUMN_LIMIT = 1_000
 VALUE_LIMIT = 32_000_000  # numbers in total: 256 MB in memory
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
-_PARTS = {
-    **dict.fromkeys(("nanosec", "nsec", "nsecs"), "1e-9"),
-    **dict.fromkeys(("usec", "microsec"), "1e-6"),
-}
 _FACTOR = r"(?:([0-9.]+(?:[eE][-+]?[0-9]+)?) *\* *)?"
 _COMBINED = re.compile(_FACTOR + r"(\S.*?)\s+([-+])\s+" + _FACTOR + r"(\S.*)")
-_AGAIN = "the names stand again where the logger was started again: keep one run, such as by sed -i '{line},$d'"
 _INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
 
 
@@ -85,7 +79,10 @@ def check_size(values: int, columns: int = 1) -> None:
 
 
 def _too_large(size: str, allowed: str) -> SizeError:
-    remedy = "cut the recording to one experiment, or record at a lower rate"
+    remedy = (
+        "cut the recording to one experiment, or record at a lower rate; in a text write "
+        "one sample a line"
+    )
     return SizeError("log", size, "too large", allowed=allowed, remedy=remedy)
 
 
@@ -128,10 +125,6 @@ class LogTable:
     hints
         names that the file has, but not as many as columns; () where `names` are its
         own. They suggest and state nothing.
-    first_line
-        number of the first row in a text, counted from 1; 0 for other files.
-    turned
-        numbers of the columns that were continued over whole turns.
     """
 
     names: tuple[str, ...]
@@ -144,8 +137,6 @@ class LogTable:
     units: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
-    first_line: int = 0
-    turned: frozenset[int] = frozenset()
 
     def place(
         self, name: str, role: str, remedy: str = "correct [log] of the rig file"
@@ -200,23 +191,9 @@ class LogTable:
 
     def clock(self) -> str:
         """The name of the column that has the name of a time and rises, or of the only
-        one that rises; a sum of two columns for seconds and fractions of a second; or
-        "".
+        one that rises; or "".
         """
         names = [*map(self.name, range(len(self.names)))]
-        # Matched by the last word: header.stamp.sec and header.stamp.nanosec, as well
-        # as sec and nsec.
-        last = {
-            words[-1]: k for k, name in enumerate(names) if (words := words_of(name))
-        }
-        whole = next((last[word] for word in ("sec", "secs") if word in last), None)
-        part = next((word for word in _PARTS if word in last), "")
-        if whole is not None and part:
-            both = f"{self.names[whole]} + {_PARTS[part]} * {self.names[last[part]]}"
-            # If the parts do not form seconds, the sum jumps back once a second: such a
-            # pair is not a clock.
-            if clock_step(self.with_combined([both]).values[-1]) is not None:
-                return both
         # A file may hold several recordings, each with its own clock: take the one with
         # the most signals, and among equals the longest.
         sizes = [values.size for values in self.values if moves(values)]
@@ -285,7 +262,7 @@ class LogTable:
         faults = self.faults.get(place)
         missing = np.flatnonzero(~np.isfinite(values))
         if not missing.size:
-            return values, self._turned(place)
+            return values, []
         share = missing.size / values.size
         where, cell = f"sample {missing[0]}", repr(float(values[missing[0]]))
         problem, allowed = f"missing ({missing.size} of {values.size} cells)", "numbers"
@@ -297,10 +274,7 @@ class LogTable:
             where = f"line {line}"
             if faults.bad:
                 problem = f"not a number ({faults.bad} such cells)"
-                allowed, remedy = (
-                    "numbers such as -1.5e-3",
-                    self._cell_remedy(place, line, cell),
-                )
+                allowed, remedy = "numbers such as -1.5e-3", cell_remedy(cell)
         # Never offered beyond one per cent: a straight line across a missing second of
         # vibration is a false torque that least squares would fit.
         bad = faults is not None and faults.bad
@@ -318,19 +292,6 @@ class LogTable:
                 f"{missing.size} missing cells of column {name!r} were interpolated",
                 {"missing": missing.size, "share": share},
                 "check whether they lie where the arm moves",
-            )
-        ]
-
-    def _turned(self, place: int) -> list[Finding]:
-        if place not in self.turned:
-            return []
-        return [
-            Finding(
-                "W205",
-                "info",
-                f"column {self.names[place]!r} begins again after a turn, and was continued",
-                {},
-                "check that the signal is one that turns",
             )
         ]
 
@@ -354,56 +315,13 @@ class LogTable:
         # Up to the rounding to four digits.
         return bool(np.corrcoef(*pair)[0, 1] ** 2 > 1 - 1e-6)
 
-    def check_one_recording(self, place: int) -> None:
-        """Raise LogError where the clock of a text falls back: another recording begins."""
-        values = self.values[place]
-        begins = [0, *(np.flatnonzero(np.diff(values) < 0) + 1), values.size]
-        lengths = np.diff(begins)
-        longest = int(np.argmax(lengths))
-        # Stamps that are out of order do not begin where the first recording began; they
-        # are left to the reader's other checks.
-        anew = lengths.size > 1 and (values[begins[1:-1]] <= values[1]).all()
-        if not anew or not self.first_line:
-            return
-        first, last = (begins[longest + k] + self.first_line for k in (0, 1))
-        names = f"{self.first_line - 1}p;" if self.first_line > 1 else ""
-        raise LogError(
-            "time",
-            f"{values[begins[1]]:.9g} at sample {begins[1]}, line {begins[1] + self.first_line}",
-            f"decreasing (after {values[begins[1] - 1]:.9g}): {lengths.size} recordings, one behind the other",
-            allowed="increasing stamps",
-            remedy=f"keep one; the longest by sed -n '{names}{first},{last - 1}p' LOG > run.csv",
-        )
-
-    def continued(self) -> LogTable:
-        """Return the table with counters and angles that begin again after a whole turn
-        continued, and a remark on each.
-        """
-        whole = {k: _unwrapped(values) for k, values in enumerate(self.values)}
-        values = tuple(
-            own if (new := whole[k]) is None else new
-            for k, own in enumerate(self.values)
-        )
-        turned = frozenset(k for k, new in whole.items() if new is not None)
-        remarks = [
-            f"{self.label(k)} begins again after a turn: continued"
-            for k in sorted(turned)
-        ]
-        return replace(
-            self, values=values, remarks=(*self.remarks, *remarks), turned=turned
-        )
-
-    def _cell_remedy(self, place: int, line: int, cell: str) -> str:
-        again = cell == self.names[place]
-        return _AGAIN.format(line=line) if again else cell_remedy(cell)
-
     def bad_cells(self) -> list[str]:
         """A sentence for each column with cells that are no numbers, with the first of
         them.
         """
         return [
             f"{self.names[place]}: {each.bad} cells are no numbers, the first in line "
-            f"{each.first_bad[0]}, {each.first_bad[1]!r}: {self._cell_remedy(place, *each.first_bad)}"
+            f"{each.first_bad[0]}, {each.first_bad[1]!r}: {cell_remedy(each.first_bad[1])}"
             for place, each in sorted(self.faults.items())
             if each.bad
         ]
@@ -421,38 +339,6 @@ def clock_step(values: Real) -> float | None:
         return None
     step = float(np.median(steps))
     return step if step > 0 else None
-
-
-def _unwrapped(values: Real) -> Real | None:
-    """The values of a counter, or of an angle within one turn, continued; None for
-    others.
-    """
-    # Differences of values near the largest double overflow: such a column does not
-    # count, nor does one beyond the whole numbers that a double holds.
-    with np.errstate(over="ignore", invalid="ignore"):
-        steps, reach = np.abs(np.diff(values)), float(np.ptp(values))
-    if not 0.0 < reach < 2.0**53:
-        return None
-    # A word of a counter, or a turn in rad or in degrees.
-    for turn in (2.0 ** math.ceil(math.log2(reach + 1)), 2 * math.pi, 360.0):
-        jumps = np.flatnonzero(steps > 0.5 * turn)
-        # A single sample that is far off is an outlier.
-        if not jumps.size or reach > turn or (np.diff(jumps) < 4).any():
-            continue
-        whole = np.unwrap(values, period=turn)
-        speed = np.abs(np.diff(whole))
-        fastest = float(speed.max())
-        # Nor does a motion that is sampled double its speed from one sample to the next,
-        # as it would behind a turn of the wrong size: nanoseconds begin again at 1e9.
-        beside = np.maximum(np.roll(speed, 1), np.roll(speed, -1))[jumps]
-        # A command that toggles between the ends does not pass through what lies between.
-        if (
-            fastest < 0.25 * turn
-            and np.ptp(whole) > 2 * fastest
-            and (speed[jumps] <= 2 * beside).all()
-        ):
-            return np.asarray(whole, dtype=np.float64)
-    return None
 
 
 def moves(values: Real) -> bool:

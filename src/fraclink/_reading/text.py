@@ -3,8 +3,8 @@
 The plain form is comments, one line of names, and rows of numbers with decimal points.
 Four separators are tried; the one that gives rows of numbers, with the most numeric
 cells, is used. Names stand above the first row, possibly followed by units. Numbers in
-quotes, decimal commas where no comma separates, times of day, a separator at the end of
-every row and a transposed table are accepted and reported. Ambiguous cells are left
+quotes, decimal commas where no comma separates, times of day and a separator at the
+end of every row are accepted and reported. Ambiguous cells are left
 unchanged and rejected. Rows keep their line numbers, so that an error names the line of
 the file.
 
@@ -51,8 +51,6 @@ _CLOCK = re.compile(
     r"(?:([0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4})[T ] *)?"
     r"([0-9]{1,2}):([0-9]{2}):([0-9]{2}(?:[.,][0-9]+)?)(Z|[+-][0-9]{2}:?[0-9]{2})?"
 )
-# A number or a time of day in a line of text, and no digit of a name.
-_FIELD = re.compile(rf"(?<![\w.])(?:{_CLOCK.pattern}|{NUMBER.pattern})(?![\d.])")
 _MISSING = frozenset(
     ("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-")
 ) | {"inf", "+inf", "-inf"}
@@ -63,7 +61,6 @@ LINE_LIMIT = 100_000  # bytes of one line
 _HEAD = 200  # lines in which a table must begin
 _DAY = 86_400.0
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
-_LABVIEW = ("LabVIEW Measurement", "***End_of_Header***")
 
 
 @dataclass(frozen=True)
@@ -82,8 +79,6 @@ class Layout:
         number of the first row in the file, counted from 1.
     body
         the rows, each with its line end.
-    step
-        of the stamps [s] that a header states instead of a column; "" for none.
     """
 
     separator: str
@@ -93,7 +88,6 @@ class Layout:
     first_line: int
     body: bytes
     remarks: tuple[str, ...]
-    step: str = ""
 
 
 def read_text_table(path: Path) -> LogTable:
@@ -103,17 +97,11 @@ def read_text_table(path: Path) -> LogTable:
     or SizeError (over the limits of `fraclink._reading.table`).
     """
     check_file(path)
-    text, form = _unlabelled(_utf8(path.read_bytes(), path))
-    text, turned = _upright(text)
-    remarks = (*form, *turned)
+    text = _utf8(path.read_bytes(), path)
     _check_lines(text)
     raw = text.split(b"\n", _HEAD)
     lines = [line.decode() for line in raw[:_HEAD]]
-    begin = 1 + max(
-        (place for place, line in enumerate(lines) if line.startswith(_LABVIEW[1])),
-        default=-1,
-    )
-    places = [k for k in range(begin, len(lines)) if not _is_comment(lines[k])]
+    places = [k for k, line in enumerate(lines) if not _is_comment(line)]
     separator, row = _first_row([lines[place] for place in places])
     if row == len(places):
         raise LogError(
@@ -124,7 +112,7 @@ def read_text_table(path: Path) -> LogTable:
             remedy="record or export again",
         )
     start = places[row]
-    head = [*(lines[:begin] if begin else ()), *(lines[k] for k in places[:row])]
+    head = [lines[k] for k in places[:row]]
     comments = [line for line in lines[:start] if line.strip() and _is_comment(line)]
     notes = [note for line in comments if (note := _NOTE.fullmatch(line))]
     layout = _header(head, comments, separator, start + 1, b"\n".join(raw[start:]))
@@ -146,9 +134,8 @@ def read_text_table(path: Path) -> LogTable:
         tuple((note[1], note[2]) for note in notes),
         faults,
         tuple(layout.units.get(name, "") for name in names) if layout.units else (),
-        (*remarks, *layout.remarks),
+        layout.remarks,
         layout.hints,
-        layout.first_line,
     )
 
 
@@ -234,54 +221,6 @@ def _is_comment(line: str) -> bool:
     return not line.strip() or line.lstrip()[0] in "#%"
 
 
-def _upright(text: bytes) -> tuple[bytes, tuple[str, ...]]:
-    """A table whose channels are rows is transposed, with a remark."""
-    if text.count(b"\n") > _HEAD:
-        return text, ()
-    lines = text.decode().split("\n")
-    comments = [line for line in lines if _is_comment(line)]
-    rows = [line for line in lines if not _is_comment(line)]
-    for separator in _SEPARATORS:
-        table = [_cells(row, separator) for row in rows]
-        width = len(table[0]) if table else 0
-        if not 2 <= len(table) <= width or {len(x) for x in table} != {width}:
-            continue
-        heads = [row[0] for row in table]
-        # Either every row begins with a distinct name, or there are no names and this
-        # has more columns than any log has channels.
-        has_names = len(set(heads)) == len(heads) and not any(map(_is_numeric, heads))
-        wide = width > max(_HEAD, 4 * len(rows))
-        cells = [cell for row in table for cell in row[has_names:]]
-        if width > 1 and (has_names or wide) and all(map(_is_numeric, cells)):
-            turned = [*comments, *map("\t".join, zip(*table, strict=True))]
-            remark = f"{len(rows)} rows of {width - has_names} samples: turned upright"
-            return "\n".join(turned).encode(), (remark,)
-    return text, ()
-
-
-def _unlabelled(text: bytes) -> tuple[bytes, tuple[str, ...]]:
-    """Lines such as ``[12:00:00.5] angle: 1.2, torque: 0.3``, which differ in nothing but
-    their numbers, as a table, with a remark.
-    """
-    middle = text.rfind(b"\n", 0, len(text) // 2) + 1
-    form = _FIELD.sub("\0", text[middle:].split(b"\n", 1)[0].decode())
-    if not re.search(r"[:=(\[]", form):
-        return text, ()
-    lines = text.rstrip().decode().split("\n")
-    forms = [_FIELD.sub("\0", line) for line in lines]
-    begin = forms.index(form)
-    if forms.count(form) < len(forms) - begin:
-        return text, ()
-    words = [re.findall(r"[^\W\d]\w*", part)[-1:] for part in form.split("\0")[:-1]]
-    rows = [[match[0] for match in _FIELD.finditer(line)] for line in lines[begin:]]
-    names = [word for places in words for word in places]
-    head = [names] if len({*names}) == len(words) else []
-    table = [*lines[:begin], *map("\t".join, [*head, *rows])]
-    return "\n".join(table).encode(), (
-        f"lines of one form, {form.replace(chr(0), '…')[:60]!r}",
-    )
-
-
 def _first_row(lines: list[str]) -> tuple[str, int]:
     """The separator of the cells, and the index in `lines` of the first row of the
     table.
@@ -332,8 +271,6 @@ def _header(
         remarks.append(f"a {separator.replace(chr(9), 'tab')} at the end of every row")
     rows = [_cells(line.decode(), separator) for line in body.split(b"\n", 20)[:20]]
     width = len(rows[0])
-    fields = {line.split("\t")[0]: line.split("\t")[1:] for line in above}
-    labview = bool(above) and above[0].startswith(_LABVIEW[0])
     split = partial(_names, separator=separator, width=width, closed=closed)
     if len(above) > 1 and _is_fragment(split(above[-1]), width):
         remarks.append(f"line {first_line - 1} is part of a row: left out")
@@ -347,13 +284,7 @@ def _header(
     names = split(
         above[-1] if above else comments[-1].lstrip("#% ") if comments else ""
     )
-    if labview:
-        remarks.append("a measurement file of LabVIEW")
-        labels = [
-            unit_of_name(f"x [{unit.strip()}]") for unit in fields["Y_Unit_Label"]
-        ]
-        units = {"X_Value": "s", **dict(zip(names[1:], labels, strict=False))}
-    elif len(above) > 1:
+    if len(above) > 1:
         remarks.append(f"{len(above) - 1} lines of title above the names")
     hints: tuple[str, ...] = ()
     if len(names) != width or not all(names):
@@ -363,17 +294,7 @@ def _header(
                 f"{len(names)} names above rows of {width} cells: columns by number"
             )
         names = tuple(f"#{place + 1}" for place in range(width))
-    step = next(iter(fields.get("Delta_X", ())), "") if labview else ""
-    return Layout(
-        separator,
-        names,
-        hints,
-        units,
-        first_line,
-        body,
-        tuple(remarks),
-        step.replace(",", "."),
-    )
+    return Layout(separator, names, hints, units, first_line, body, tuple(remarks))
 
 
 def _names(line: str, separator: str, width: int, closed: bool) -> tuple[str, ...]:
@@ -430,8 +351,7 @@ def _plain_body(layout: Layout) -> Layout:
     comma = b"," in body and b"." not in body and (separator != "," or quoted)
     first = _cells(body[: body.index(b"\n")].decode(), separator)
     clocks = [k for k, cell in enumerate(first) if _CLOCK.fullmatch(cell)]
-    counted = layout.step and not first[0]
-    if not (quoted or comma or clocks or counted):
+    if not (quoted or comma or clocks):
         return layout
     lines = body.decode().split("\n")[:-1]
     rows = [line.split() for line in lines]
@@ -457,12 +377,6 @@ def _plain_body(layout: Layout) -> Layout:
             remarks.append(
                 f"{name} holds a clock's stamps: seconds since {first[place]}"
             )
-    if counted:
-        for k, row in enumerate(rows):
-            row[0] = repr(k * float(layout.step))
-        remarks.append(
-            f"the time is counted in steps of {layout.step} s, as its header says"
-        )
     body = "".join("\t".join(row) + "\n" for row in rows).encode()
     return replace(
         layout, separator="\t", body=body, units=units, remarks=tuple(remarks)

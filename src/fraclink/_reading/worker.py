@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -177,83 +176,6 @@ def _flat(name: str, value: object) -> Iterator[RawColumn]:
             yield from _flat(f"{label}.{field}", element[field])
 
 
-# --- ROS 2: rosbag2 folders, .db3 and .mcap, without ROS -------------------------------------------------
-
-
-_JOINT_STATE = "sensor_msgs/msg/JointState"
-# as the message's definition states them
-_UNITS = {
-    "position": "rad",
-    "velocity": "rad/s",
-    "effort": "Nm",
-}
-
-
-def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
-    """Columns ``topic/joint.position`` (velocity, effort) and ``topic/time`` [s] after
-    the first stamp.
-    """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError("rosbags", "io") from error
-
-    records: dict[str, list[tuple[int, dict[str, float]]]] = defaultdict(list)
-    with AnyReader(
-        [path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
-    ) as reader:
-        check_size(8 * reader.message_count)
-        for connection, _received, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            # Without a header there is no time stamp of the measurement, only the
-            # recorder's time of arrival: such a topic is not a signal of the log.
-            header = getattr(message, "header", None)
-            if header is None:
-                continue
-            # Whole nanoseconds: as doubles, seconds since 1970 only resolve a quarter
-            # of a microsecond.
-            stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-            joints = connection.msgtype == _JOINT_STATE
-            numbers = _joints(message) if joints else _numbers(message, "")
-            records[connection.topic].append((stamp, numbers))
-    columns, notes = [], {}
-    for topic, rows in records.items():
-        # Bags are sorted by time of reception; messages that overtook each other are
-        # out of order.
-        rows.sort(key=lambda row: row[0])
-        notes[f"first stamp of {topic}"] = f"{rows[0][0]} ns"
-        stamps = np.array([stamp - rows[0][0] for stamp, _ in rows]) * 1e-9
-        columns.append(RawColumn(f"{topic}/time", "s", stamps))
-        # Joints may come and go within a topic: each column is as long as its stamps.
-        for name in dict.fromkeys(name for _, row in rows for name in row):
-            values = np.array([row.get(name, np.nan) for _, row in rows])
-            unit = _UNITS.get(name.rsplit(".", 1)[-1], "")
-            columns.append(RawColumn(f"{topic}/{name}", unit, values))
-    return columns, notes
-
-
-def _joints(message: Any) -> dict[str, float]:
-    return {
-        f"{joint}.{field}": float(value)
-        for field in _UNITS
-        for joint, value in zip(message.name, getattr(message, field), strict=False)
-    }
-
-
-def _numbers(value: Any, name: str) -> dict[str, float]:
-    """The plain numbers of any stamped message by dotted path."""
-    numbers: dict[str, float] = {}
-    for field in getattr(value, "__dataclass_fields__", {}):
-        item = getattr(value, field)
-        label = f"{name}.{field}" if name else field
-        if isinstance(item, (int, float)) and not isinstance(item, bool):
-            numbers[label] = float(item)
-        elif field not in ("header", "__msgtype__"):
-            numbers |= _numbers(item, label)
-    return numbers
-
-
 # --- TDMS of LabVIEW -------------------------------------------------------------------------------------
 
 
@@ -315,7 +237,6 @@ PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
     "HDF5": read_hdf5,
     "TDMS": read_tdms,
     "NumPy": read_npy,
-    "ROS 2": read_ros,
 }
 
 

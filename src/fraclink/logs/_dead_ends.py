@@ -67,6 +67,7 @@ def dead_end(
     voltages = [place for place in free if roles[place][0] == "voltage"]
     speeds = [place for place in free if roles[place][0] == "a speed"]
     rings = [place for place in free if roles[place][0] in _RINGS]
+    steps = [matching.label(place) for place in free if table.is_switched(place)]
     mode, channels = '"k/(s**a + w)*exp(-L*s)"', ""
     if missing == "output" and angle is not None and sensors:
         # A lag of a quarter of a sample makes the structure proper, and every
@@ -92,7 +93,11 @@ def dead_end(
         )
     # One signal that rings and nothing that moves it; with two it would be unknown
     # which one is the output.
-    elif missing == "motor_angle" and len(rings) == 1 and not (voltages or speeds):
+    elif (
+        missing == "motor_angle"
+        and len(rings) == 1
+        and not (voltages or speeds or steps)
+    ):
         channels = f"--ring-down --output {names[rings[0]]}"
         problem = "without a motor that moves"
         remedy = "if the link was bent and let go, run"
@@ -100,15 +105,14 @@ def dead_end(
         # Any structure can be fitted to two related signals, whatever they are; the
         # user decides which one is the input.
         channels = f"--input {names[free[0]]} --output {names[free[1]]}"
-        steps = [matching.label(k) for k in free if table.is_switched(k)]
         problem = "without the motor angle, from which a link is identified"
         if steps:
-            problem += f" ({', '.join(steps)}: half its range or more in one sample, a command)"
+            problem += f" ({', '.join(steps)}: half its range or more in one sample: a command, or an angle to unwrap)"
         remedy = "if one of its signals drives the other, run"
     if channels:
         command = (
             f"fraclink identify {file} --structure {mode} {channels} "
-            f"--period-ms {1e3 * period:.6g} --bound k=-1e9,1e9"
+            f"--period-ms {1e3 * period:.6g}"
         )
         return _without_model(table, problem, f"{remedy} {command}")
     what = "the motor angle"

@@ -257,11 +257,7 @@ class _Matching:
             return None
         place = self.place("time") if statement.column else None
         if place is None:
-            combined = column not in self.table.names and not column.startswith("#")
-            place = (
-                self.add(column, "s") if combined else self.table.place(column, "time")
-            )
-        self.table.check_one_recording(place)
+            place = self.table.place(column, "time")
         is_time = names_time(self.table.name(place))
         # The median: gaps or stamps that jump back are left to the reader.
         step = float(np.median(np.abs(np.diff(self.cells(place)))))
