@@ -236,16 +236,14 @@ def valleys(count: int) -> None:
 def delay_story() -> None:
     link = LinkModel(1.56, 10.0, damping=1.3)
     log = noisy_log(3, 0.05, model=link, delay=0.04)
-    comparison = compare_structures(log)
-    still, moved = comparison.without_delay, comparison.fits
-    wins = still["UD-FOM"].aic < still["D-IOM"].aic
-    back = moved["D-IOM"].aic < moved["UD-FOM"].aic
-    said = "λ is explained by the delay" in comparison.verdict
+    winners = [
+        compare_structures(log, fixed=fixed).preferred for fixed in ({"delay": 0.0}, {})
+    ]
     line(
         "40 ms of delay, viscous link: winner without it / with it",
-        f"{'UD-FOM' if wins else 'D-IOM'} / {'D-IOM' if back else 'UD-FOM'}, says so: {said}",
-        "UD-FOM / D-IOM, says so",
-        wins and back and said,
+        " / ".join(winners),
+        "UD-FOM / D-IOM",
+        winners == ["UD-FOM", "D-IOM"],
     )
 
 

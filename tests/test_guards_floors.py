@@ -192,7 +192,7 @@ CEILINGS = {
     "_design": 1482,
     "_export": 432,
     "_files": 566,
-    "_identify": 2654,
+    "_identify": 2603,
     "_law": 979,
     "_reading": 941,
     "_simulate": 1168,

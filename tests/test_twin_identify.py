@@ -7,8 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink import Experiment, compare_structures, prbs
+from fraclink import Experiment, Fit, compare_structures, prbs
 from fraclink.extend import (
+    STRUCTURES,
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,
@@ -29,9 +30,14 @@ def _material(name: str, omega: float):
     return FractionalKelvinVoigt(2 * RATIO / (omega**0.5 * np.sin(np.pi / 4)), 0.5)
 
 
-def _chosen(
-    beam: Beam, material: str, pole: float, samples: int, score: str = "bic"
-) -> dict[str, int]:
+def _schwarz(fit: Fit) -> float:
+    """Schwarz's criterion k ln(n) + n ln(MSE)."""
+    return fit.aic + len(STRUCTURES[fit.structure].free) * (
+        np.log(fit.fitted_samples) - 2
+    )
+
+
+def _chosen(beam: Beam, material: str, pole: float, samples: int) -> dict[str, int]:
     damping = _material(material, float(beam.modes(1).frequencies[0]))
     bits = prbs(0.1, 0.24, bits=int(samples * PERIOD / 0.24) + 1, register=9, start=0.5)
     clean = simulate_log(
@@ -48,7 +54,7 @@ def _chosen(
             period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise
         )
         fits = compare_structures(log, details=False, heldout=0.0).fits
-        best = min(fits, key=lambda name: getattr(fits[name], score))
+        best = min(fits, key=lambda name: _schwarz(fits[name]))
         counts[best] = counts.get(best, 0) + 1
     return counts
 

@@ -682,7 +682,6 @@ FIT_NUMBERS = (
     "mse",
     "nmse",
     "aic",
-    "bic",
     "heldout_nmse",
     "effective_parameters",
 )

@@ -63,8 +63,8 @@ STRUCTURES: dict[str, Structure] = {
         ),
     )
 }
-# For the few places that need one of them; all other code iterates over the table.
-VISCOUS, FRACTIONAL = "D-IOM", "UD-FOM"
+# For the few places that need this one; all other code iterates over the table.
+FRACTIONAL = "UD-FOM"
 
 
 def structure(name: str) -> Structure:

@@ -11,7 +11,6 @@ from fraclink._identify.fit import (
     SYMBOLS,
     Fit,
     aic,
-    bic,
     coincidence,
 )
 from fraclink._identify.fitting import simulated_torque
@@ -39,7 +38,6 @@ __all__ = [
     "StructureFit",
     "Validation",
     "aic",
-    "bic",
     "coincidence",
     "compare_structures",
     "identify",

@@ -4,14 +4,13 @@ that choice.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
+from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
 from fraclink._display import Overview, Row, Table, displayed
 from fraclink._files import document
@@ -23,7 +22,6 @@ from fraclink._identify.fitting import (
     make_search,
     predicted_output,
 )
-from fraclink._identify.problem import CERTAIN
 from fraclink._identify.residual import mean_with_error
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
@@ -55,8 +53,6 @@ class Comparison:
     ----------
     fits
         structure → fit, in the order of the table of structures.
-    without_delay
-        the same with the delay held at zero (parameters and errors only, no details).
     preferred
         the structure to use: of those whose criterion (the AIC where the residual is
         white) is within 8 of the lowest, the one with the fewest parameters, then with
@@ -71,15 +67,13 @@ class Comparison:
     """
 
     fits: Mapping[str, Fit]
-    without_delay: Mapping[str, Fit]
     preferred: str
     verdict: str
     undecided: tuple[str, ...] = ()
     vetoed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("fits", "without_delay"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        object.__setattr__(self, "fits", MappingProxyType(dict(self.fits)))
 
     @property
     def table(self) -> Table:
@@ -213,6 +207,14 @@ def identify(
 
 
 def _of_the_choice(choice: Choice, best: Fit) -> Iterator[Finding]:
+    if choice.undecided:
+        yield Finding(
+            "W322",
+            "info",
+            f"this log cannot tell {best.structure} from {' and '.join(choice.undecided)}: the simplest is used",
+            {f"AIC of {name} above": choice.gap(name) for name in choice.undecided},
+            "record a longer log, or with more motion, if the structure matters",
+        )
     if choice.vetoed:
         yield Finding(
             "W327",
@@ -221,14 +223,6 @@ def _of_the_choice(choice: Choice, best: Fit) -> Iterator[Finding]:
             f"{best.structure} predicts the held-out part better",
             {"heldout_nmse": best.heldout_nmse or 0.0},
             "nothing; record a longer log if the structure matters",
-        )
-    if choice.undecided:
-        yield Finding(
-            "W322",
-            "info",
-            f"this log cannot tell {best.structure} from {' and '.join(choice.undecided)}: the simplest is used",
-            {f"AIC of {name} above": choice.gap(name) for name in choice.undecided},
-            "record a longer log, or with more motion, if the structure matters",
         )
 
 
@@ -286,29 +280,8 @@ def compare_structures(
         name: best if name == choice.preferred else fit(name, like=best)
         for name in STRUCTURES
     }
-    still = {}
-    if "delay" not in search.fixed:
-        # A delay turns the phase in the same way as λ < 2: only a fit without delay
-        # shows what the delay has explained.
-        at_once = {**(fixed or {}), "delay": 0.0}
-        other = make_search(
-            log,
-            heldout=heldout,
-            stiffness=stiffness,
-            fixed=at_once,
-            guess=None,
-            hold=hold,
-        )
-        still = {
-            name: fit_from(other, name, log, stiffness=stiffness, details=False)
-            # Only for the two structures that may be confused with each other, because
-            # a fit without delay takes as long as one with it.
-            for name in (VISCOUS, FRACTIONAL)
-        }
-    verdict = _verdict(fits, still, choice)
-    return Comparison(
-        fits, still, choice.preferred, verdict, choice.undecided, choice.vetoed
-    )
+    verdict = _verdict(fits, choice)
+    return Comparison(fits, choice.preferred, verdict, choice.undecided, choice.vetoed)
 
 
 @dataclass(frozen=True)
@@ -427,63 +400,24 @@ def _undecided(
 # --- the verdict in words ---------------------------------------------------------------------------------
 
 
-def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], choice: Choice) -> str:
-    sentences = [_sentence(fits, choice)]
-    if choice.vetoed:
-        names = " and ".join(
-            f"{name} (NMSE {fits[name].heldout_nmse:.4g})" for name in choice.vetoed
-        )
-        sentences.append(
-            f"{names} would do for the fitted part, but predicts the held-out part worse."
-        )
-    return " ".join([*sentences, *_of_the_delay(fits, still)])
-
-
-def _sentence(fits: Mapping[str, Fit], choice: Choice) -> str:
-    """The structure used and its certainty in a single sentence, which cannot
-    contradict itself.
-    """
+def _verdict(fits: Mapping[str, Fit], choice: Choice) -> str:
     preferred, best = choice.preferred, fits[choice.preferred]
-    heldout = (
-        "" if best.heldout_nmse is None else f"; held-out NMSE {best.heldout_nmse:.4g}"
-    )
-    if choice.undecided:
-        others = " and ".join(choice.undecided)
-        reason = "the fewest parameters, then the lowest AIC"
-        return f"This log cannot tell {preferred} from {others}; {preferred} is used ({reason}){heldout}."
+    sentences = [finding.message for finding in _of_the_choice(choice, best)]
+    if not choice.undecided:
+        sentences.insert(0, f"{preferred} is preferred: {_reason(fits, choice)}")
+    return " ".join(f"{text[0].upper()}{text[1:]}." for text in sentences)
+
+
+def _reason(fits: Mapping[str, Fit], choice: Choice) -> str:
+    best = fits[choice.preferred]
     rivals = [
         name for name, fit in fits.items() if abs(fit.mse - best.mse) > 1e-9 * best.mse
     ]
     if not rivals:
-        return f"{preferred} is preferred: every other structure ended as the same model{heldout}."
+        return "every other structure ended as the same model"
     criterion = "AIC, corrected for the residual's colour,"
     other = min(rivals, key=choice.gap)
     gap = choice.gap(other)
     if gap <= 0:
-        return f"{preferred} is preferred: no other structure has a clearly lower {criterion}{heldout}."
-    return f"{preferred} is preferred: its {criterion} is {gap:.1f} below that of {other}{heldout}."
-
-
-def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str]:
-    if not still:
-        return []
-    viscous, fractional = fits[VISCOUS], fits[FRACTIONAL]
-    # 2 is the cost of one parameter in the AIC. Both have the same number of
-    # parameters, so a smaller gap is no preference.
-    at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
-    # A delay below one sample may come from the noise of the angle, which interpolation
-    # averages.
-    resolution = max(
-        CERTAIN * viscous.standard_errors.get("delay", math.inf), viscous.period
-    )
-    if (
-        at_once_wins
-        and viscous.aic <= fractional.aic + 2
-        and abs(viscous.delay) > resolution
-    ):
-        return [
-            f"λ is explained by the delay: without it {FRACTIONAL} wins "
-            f"(λ = {still[FRACTIONAL].model.order:.3f}), with the {1e3 * viscous.delay:.1f} ms that the log "
-            f"shows {VISCOUS} is at least as good."
-        ]
-    return []
+        return f"no other structure has a clearly lower {criterion}"
+    return f"its {criterion} is {gap:.1f} below that of {other}"

@@ -51,6 +51,7 @@ _AROUND = 3
     "driven-link",
     version=2,
 )
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class DrivenLinkFit(StructureFit):
     """A link and its motor, fitted to a frequency response from voltage to motor angle

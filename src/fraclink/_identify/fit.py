@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import numpy as np
-
 from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
 from fraclink._display import Overview, Row, displayed, number
@@ -18,7 +16,7 @@ from fraclink._files import Saved, document
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
 from fraclink.findings import Finding, Findings, errors_of
-from fracsys.checks import Real
+from fracsys.checks import Real, checked
 from fracsys.checks.equality import compared
 
 if TYPE_CHECKING:
@@ -58,28 +56,15 @@ def aic(mse: float, samples: int, parameters: int) -> float:
     return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
 
 
-def bic(mse: float, samples: int, parameters: int) -> float:
-    """Return Schwarz's criterion k ln(n) + n ln(MSE), arguments as for `aic`; lower is
-    better.
-
-    >>> round(bic(0.00524, 5001, 2))
-    -26245
-    """
-    return (
-        parameters * math.log(samples) + samples * math.log(mse)
-        if mse > 0
-        else -math.inf
-    )
-
-
 @displayed
 @document(
     "fit",
-    version=4,
+    version=5,
     container="either",
     summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
 @compared
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Saved):
     """One structure fitted to one log.
@@ -115,8 +100,8 @@ class Fit(Saved):
     nmse
         mse over the mean square of (output − offset): 0 is perfect, 1 as bad as an arm
         at rest.
-    aic, bic
-        criteria of the fitted samples, eq. (18); k counts the structure's own
+    aic
+        criterion of the fitted samples, eq. (18); k counts the structure's own
         parameters.
     heldout_mse, heldout_nmse
         the same over the samples held out, up to the last one at which the model
@@ -171,7 +156,6 @@ class Fit(Saved):
     mse: float
     nmse: float
     aic: float
-    bic: float
     heldout_mse: float | None
     heldout_nmse: float | None
     standard_errors: Mapping[str, float]
@@ -195,10 +179,6 @@ class Fit(Saved):
         object.__setattr__(self, "findings", Findings(self.findings))
         for name in ("standard_errors", "intervals"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        for name in ("predicted", "residual"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -226,7 +206,6 @@ class Fit(Saved):
             Row("mse", "", self.mse),
             Row("nmse", "", self.nmse),
             Row("aic", "AIC", self.aic, digits=6),
-            Row("bic", "", self.bic),
             Row("heldout_nmse", "held-out error", self.heldout_nmse, "%", digits=3),
         )
 

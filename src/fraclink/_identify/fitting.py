@@ -15,9 +15,9 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.findings import findings_of
-from fraclink._identify.fit import Fit, aic, bic
+from fraclink._identify.fit import Fit, aic
 from fraclink._identify.problem import QUANTILE
-from fraclink._identify.residual import ResidualTests, find_second_mode, residual_tests
+from fraclink._identify.residual import find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -32,7 +32,6 @@ from fraclink._identify.shape import (
     shape_of,
 )
 from fraclink._identify.uncertainty import (
-    Covariance,
     link_covariance,
     link_intervals,
 )
@@ -117,7 +116,15 @@ def make_search(
     # Motion before the cut counts as well: a ring-down after it determines the link
     # completely.
     window = fitted_window(log, count, chosen_hold(moving_angle(log), hold))
-    _check_motion(window)
+    if window.samples < _LEAST_SAMPLES:
+        raise LogError(
+            "output",
+            window.samples,
+            "too few samples to fit",
+            allowed=f">= {_LEAST_SAMPLES}",
+            remedy="record a longer log",
+        )
+    check_motion(motor_angle=window.angle, output=window.output)
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))
@@ -140,17 +147,9 @@ def fitted_window(
     )
 
 
-def _check_motion(window: Window) -> None:
-    if window.samples < _LEAST_SAMPLES:
-        least, remedy = f">= {_LEAST_SAMPLES}", "record a longer log"
-        raise LogError(
-            "output",
-            window.samples,
-            "too few samples to fit",
-            allowed=least,
-            remedy=remedy,
-        )
-    for name, values in (("motor_angle", window.angle), ("output", window.output)):
+def check_motion(**channels: Real) -> None:
+    """Raise LogError for a channel that does not change."""
+    for name, values in channels.items():
         if np.ptp(values) == 0:
             raise LogError(
                 name,
@@ -266,7 +265,10 @@ def fit_from(
     if details:
         # On the fitted part: the held-out part is for judging the prediction, not the
         # noise.
-        tests = _tests(search, residual[: window.samples], covariance)
+        motion = window.increments()[-window.samples :]
+        tests = residual_tests(
+            residual[: window.samples], motion, window.period, covariance.lag
+        )
         intervals = link_intervals(search, solution, covariance)
     fit = Fit(
         structure=name,
@@ -296,9 +298,9 @@ def fit_from(
         whole = fitted_window(log, log.output.size, window.hold)
         mode = find_second_mode(search, solution, whole.angle, residual)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
-    motion = motion_after(log, window.samples)
+    shares = motion_after(log, window.samples)
     sure = (resonance, covariance.unseen.size > 0)
-    findings = findings_of(fit, solution, sure, stiffness, motion, log)
+    findings = findings_of(fit, solution, sure, stiffness, shares, log)
     # Errors that make the log unusable make the model unusable.
     return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
 
@@ -328,7 +330,6 @@ def _figures(
         "mse": mse,
         "nmse": mse / float(np.mean(powers[:count])),
         "aic": aic(mse, count, parameters),
-        "bic": bic(mse, count, parameters),
         "heldout_mse": heldout,
         "heldout_nmse": heldout / held_power
         if heldout is not None and held_power > 0
@@ -376,14 +377,6 @@ def _identified(
         unseen_up_to=mode[1],
         intervals=tuple(rows),
     )
-
-
-def _tests(search: Search, residual: Real, covariance: Covariance) -> ResidualTests:
-    # The worst ratio: the factor by which the number of samples counts less for the
-    # least certain parameter.
-    ratio = max(covariance.inflation.values(), default=1.0)
-    motion = search.window.increments()[-search.window.samples :]
-    return residual_tests(residual, motion, search.window.period, covariance.lag, ratio)
 
 
 def _bounds(solution: Solution) -> tuple[str, ...]:

@@ -17,20 +17,19 @@ from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from fraclink._display import Overview, Row, displayed, number
+from fraclink._identify.fitting import check_motion
 from fraclink._identify.problem import CERTAIN
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Real, checked, checked_series
+from fracsys.checks import Array, Between, Real, checked
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5
 _LEAST_WINDOWS = 20
-_LEAST_SAMPLES = 200
 # A motor model that leaves half of the acceleration unexplained compensates no
 # friction.
 _NMSE_MOST = 0.5
@@ -118,13 +117,16 @@ class MotorFit:
         )
 
 
-@checked
+Channel = Annotated[Real, Array(1, min_size=200)]
+
+
+@checked(error=LogError)
 def identify_motor(
-    voltage: ArrayLike,
-    motor_angle: ArrayLike,
+    voltage: Channel,
+    motor_angle: Channel,
     *,
     period: Annotated[float, Between(1e-6, 10.0, "s")],
-    torque: ArrayLike | None = None,
+    torque: Channel | None = None,
     inertia: Annotated[float, Between(0.0, 1e6, "kg·m²", low_open=True)] | None = None,
     delay: float | None = None,
     dead_zone: float | None = None,
@@ -185,19 +187,31 @@ def identify_motor(
     >>> round(fit.gain), round(fit.decay, 1), fit.nmse < 1e-3
     (100, 5.0, True)
     """
-    u, angle, load = _channels(voltage, motor_angle, torque)
-    longest = period * angle.size
+    channels = {"voltage": voltage, "motor_angle": motor_angle}
+    if torque is not None:
+        channels["torque"] = torque
+    for name, values in channels.items():
+        if values.size != motor_angle.size:
+            raise LogError(
+                name,
+                values.size,
+                "of another length",
+                allowed=f"{motor_angle.size} samples, as of motor_angle",
+                remedy="cut them to their common span",
+            )
+    check_motion(**channels)
+    longest = period * motor_angle.size
     if delay is not None:
         delay = Between(0.0, longest, "s").check("delay", delay)
     if dead_zone is not None:
-        dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(u))), "V").check(
+        dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(voltage))), "V").check(
             "dead_zone", dead_zone
         )
     # 80 ms: friction, backlash and the encoder average out, and a move of a tenth of a
     # second still contains a bump. Fewer than 30 samples would not resolve the second
     # derivative of the bump.
     half = max(15, round(0.04 / period))
-    bumps = _Bumps(angle, load, period, half, starts, spring)
+    bumps = _Bumps(motor_angle, torque, period, half, starts, spring)
     if bumps.places.size < _LEAST_WINDOWS:
         raise LogError(
             "motor_angle",
@@ -206,8 +220,8 @@ def identify_motor(
             allowed=f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
             remedy="drive further, with voltages of both signs",
         )
-    best_delay, best_zone = _search(bumps, u, period, delay, dead_zone)
-    return _judged(_result(bumps, u, best_delay, best_zone, inertia))
+    best_delay, best_zone = _search(bumps, voltage, period, delay, dead_zone)
+    return _judged(_result(bumps, voltage, best_delay, best_zone, inertia))
 
 
 def _judged(fit: MotorFit) -> MotorFit:
@@ -448,43 +462,3 @@ def _result(
         windows=int(bumps.places.size),
         spring=float(values[-2]) if bumps.spring else None,
     )
-
-
-def _channels(
-    voltage: ArrayLike, motor_angle: ArrayLike, torque: ArrayLike | None
-) -> tuple[Real, Real, Real | None]:
-    """The channels as moving columns of equal length; LogError otherwise."""
-    channels = {"voltage": voltage, "motor_angle": motor_angle}
-    if torque is not None:
-        channels["torque"] = torque
-    columns = {
-        name: checked_series(name, values, error=LogError)
-        for name, values in channels.items()
-    }
-    samples = columns["motor_angle"].size
-    for name, values in columns.items():
-        if values.size != samples or samples < _LEAST_SAMPLES:
-            raise LogError(
-                name,
-                values.size,
-                "too short or of another length",
-                allowed=f">= {_LEAST_SAMPLES} samples, all alike",
-                remedy="cut them to their common span",
-            )
-        if not np.all(np.isfinite(values)):
-            raise LogError(
-                name,
-                "NaN",
-                "not finite",
-                allowed="finite numbers",
-                remedy="repair the log",
-            )
-        if np.ptp(values) == 0:
-            raise LogError(
-                name,
-                float(values[0]),
-                "constant",
-                allowed="a motion",
-                remedy="check the wiring",
-            )
-    return columns["voltage"], columns["motor_angle"], columns.get("torque")

@@ -27,7 +27,6 @@ from fraclink.errors import LogError, NotConvergedError
 from fracsys.checks import Between, Real, checked, checked_choice
 from fracsys.checks.equality import compared
 
-_SYMBOLS = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
 Length = Annotated[float, Between(0.0, 1e3, "m", low_open=True)]
 
 
@@ -70,7 +69,7 @@ class JointFit:
         the structure.
     common
         names of the parameters that all payloads share.
-    models, gains, offsets
+    models, gains
         one for each log, in their order; a model's gauge delay is that of its log.
     mse
         for each log.
@@ -94,7 +93,6 @@ class JointFit:
     common: tuple[str, ...]
     models: tuple[LinkModel, ...]
     gains: tuple[float, ...]
-    offsets: tuple[float, ...]
     mse: tuple[float, ...]
     alone_mse: tuple[float, ...]
     standard_errors: dict[str, float]
@@ -250,7 +248,7 @@ def identify_payloads(
             remedy="fit each log alone first, they may not belong together",
         )
     theta = descent.places[0]
-    models, gains, offsets, predicted = (
+    models, gains, predicted = (
         tuple(column)
         for column in zip(
             *(_of_one(log, i, joint, theta) for i, log in enumerate(logs)), strict=True
@@ -274,7 +272,6 @@ def identify_payloads(
         names,
         models,
         gains,
-        offsets,
         mse,
         alone_mse,
         _errors(joint, theta, tied),
@@ -325,8 +322,8 @@ def _check(logs: Sequence[Experiment], tied: bool) -> None:
 
 def _of_one(
     log: Experiment, i: int, joint: JointProblem, theta: Real
-) -> tuple[LinkModel, float, float, Real]:
-    """Model, gain, offset and prediction of one log."""
+) -> tuple[LinkModel, float, Real]:
+    """Model, gain and prediction of one log."""
     search = joint.searches[i]
     shapes, _ = joint.shapes(theta[None, :], i)
     raw = columns_of(search.kernel, shapes[0])[0]
@@ -342,7 +339,7 @@ def _of_one(
         damping=damping,
         gauge_delay=delay,
     )
-    return model, gain, offset, gain * raw + offset
+    return model, gain, gain * raw + offset
 
 
 def _errors(joint: JointProblem, theta: Real, tied: bool) -> dict[str, float]:
@@ -392,7 +389,7 @@ def _verdict(
 ) -> str:
     if test.degrees == 0:
         return "Nothing is common: every log was fitted for itself."
-    symbols = [_SYMBOLS[name] for name in common]
+    symbols = [SYMBOLS.get(name, ("the delay",))[0] for name in common]
     if tied:
         symbols.append("the stiffness of eq. (5)")
     # Below 1e-9 the tail of a normal distribution means nothing for a real log.

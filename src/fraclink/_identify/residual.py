@@ -258,19 +258,15 @@ class ResidualTests:
         p-value of the test that it does not depend on the motor's motion (25 lags).
     correlation_time
         time after which its autocorrelation stays below 0.1 [s].
-    variance_inflation
-        by how much its colour widens the variance of the least well supported
-        parameter.
     """
 
     whiteness: float
     input_independence: float
     correlation_time: float
-    variance_inflation: float
 
 
 def residual_tests(
-    residual: Real, motion: Real, period: float, lag: int, inflation: float
+    residual: Real, motion: Real, period: float, lag: int
 ) -> ResidualTests:
     """Test a residual against whiteness and against the motor's `motion` (its
     increments).
@@ -279,7 +275,7 @@ def residual_tests(
     centred = residual - residual.mean()
     variance = float(centred @ centred) / count
     if variance == 0:
-        return ResidualTests(1.0, 1.0, period, 1.0)
+        return ResidualTests(1.0, 1.0, period)
     lags = min(_LAGS, count // 4)
     rho = autocovariance(centred)[1 : lags + 1] / variance
     # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² accurate for some
@@ -293,7 +289,6 @@ def residual_tests(
             gammaincc(lags / 2, _input_statistic(centred, motion, lags) / 2)
         ),
         correlation_time=lag * period,
-        variance_inflation=inflation,
     )
 
 

@@ -10,15 +10,13 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar, Literal
 
-import numpy as np
-
 from fraclink._display import Overview, Row, Table, displayed, number, quantity
 from fraclink._files import Saved, document
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.problem import Interval
 from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction
-from fracsys.checks import Real
+from fracsys.checks import Real, checked
 from fracsys.checks.equality import compared
 
 
@@ -29,6 +27,7 @@ from fracsys.checks.equality import compared
     summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
 @compared
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class StructureFit(Saved):
     """A structure of one's own, fitted to a recording or to a frequency response.
@@ -123,12 +122,6 @@ class StructureFit(Saved):
     def __post_init__(self) -> None:
         for name in ("parameters", "limits", "intervals", "standard_errors"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        for name in ("place", "measured", "predicted"):
-            # Read-only copies: a fit that is hashed, cached and drawn must not change
-            # afterwards.
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
 
     def known(self, name: str) -> str | tuple[float, float]:
         """How well a parameter is known: its 95 % interval, or why it has none."""

@@ -12,7 +12,7 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
 from fraclink._identify.expression import Expression, parse_expression
-from fraclink._identify.fitting import HeldOut, fitted_samples
+from fraclink._identify.fitting import HeldOut, check_motion, fitted_samples
 from fraclink._identify.problem import descend
 from fraclink._identify.shape import Hold
 from fraclink._identify.structure_certainty import certainty_of
@@ -26,7 +26,7 @@ from fraclink._identify.structure_problem import (
     Values,
 )
 from fraclink._identify.structure_search import Place, best_places, in_order, place_of
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, checked, checked_choice
 
 Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
@@ -135,7 +135,9 @@ def identify_structure(
             for count in (fitted, record.input.size)
         )
         longest = _LONGEST_DELAY * record.period * fitted
-        _check_motion(samples)
+        # From rest on: a step at the first sample excites everything.
+        moved = np.append(0.0, samples.whole_input)
+        check_motion(input=moved, output=samples.output)
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)
     places, evaluations = best_places(problem, samples, start)
@@ -194,23 +196,6 @@ def _fitted(record: Recording, heldout: float | None) -> int:
     if np.ptp(record.input) == 0:
         return total  # a single step: its end cannot be predicted from its beginning
     return fitted_samples(Experiment(record.period, record.input, record.output))
-
-
-def _check_motion(samples: Signals) -> None:
-    # Not the range of the input: a step at the first sample never changes and excites
-    # everything.
-    for name, still in (
-        ("input", not np.any(samples.whole_input)),
-        ("output", np.ptp(samples.output) == 0),
-    ):
-        if still:
-            raise LogError(
-                name,
-                0.0,
-                "constant over the fitted part",
-                allowed="a motion",
-                remedy="check the column, or fit a part in which it moves",
-            )
 
 
 def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines:

@@ -309,7 +309,7 @@ def save_study(study: Study, folder: Path | str) -> None:
     if comparison is not None:
         # study.json holds the part of a comparison that its fits, which are separate
         # files, do not contain
-        comparison = replace(comparison, fits={}, without_delay={})
+        comparison = replace(comparison, fits={})
     about = replace(study, comparison=comparison, runs=(), twins=(), **elsewhere)
     save(about, place / "study.json", force=True)
 
