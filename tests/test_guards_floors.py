@@ -199,7 +199,7 @@ CEILINGS = {
     "lab": 1937,
     "logs": 728,
     "studio": 1143,
-    "trials": 1404,
+    "trials": 1403,
     "view": 1559,
 }
 

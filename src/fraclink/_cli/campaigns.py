@@ -195,7 +195,7 @@ def faults(
     # A single run is meant to be inspected closely.
     if len(plan) == 1:
         observe(bench, plan[0]).faulty.save(out / "run.npz")
-    worst = next((row.example.case.name for row in result.rows() if row.example), None)
+    worst = next((row.worst[1].case.name for row in result.rows() if row.worst), None)
     again = f"fraclink replay {out} --run {worst}"
     return Answer(
         result,

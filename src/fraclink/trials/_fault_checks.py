@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fraclink._law import MODES, REASONS
 from fraclink._simulate.run import Run
-from fraclink.trials._fault_trial import MEMORY_WORDS, RUN, Trial
+from fraclink.trials._fault_trial import MEMORY_WORDS, RUN, FaultTrial
 
 __all__ = ["CHECKS", "Check", "Evidence", "shared_checks"]
 
@@ -46,6 +46,15 @@ class Check:
         """A check that passes where ``measured <= limit``; NaN never does."""
         return Check(name, float(measured), float(limit), bool(measured <= limit))
 
+    @property
+    def excess(self) -> float:
+        """The factor by which the limit is exceeded; a reaction that never came is the
+        worst.
+        """
+        if not math.isfinite(self.measured):
+            return math.inf
+        return self.measured / self.limit if self.limit > 0 else self.measured
+
     def __str__(self) -> str:
         return f"{self.name}: {self.measured:.5g} (limit {self.limit:.5g})"
 
@@ -58,7 +67,7 @@ class Evidence:
     the fault at once.
     """
 
-    trial: Trial
+    trial: FaultTrial
     faulty: Run
     clean: Run
     memory: bytes

@@ -20,7 +20,7 @@ from fraclink._law import block as layout
 from fraclink._simulate import events as columns
 from fraclink._simulate.events import Obstacle
 from fraclink._simulate.kernel import ArmState
-from fraclink.trials._fault_trial import MEMORY_WORDS, Case, Trial
+from fraclink.trials._fault_trial import MEMORY_WORDS, Case, FaultTrial
 
 __all__ = ["INJECTIONS", "at_severity", "inject"]
 
@@ -37,7 +37,7 @@ COLUMNS = {
 }
 
 
-def inject(trial: Trial, steps: Sequence[Mapping[str, Any]]) -> None:
+def inject(trial: FaultTrial, steps: Sequence[Mapping[str, Any]]) -> None:
     """Apply the steps of a fault to a trial, at the severity of its case."""
     for step in steps:
         INJECTIONS[step["do"]](trial, **at_severity(step, trial.case, but=("do",)))
@@ -60,7 +60,7 @@ def at_severity(
 
 
 def reading(
-    trial: Trial,
+    trial: FaultTrial,
     sensor: str,
     value: float,
     *,
@@ -85,12 +85,12 @@ def reading(
     trial.inputs[rows, COLUMNS[f"{sensor} value"]] = value * signs
 
 
-def stick(trial: Trial, sensor: str, seconds: float) -> None:
+def stick(trial: FaultTrial, sensor: str, seconds: float) -> None:
     """Repeat a sensor's last reading."""
     trial.set_bits(trial.rows(seconds), f"{sensor} frozen", mark=True)
 
 
-def drop(trial: Trial, share: float) -> None:
+def drop(trial: FaultTrial, share: float) -> None:
     """Lose a share of the samples of both sensors: the last ones are repeated."""
     rows = trial.sprinkled(share)
     trial.set_bits(rows, "encoder frozen")
@@ -98,7 +98,7 @@ def drop(trial: Trial, share: float) -> None:
 
 
 def add(
-    trial: Trial,
+    trial: FaultTrial,
     to: str,
     value: float,
     *,
@@ -116,7 +116,7 @@ def add(
 
 
 def put(
-    trial: Trial,
+    trial: FaultTrial,
     to: str,
     value: float,
     *,
@@ -129,13 +129,13 @@ def put(
     trial.marks[rows] |= mark
 
 
-def noise(trial: Trial, deviation: float) -> None:
+def noise(trial: FaultTrial, deviation: float) -> None:
     trial.inputs[:, columns.GAUGE_ERROR] = deviation * trial.chance.standard_normal(
         trial.count
     )
 
 
-def spikes(trial: Trial, share: float, size: float) -> None:
+def spikes(trial: FaultTrial, share: float, size: float) -> None:
     rows = trial.sprinkled(share)
     rows = rows[rows >= trial.row]
     # At 0.25 % one draw in eleven has no spike in the 950 periods of rest, and such a
@@ -146,7 +146,7 @@ def spikes(trial: Trial, share: float, size: float) -> None:
     trial.marks[rows] = True
 
 
-def swap(trial: Trial, seconds: float) -> None:
+def swap(trial: FaultTrial, seconds: float) -> None:
     """Exchange the two channels, from the first sample on for ever."""
     whole = trial.case.phase == "whole"
     trial.set_bits(trial.rows(math.inf if whole else seconds), "channels swapped")
@@ -157,7 +157,7 @@ def swap(trial: Trial, seconds: float) -> None:
         trial.row = int(np.flatnonzero(np.diff(trial.wanted))[0])
 
 
-def scale_encoder(trial: Trial, factor: float) -> None:
+def scale_encoder(trial: FaultTrial, factor: float) -> None:
     """Scale the encoder; the fault counts from the time at which its reading differs
     from the motor angle by more than a good one may.
 
@@ -172,7 +172,7 @@ def scale_encoder(trial: Trial, factor: float) -> None:
     trial.row += int(np.argmax(apart > trial.law.limits.residual_angle))
 
 
-def jitter(trial: Trial, kind: str) -> None:
+def jitter(trial: FaultTrial, kind: str) -> None:
     """Shift the sampling instants by up to one step of the twin, without changing
     their mean.
     """
@@ -190,7 +190,7 @@ def jitter(trial: Trial, kind: str) -> None:
     trial.wanted = trial.reference.angle(time)
 
 
-def miss(trial: Trial, periods: int, *, watchdog: int = 0) -> None:
+def miss(trial: FaultTrial, periods: int, *, watchdog: int = 0) -> None:
     """Do not run the task; the next period is marked, in which the law can first detect
     it. A board's watchdog switches the drive off after some periods.
     """
@@ -200,7 +200,7 @@ def miss(trial: Trial, periods: int, *, watchdog: int = 0) -> None:
         trial.at(trial.row + watchdog, lambda arm: arm.voltage.fill(0.0))
 
 
-def repeat(trial: Trial, times: int) -> None:
+def repeat(trial: FaultTrial, times: int) -> None:
     """Call the law twice in a period, or set its clock back by three."""
     if times:
         rows = slice(trial.row, trial.row + times)
@@ -219,14 +219,14 @@ def repeat(trial: Trial, times: int) -> None:
 # --- the law: its limits, its memory, its block ---------------------------------------
 
 
-def limit(trial: Trial, name: str, value: float = 0.0, share: float = 0.0) -> None:
+def limit(trial: FaultTrial, name: str, value: float = 0.0, share: float = 0.0) -> None:
     """Change a limit of the law to a value, or to a share of its own."""
     own: dict[str, Any] = asdict(trial.law.limits)
     limits = replace(trial.law.limits, **own | {name: value or share * own[name]})
     trial.use(replace(trial.law, limits=limits))
 
 
-def slow_motor_loop(trial: Trial, share: float) -> None:
+def slow_motor_loop(trial: FaultTrial, share: float) -> None:
     """Place the law's own motor loop slower than the correction assumes, as with a
     wrongly identified motor.
     """
@@ -235,7 +235,7 @@ def slow_motor_loop(trial: Trial, share: float) -> None:
     trial.use(replace(trial.law, motor_loop=replace(trial.motor_loop, pid=pid)))
 
 
-def self_test(trial: Trial) -> None:
+def self_test(trial: FaultTrial) -> None:
     """The commissioning move: motor loop alone, without correction and compensation by
     the gauge.
     """
@@ -246,14 +246,14 @@ def self_test(trial: Trial) -> None:
     trial.use(replace(trial.law, correction=none, feedforward=none, motor_loop=alone))
 
 
-def without_gauge(trial: Trial) -> None:
+def without_gauge(trial: FaultTrial) -> None:
     """Make the law give up its gauge in the period of the fault."""
     # the four copies of the mode
     degraded = MODES.index("degraded")
     trial.at(trial.row, lambda arm: arm.law.__setitem__(slice(4, 8), degraded))
 
 
-def asked_for_less(trial: Trial) -> None:
+def asked_for_less(trial: FaultTrial) -> None:
     """Give the law a reference that ends where its motor stops, so that nothing can
     wind up.
     """
@@ -263,7 +263,7 @@ def asked_for_less(trial: Trial) -> None:
     trial.inputs[beyond, columns.ACCELERATION] = 0.0
 
 
-def flip(trial: Trial, bit_from_top: int, *, of: str = "a mode") -> None:
+def flip(trial: FaultTrial, bit_from_top: int, *, of: str = "a mode") -> None:
     """Flip the sign or the highest bit of the exponent of a real of the law's memory."""
     width = trial.real.itemsize
     # A law with pairs only stores them after the real modes. A mode that the law does
@@ -287,7 +287,7 @@ def flip(trial: Trial, bit_from_top: int, *, of: str = "a mode") -> None:
     trial.at(trial.row, action)
 
 
-def wipe(trial: Trial, byte: int) -> None:
+def wipe(trial: FaultTrial, byte: int) -> None:
     """Fill the law's memory with a byte, or its reals with NaN for a byte of -1."""
 
     def action(arm: ArmState) -> None:
@@ -301,7 +301,7 @@ def wipe(trial: Trial, byte: int) -> None:
     trial.at(trial.row, action)
 
 
-def restart(trial: Trial, *, after: int = 0, missed: int = 0) -> None:
+def restart(trial: FaultTrial, *, after: int = 0, missed: int = 0) -> None:
     """Restart the law; missed: periods in which the processor did not run, while the
     arm goes on with its last voltage.
     """
@@ -311,7 +311,7 @@ def restart(trial: Trial, *, after: int = 0, missed: int = 0) -> None:
     trial.marks[row] = True
 
 
-def corrupt(trial: Trial, place: str) -> None:
+def corrupt(trial: FaultTrial, place: str) -> None:
     """Flip the lowest bit of a byte of the block: of a word of its header, of a
     coefficient, the last, or any.
     """
@@ -334,7 +334,7 @@ def corrupt(trial: Trial, place: str) -> None:
 
 
 def arm(
-    trial: Trial,
+    trial: FaultTrial,
     *,
     payload: float = 1.0,
     friction: float = 1.0,
@@ -356,26 +356,26 @@ def arm(
     )
 
 
-def change_payload(trial: Trial, factor: float) -> None:
+def change_payload(trial: FaultTrial, factor: float) -> None:
     payload = factor * trial.case.payload
     trial.at(trial.row, lambda state: state.change_payload(payload))
 
 
-def stand(trial: Trial, away: float) -> None:
+def stand(trial: FaultTrial, away: float) -> None:
     """Start the arm away from its reference [rad]."""
     # The arm is moved instead of the reference, so that the following move is that of
     # all other faults.
     trial.start_angle += away
 
 
-def wall(trial: Trial, ahead: float) -> None:
+def wall(trial: FaultTrial, ahead: float) -> None:
     """Place an obstacle in the way of the tip, ahead of the move [rad]."""
     if ahead:
         angle = float(trial.wanted[trial.row]) + ahead
         trial.at(trial.row, Obstacle(0.0, trial.count * trial.period, angle).act)
 
 
-def quiet(trial: Trial, seconds: float) -> None:
+def quiet(trial: FaultTrial, seconds: float) -> None:
     """Remove the gauge's noise from the last seconds of the run."""
     last = round(min(seconds / trial.period, trial.count))
     trial.inputs[trial.count - last :, columns.GAUGE_ERROR] = trial.twin.gauge.offset

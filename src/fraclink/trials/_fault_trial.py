@@ -25,7 +25,7 @@ from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, checked
 
-__all__ = ["PHASES", "Bench", "Case", "Phase", "Trial", "end_of", "execute"]
+__all__ = ["PHASES", "Bench", "Case", "FaultTrial", "Phase", "end_of", "execute"]
 
 Rows = slice | NDArray[np.int_]
 Action = Callable[[ArmState], None]
@@ -127,16 +127,16 @@ class Bench:
         return replace(self, law=checked_motor_loop(law))
 
 
-class Trial:
+class FaultTrial:
     """A run before it begins, in which faults can be injected. Internal, mutable."""
 
     def __init__(
-        self, bench: Bench, case: Case, law: Law, reference: Reference, duration: float
+        self, bench: Bench, case: Case, reference: Reference, duration: float
     ) -> None:
         self.bench, self.case, self.reference = bench, case, reference
-        self.use(law)
+        self.use(bench.law)
         self.twin = bench.twin.with_payload(case.payload)
-        self.period = law.period
+        self.period = bench.law.period
         # The fault has its own random numbers, so that the noise is that of the clean
         # run; they depend on seed and name.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
@@ -210,7 +210,7 @@ def end_of(run: Run) -> tuple[str, str]:
     return MODES[run.mode[-1]], REASONS[run.reason[-1]]
 
 
-def execute(trial: Trial) -> tuple[Run, bytes]:
+def execute(trial: FaultTrial) -> tuple[Run, bytes]:
     """Run a trial on the twin; return the run, whose reference is the one before the
     fault, and the law's memory at its end.
     """

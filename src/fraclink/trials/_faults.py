@@ -4,7 +4,6 @@ a verdict.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +14,6 @@ import numpy as np
 
 from fraclink._display import Overview, Row, Table, displayed, state_of
 from fraclink._files import document, from_plain
-from fraclink._law import Law
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fraclink.trials._fault_checks import (
@@ -32,8 +30,8 @@ from fraclink.trials._fault_trial import (
     RUN,
     Bench,
     Case,
+    FaultTrial,
     Phase,
-    Trial,
     end_of,
     execute,
 )
@@ -100,9 +98,9 @@ class Fault:
     cause: str = ""
     note: str = ""
 
-    def trial(self, bench: Bench, case: Case, law: Law) -> Trial:
+    def trial(self, bench: Bench, case: Case) -> FaultTrial:
         """Return the trial of a case before it is broken."""
-        trial = Trial(bench, case, law, MOVES[self.move], self.duration)
+        trial = FaultTrial(bench, case, MOVES[self.move], self.duration)
         inject(trial, self.prepare)
         return trial
 
@@ -217,18 +215,35 @@ class Outcome:
 
 @dataclass(frozen=True)
 class FaultSummary:
-    """A fault in the summary: its runs, those that fail, the check that fails worst and
-    its run.
-
-    group: the most severe one of its runs, see `Outcome.group`.
-    """
+    """A fault in the summary, with its runs."""
 
     fault: Fault
-    runs: int
-    failed: int
-    worst: str
-    example: Outcome | None
-    group: str
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return len(self.outcomes)
+
+    @property
+    def failed(self) -> int:
+        """How many of them missed the requirement."""
+        return sum(not outcome.passed for outcome in self.outcomes)
+
+    @property
+    def group(self) -> str:
+        """The most severe group of its runs, see `Outcome.group`."""
+        return max((outcome.group for outcome in self.outcomes), key=GROUPS.index)
+
+    @property
+    def worst(self) -> tuple[Check, Outcome] | None:
+        """The check that fails worst, and its run; None where every run passed.
+
+        Compared by the factor over the limit, the only common measure of a peak in
+        radians and a reaction in periods.
+        """
+        failures = [(check, run) for run in self.outcomes for check in run.failed]
+        return max(failures, key=lambda pair: pair[0].excess, default=None)
 
     @property
     def number(self) -> str:
@@ -259,9 +274,10 @@ class FaultSummary:
         what the campaign does not show.
         """
         fault, notes = self.fault, []
-        if self.example is not None:
+        if self.worst is not None:
+            check, run = self.worst
             cause = f"; on the paper's arm: {fault.cause}" if fault.cause else ""
-            notes.append(f"{self.number}: {self.worst}{cause}")
+            notes.append(f"{self.number}: {check} ({run.name}){cause}")
         if fault.note:
             notes.append(f"{self.number} does not show: {fault.note}")
         return tuple(notes)
@@ -351,35 +367,9 @@ class FaultTable:
         for outcome in self.outcomes:
             runs.setdefault(outcome.case.fault, []).append(outcome)
         return tuple(
-            _summary_row(fault_named(number), each) for number, each in runs.items()
+            FaultSummary(fault_named(number), tuple(each))
+            for number, each in runs.items()
         )
-
-
-def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
-    failures = [outcome for outcome in runs if not outcome.passed]
-    # Compared by the factor over the limit, the only common measure of a peak in
-    # radians and a reaction in periods.
-    check, example = max(
-        ((check, outcome) for outcome in failures for check in outcome.failed),
-        key=lambda pair: _excess(pair[0]),
-        default=(None, None),
-    )
-    return FaultSummary(
-        fault,
-        len(runs),
-        len(failures),
-        "" if example is None else f"{check} ({example.name})",
-        example,
-        # A fault is as bad as its worst run.
-        max((outcome.group for outcome in runs), key=GROUPS.index),
-    )
-
-
-def _excess(check: Check) -> float:
-    """The factor by which a limit is exceeded; a reaction that never came is the worst."""
-    if not math.isfinite(check.measured):
-        return math.inf
-    return check.measured / check.limit if check.limit > 0 else check.measured
 
 
 # --- running --------------------------------------------------------------------------
@@ -433,27 +423,27 @@ def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evid
     Raises FieldError where the clean arm does not stay in mode run: nothing could be
     learnt from its faults.
     """
-    fault, law = fault_named(case.fault), bench.law
-    trial = fault.trial(bench, case, law)
+    fault = fault_named(case.fault)
+    trial = fault.trial(bench, case)
     inject(trial, fault.inject)
     payload = bench.payloads[1] if fault.nominal else case.payload
     # Everything on which a clean run depends; the clean run of a prepared arm belongs
     # to its fault alone.
     special = fault.number if fault.prepare else fault.move
-    key = (payload, case.seed, fault.duration, special, law.digest)
+    key = (payload, case.seed, fault.duration, special, bench.law.digest)
     # A dictionary of the caller instead of a module cache: a campaign of 8610 runs
     # keeps about 100 clean runs, and frees them at its end.
     cache = {} if clean is None else clean
     if key not in cache:
         whole = Case(fault.number, 1, payload, "whole", case.seed)
-        healthy, _ = execute(fault.trial(bench, whole, law))
+        healthy, _ = execute(fault.trial(bench, whole))
         _check_clean(healthy, payload)
         cache[key] = healthy
     best = None
     if fault.best:
         # The same fault with the same random numbers, with the action of a law that
         # knows it.
-        knowing = fault.trial(bench, case, law)
+        knowing = fault.trial(bench, case)
         inject(knowing, (*fault.inject, *fault.best))
         best, _ = execute(knowing)
     run, memory = execute(trial)

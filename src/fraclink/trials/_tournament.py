@@ -32,33 +32,18 @@ OFFSET, OFFSET_TIME = 0.05, 0.2
 LASTING = 1e6  # [s]: longer than any run
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A figure of the table: its words and unit, and the difference below which two
-    rivals are called equal.
-    """
-
-    words: str
-    unit: str
-    floor: float
-
-    def row(self, key: str, value: float) -> Row:
-        """A value of the figure."""
-        # Values below a thousandth of the floor are rounding.
-        size = value if abs(value) > 1e-3 * self.floor else 0.0
-        return Row(key, self.words, size, self.unit, digits=3, infinite="never")
-
-
-# For every figure smaller is better.
+# Words and unit of every figure of the table; for each smaller is better.
 FIGURES = {
-    "settling_time": Figure("settling", "s", 0.01),
-    "overshoot": Figure("overshoot", "%", 1e-3),
-    "residual_vibration": Figure("residual vibration", "mrad", 1e-4),
-    "worst_settling": Figure("worst settling", "s", 0.01),
-    "offset_error": Figure("offset error", "mrad", 1e-4),
-    "motor_reference_noise": Figure("motor reference noise", "mrad", 1e-4),
-    "saturated": Figure("saturated", "%", 1e-3),
+    "settling_time": ("settling", "s"),
+    "overshoot": ("overshoot", "%"),
+    "residual_vibration": ("residual vibration", "mrad"),
+    "worst_settling": ("worst settling", "s"),
+    "offset_error": ("offset error", "mrad"),
+    "motor_reference_noise": ("motor reference noise", "mrad"),
+    "saturated": ("saturated", "%"),
 }
+# The difference below which two rivals are called equal, in SI units.
+EQUAL = {"s": 0.01, "%": 1e-3, "mrad": 1e-4}
 
 
 @dataclass(frozen=True)
@@ -102,7 +87,11 @@ class Standing:
 
     def row(self, figure: str) -> Row:
         """One of the figures."""
-        return FIGURES[figure].row(figure, getattr(self, figure))
+        words, unit = FIGURES[figure]
+        value = getattr(self, figure)
+        # Values below a thousandth of the smallest difference are rounding.
+        size = value if abs(value) > 1e-3 * EQUAL[unit] else 0.0
+        return Row(figure, words, size, unit, digits=3, infinite="never")
 
 
 @displayed
@@ -124,14 +113,14 @@ class Tournament:
         """
         able = [standing for standing in self.standings if standing.passed]
         result: dict[str, tuple[str, ...]] = {}
-        for name, figure in FIGURES.items() if able else ():
+        for name, (_, unit) in FIGURES.items() if able else ():
             values = {each.name: float(getattr(each, name)) for each in able}
             best = min(values.values())
             # An infinite best value is shared by all, without a winner.
             result[name] = tuple(
                 rival
                 for rival, value in values.items()
-                if value <= 1.02 * best + figure.floor
+                if value <= 1.02 * best + EQUAL[unit]
             )
         return result
 
@@ -147,21 +136,20 @@ class Tournament:
         sentences = []
         # Figures in which another rival wins come first.
         for name in sorted(winners, key=lambda name: first.name in winners[name]):
-            figure, best = FIGURES[name], winners[name]
+            (words, _), best = FIGURES[name], winners[name]
             own = first.row(name).text
+            others = ", ".join(other for other in best if other != first.name)
             if first.name in best:
-                also = ", ".join(other for other in best if other != first.name)
-                with_others = f", with {also}" if also else ""
-                sentences.append(
-                    f"{figure.words}: {first.name} is best ({own}){with_others}"
-                )
+                together = f", with {others}" if others else ""
+                sentences.append(f"{words}: {first.name} is best ({own}){together}")
             else:
-                best_value = min(
-                    getattr(each, name) for each in self.standings if each.passed
+                leader = min(
+                    (each for each in self.standings if each.passed),
+                    key=lambda each: float(getattr(each, name)),
                 )
                 sentences.append(
-                    f"{figure.words}: better than {first.name}: {', '.join(best)} "
-                    f"({figure.row(name, best_value).cell} against {own})"
+                    f"{words}: better than {first.name}: {others} "
+                    f"({leader.row(name).cell} against {own})"
                 )
         return tuple(sentences)
 

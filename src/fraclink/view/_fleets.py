@@ -179,7 +179,7 @@ def fault_rows(table: FaultTable) -> list[dict[str, Any]]:
             "summary": summary,
             "fault": summary.fault,
             "cells": _cells(table, summary.number),
-            "command": table.repeated(summary.example) if summary.example else "",
+            "command": table.repeated(summary.worst[1]) if summary.worst else "",
         }
         for summary in summaries
     ]
