@@ -145,7 +145,6 @@ EXTRAS = {
 LATE = {
     ("fraclink._cli", "fraclink._cli.app"): "needs the extra [cli]",
     ("fraclink._cli.studio", "fraclink.studio._serving"): "needs the extra [studio]",
-    ("fracsys._to_control", "fracsys._control_adapter"): "needs the extra [control]",
     (
         "fraclink._reading.worker",
         "scipy.io",
@@ -185,7 +184,7 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2764,
+    "fracsys": 2701,
     "_arm": 1537,
     "_certify": 865,
     "_cli": 920,

@@ -282,11 +282,6 @@ def test_an_integer_python_control_system() -> None:
     assert found.gain_margin == pytest.approx(1.5, rel=1e-9)
 
 
-def test_what_python_control_holds_of_a_fractional_loop() -> None:
-    loop = 4 / (s * (s + 1) * (s + 2))
-    assert margins(loop.to_control()) == margins(loop)
-
-
 def test_nothing_to_find() -> None:
     empty = margins(0.1 / (s + 1))
     assert empty.gain_crossings == () and empty.critical is None

@@ -2,9 +2,10 @@ from fracsys import checks as checks
 from fracsys import errors as errors
 from fracsys._calculus import derivative as derivative
 from fracsys._calculus import integral as integral
+from fracsys._control import from_control as from_control
+from fracsys._control import to_control as to_control
 from fracsys._fractional import FractionalTransferFunction as FractionalTransferFunction
 from fracsys._fractional import s as s
-from fracsys._from_control import from_control as from_control
 from fracsys._margins import Margins as Margins
 from fracsys._margins import margins as margins
 from fracsys._mittag_leffler import mittag_leffler as mittag_leffler
@@ -20,6 +21,5 @@ from fracsys._stability import StabilityVerdict as StabilityVerdict
 from fracsys._stability import is_stable as is_stable
 from fracsys._stability import poles as poles
 from fracsys._terms import Term as Term
-from fracsys._to_control import to_control as to_control
 
 __all__: list[str]

@@ -28,7 +28,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fracsys._terms import (
     LATEX,
@@ -289,13 +289,16 @@ class FractionalTransferFunction:
         """
         return (1.0 / self).poles()
 
-    def to_control(self, *, name: str | None = None) -> Any:
-        """Return the function as a python-control system (see
+    def to_control(
+        self, frequencies: ArrayLike | None = None, *, name: str | None = None
+    ) -> Any:
+        """Return the function as a response of python-control (see
         `fracsys.to_control`).
         """
         # Imported by name at call time: this module must not depend on the layers above
         # it.
-        return import_module("fracsys._to_control").to_control(self, name=name)
+        to_control = import_module("fracsys._control").to_control
+        return to_control(self, frequencies, name=name)
 
     @staticmethod
     def power(order: float) -> FractionalTransferFunction:
@@ -498,7 +501,7 @@ def _operand(value: object) -> Any:
     if isinstance(value, FractionalTransferFunction):
         return value
     if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
-        return import_module("fracsys._from_control").from_control(value)
+        return import_module("fracsys._control").from_control(value)
     if isinstance(value, numbers.Real) and not isinstance(
         value, bool
     ):  # a Fraction as well

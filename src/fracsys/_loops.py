@@ -83,9 +83,8 @@ class SampledLoop:
 
 def as_loop(loop: object, limit: float | None) -> SampledLoop:
     """Return the loop with its range of frequencies and its seeds."""
-    system = getattr(loop, "fractional", loop)  # what to_control wraps
-    if isinstance(system, FractionalTransferFunction) and system.numerator:
-        return _fractional_loop(system, limit)
+    if isinstance(loop, FractionalTransferFunction) and loop.numerator:
+        return _fractional_loop(loop, limit)
     if not callable(loop):
         raise FieldError(
             "loop",

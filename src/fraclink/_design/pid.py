@@ -20,8 +20,8 @@ from fraclink._design.rows import SENSITIVITY
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
+from fracsys._control import from_control
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._from_control import from_control
 from fracsys._stability import is_stable
 from fracsys.checks import Between, Duration, Frequency, PhaseMargin, checked
 

@@ -1,0 +1,147 @@
+"""Systems of python-control as fractional ones, and fractional ones as its responses.
+
+python-control is imported at the first call only, since that takes seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._sweep import frequency_grid
+from fracsys._terms import Term
+from fracsys.errors import FieldError, MissingExtraError
+
+__all__ = ["from_control", "to_control"]
+
+# python-control takes margins from splines over the grid: with these points and the
+# refined ones they are accurate to 1e-4 degrees.
+_POINTS = 1000
+
+
+def to_control(
+    system: FractionalTransferFunction,
+    frequencies: ArrayLike | None = None,
+    *,
+    name: str | None = None,
+) -> Any:
+    """Return the exact response of a fractional system as python-control's
+    `FrequencyResponseData`.
+
+    Its plots and margins take it, and so do its products, sums and feedback with other
+    systems, on the same frequencies. Between functions of s these are exact at every
+    frequency: convert their result. What needs states (`step_response`, `ss`,
+    `root_locus`) cannot work: use `fracsys.step_response`, or `approximate(...)` and its
+    `state_space()`.
+
+    Parameters
+    ----------
+    system
+        G(s).
+    frequencies
+        [rad/s], ascending; where left out, those that margins and plots need.
+    name
+        Name shown in python-control's legends.
+
+    Raises
+    ------
+    MissingExtraError
+        python-control is not installed.
+    FieldError
+        Not a fractional transfer function, or one that is zero.
+
+    Examples
+    --------
+    >>> from fracsys._fractional import s
+    >>> import control
+    >>> loop = to_control(0.148 * s**0.65 * 100 / (s**1.92 + 100))
+    >>> gain, phase, at_phase, at_gain = control.margin(loop)
+    >>> print(f"{at_gain:.3f} rad/s")
+    15.162 rad/s
+    """
+    if not isinstance(system, FractionalTransferFunction) or not system.numerator:
+        raise FieldError(
+            "system",
+            repr(system),
+            "not a fractional transfer function with a response",
+            allowed="FractionalTransferFunction other than 0",
+            remedy="build it from fracsys.s",
+        )
+    try:
+        import control
+    except ImportError as error:
+        raise MissingExtraError("control", "control") from error
+    w = frequency_grid(system, points=_POINTS) if frequencies is None else frequencies
+    axis = np.asarray(w, dtype=float)
+    label = name or repr(system)
+    return control.frd(system(1j * axis), axis, name=name, sysname=label)
+
+
+def from_control(system: Any) -> FractionalTransferFunction:
+    """Return a python-control system as a fractional transfer function with integer
+    orders.
+
+    Parameters
+    ----------
+    system
+        One input, one output, continuous time.
+
+    Raises
+    ------
+    FieldError
+        More than one input or output, a sampled system, data without a model.
+
+    Examples
+    --------
+    >>> import control
+    >>> from_control(control.tf([10], [1, 2, 10]))
+    10/(s**2 + 2*s + 10)
+    """
+    if isinstance(system, FractionalTransferFunction):
+        return system
+    if isinstance(system, (int, float)):
+        return FractionalTransferFunction((Term(system, 0.0),), (Term(1.0, 0.0),))
+    if not (hasattr(system, "num") or hasattr(system, "A")):
+        raise FieldError(
+            "system",
+            type(system).__name__,
+            "not a model",
+            allowed="control.TransferFunction or control.StateSpace",
+            remedy="frequency data has no transfer function: pass a callable to margins instead",
+        )
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise FieldError(
+            "system",
+            (system.noutputs, system.ninputs),
+            "of several inputs or outputs",
+            allowed="one input and one output",
+            remedy="select one channel, such as system[0, 0]",
+        )
+    # dt = None means that no time base was stated; it counts as continuous
+    if system.dt:
+        raise FieldError(
+            "system.dt",
+            system.dt,
+            "a sampling period",
+            allowed="continuous time (dt = 0)",
+            remedy="pass it to margins, which takes it as it is",
+        )
+    if not hasattr(system, "num"):
+        import control
+
+        system = control.tf(system)
+    top, bottom = system.num[0][0], system.den[0][0]
+    return FractionalTransferFunction(_polynomial(top), _polynomial(bottom))
+
+
+def _polynomial(coefficients: Any) -> tuple[Term, ...]:
+    degree = len(coefficients) - 1
+    return tuple(
+        Term(float(c), float(degree - k))
+        for k, c in enumerate(coefficients)
+        if c and math.isfinite(c)
+    )
