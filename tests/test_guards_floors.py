@@ -197,9 +197,9 @@ CEILINGS = {
     "_simulate": 1168,
     "lab": 1937,
     "logs": 728,
-    "studio": 1143,
+    "studio": 1117,
     "trials": 1403,
-    "view": 1559,
+    "view": 1512,
 }
 
 

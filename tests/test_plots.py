@@ -51,31 +51,6 @@ def test_bode_phase_of_a_delay_is_followed() -> None:
     np.testing.assert_allclose(degrees, np.degrees(-np.arctan(w) - 0.1 * w), atol=1e-6)
 
 
-def test_nyquist_shows_minus_one_and_the_curve() -> None:
-    axis = fl.view.nyquist(LOOP)
-    lines = axis.get_lines()
-    curve, mirrored = lines[1].get_xydata(), lines[2].get_xydata()
-    np.testing.assert_allclose(mirrored, curve * [1, -1])
-    assert any(np.array_equal(line.get_xydata(), [[-1.0, 0.0]]) for line in lines)
-    assert axis.get_aspect() == 1.0
-    alone = fl.view.nyquist(LOOP, mirror=False, reach=2.0)
-    assert len(alone.get_lines()) == len(lines) - 1
-    assert alone.get_xlim() == (-2.0, 2.0)
-
-
-def test_nichols_draws_magnitude_over_phase() -> None:
-    axis = fl.view.nichols(LOOP, grid=False)
-    phase, db = axis.get_lines()[0].get_data()
-    assert db.max() == pytest.approx(
-        20 * np.log10(np.abs(LOOP(1j * np.geomspace(5, 20, 5000)))).max(), abs=0.01
-    )
-    assert phase.max() < 60 and phase.min() > -120
-    low, high = axis.get_xlim()
-    assert low < -180 < high
-    contours = fl.view.nichols(LOOP)
-    assert len(contours.get_lines()) > 10
-
-
 def test_margins_are_marked() -> None:
     loop = 4 / (s * (s + 1) * (s + 2))
     magnitude, phase = fl.view.margin_plot(loop)
@@ -106,9 +81,9 @@ def test_margins_of_a_sampled_loop_end_at_nyquist() -> None:
         (lambda: fl.bode(LINK, labels=["a", "b"]), "labels"),
         (lambda: fl.bode(LINK, ax=[1]), "ax"),
         (lambda: fl.bode(LINK, frequency=[1, 2]), "frequency"),
-        (lambda: fl.view.nyquist(LINK, frequency=[1, 3, 2]), "frequency"),
-        (lambda: fl.view.nichols(LINK, frequency=[0, 1, 2]), "frequency"),
-        (lambda: fl.view.nyquist(3.0), "loop"),
+        (lambda: fl.bode(LINK, frequency=[1, 3, 2]), "frequency"),
+        (lambda: fl.bode(LINK, frequency=[0, 1, 2]), "frequency"),
+        (lambda: fl.bode(3.0), "loop"),
     ],
 )
 def test_bad_input(call: object, field: str) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -463,10 +464,22 @@ def replayed_and_cut(page: Page) -> None:
     page.until("document.querySelector('#cut-keep').disabled")
     page.run("document.querySelector('#cut-all').click()")
     page.until("!document.querySelector('#command').textContent.includes('--keep')")
-    # the numbers of a plot, and its description
-    page.run(
-        "document.querySelector('#p-angle').closest('figure').querySelector('.numbers').click()"
+    # the numbers of a plot, its description, and the plot itself as a file
+    tools = (
+        "document.querySelector('#p-angle').closest('figure').querySelectorAll('.tool')"
     )
+    page.run(f"{tools}[0].click()")
+    page.run(
+        "URL.createObjectURL = (blob) => { blob.arrayBuffer().then((data) => {"
+        " window.file = [blob.type, new TextDecoder().decode(data)]; }); return 'data:,'; }"
+    )
+    for number, kind in enumerate(("image/svg+xml", "image/png"), 1):
+        page.run(f"{tools}[{number}].click()")
+        page.until(f"window.file?.[0] === '{kind}'", "the plot as a file")
+        if number == 1:
+            drawn = ElementTree.fromstring(page.run("window.file[1]"))  # noqa: S314
+            texts = {node.text for node in drawn.iter() if node.tag.endswith("text")}
+            assert {"Motor angle [°]", "log"} <= texts
     page.until(
         "document.querySelectorAll('#p-angle + .tablebox tbody tr').length === 14"
     )

@@ -454,7 +454,7 @@ _ELSEWHERE = {
     "impulse": "fracsys.impulse_response(G, 10.0, 0.01)",
     "output": "fracsys.time_response(G, u, period)",
     "bode": "fraclink.bode(G)",
-    "nyquist": "fraclink.view.nyquist(G)",
+    "nyquist": "control.nyquist_plot(G.to_control())",
     "margin": "fracsys.margins(G)",
     "stability_margins": "fracsys.margins(G)",
     "freqresp": "G(1j * frequency)",

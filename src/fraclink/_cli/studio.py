@@ -23,8 +23,8 @@ app = group()
 def studio(
     place: Annotated[
         Path | None,
-        typer.Argument(metavar="[RESULTS | LOG | DESIGN]"),
-        "A folder of results, a log, or a design; without it the rig's own model",
+        typer.Argument(metavar="[RESULTS | LOG | DESIGN | MODEL]"),
+        "A folder of results, a log, a design, or a model of identify; without it the rig's own model",
     ] = None,
     rig: Annotated[
         str | None,
@@ -49,7 +49,15 @@ def studio(
     # Only for the packages of the extra: a missing module of fraclink is a defect, and
     # must be reported as one.
     except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn", "anyio", "h11", "click", "idna"):
+        if error.name not in (
+            "starlette",
+            "uvicorn",
+            "anyio",
+            "h11",
+            "click",
+            "idna",
+            "wsproto",
+        ):
             raise
         raise MissingExtraError(error.name, "studio") from error
     if place is not None and not place.exists():
@@ -57,7 +65,7 @@ def studio(
             "place",
             str(place),
             "no such file",
-            allowed="a folder, a log or a design that is there",
+            allowed="a folder, a log, a design or a model that is there",
             remedy="check the name, or leave it out",
         )
     session = serve(

@@ -19,7 +19,7 @@ from fraclink.studio._logs import LOG_VERBS
 from fraclink.studio._messages import Message, Reply, checked_request, parsed, refusal
 from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
-from fraclink.studio._preview import Subject, map_of, nearest, preview
+from fraclink.studio._preview import Subject, map_of, preview
 from fraclink.studio._session import Session, SupersededError
 from fraclink.studio._work import JOBS, WORK_VERBS, Job
 
@@ -49,12 +49,6 @@ def _go(session: Session, given: Mapping[str, Any]) -> Reply:
     return Reply({"ok": True, "state": session.history.go(at), "at": at})
 
 
-def _keep(session: Session, given: Mapping[str, Any]) -> Reply:
-    answer = session.keep(force=given.get("force") is True)
-    session.history.keep()
-    return answer
-
-
 def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
     history = session.history
     head = {
@@ -62,7 +56,6 @@ def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
         "state": session.state,
         "states": history.states,
         "at": history.at,
-        "kept": sorted(history.kept),
         **(session.subject.axes() if session.subject else {}),
         **session.overview(),
     }
@@ -82,9 +75,8 @@ _VERBS: dict[str, Verb] = {
     "hello": _hello,
     "note": _note,
     "go": _go,
-    "nearest": lambda session, given: nearest(_subject(session), given.get("state")),
     "look": lambda session, given: preview(_subject(session), given.get("state")),
-    "keep": _keep,
+    "keep": lambda session, given: session.keep(force=given.get("force") is True),
     **LOG_VERBS,
     **OUTPUT_VERBS,
     **PLAY_VERBS,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +36,6 @@ class History:
     path: Path
     states: list[dict[str, Any]]
     at: int = -1
-    # states that Keep wrote to the files of the study
-    kept: set[int] = field(default_factory=set)
 
     @staticmethod
     def of(folder: Path) -> History:
@@ -80,11 +78,6 @@ class History:
             self._write({"at": at})
         return self.states[at]
 
-    def keep(self) -> None:
-        """Record that the current state was kept."""
-        if self.states and self.at not in self.kept:
-            self._write({"at": self.at, "kept": True})
-
     def _write(self, entry: dict[str, Any]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         # Appended and closed at once: an interruption only loses the line being
@@ -101,12 +94,7 @@ class History:
         at = min(int(entry["at"]), len(self.states))
         if "state" in entry:
             self.states = [*self.states[:at], dict(entry["state"])]
-            # When an undone state is replaced its mark is removed, since another state
-            # now has its number.
-            self.kept = {k for k in self.kept if k < at}
         self.at = min(at, len(self.states) - 1)
-        if entry.get("kept") is True:
-            self.kept.add(self.at)
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:

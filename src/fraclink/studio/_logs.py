@@ -30,7 +30,7 @@ from fraclink._reading.reading import (
 from fraclink.errors import FieldError, LogError, required
 from fraclink.logs import match
 from fraclink.studio._messages import Reply, held
-from fraclink.studio._session import Session, bare
+from fraclink.studio._session import Session, bare, begun
 from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
 from fraclink.view._figures import fit_panels
@@ -85,6 +85,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     guessed = match(session.source)
     roles = {} if guessed.columns is None else guessed.columns.channels()
     places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
+    units = {channel.column: channel.unit for channel in roles.values()}
     channels = listing.channels
     samples = channels[0].samples if channels else 0
     head["log"] = {
@@ -92,7 +93,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
         "channels": [
             {
                 "name": entry.name,
-                "unit": entry.unit,
+                "unit": entry.unit or units.get(entry.name, ""),
                 "facts": _facts(entry, places.get(entry.name)),
             }
             for entry in channels
@@ -239,26 +240,26 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
 
 
 def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Use another rig, bundled or uploaded; results for the old one are discarded."""
-    name = given.get("name")
+    """Use another rig, bundled or uploaded, or the model of an uploaded file; results
+    for the old one are discarded.
+    """
+    name, before = given.get("name"), session.study
     if name == "upload" and session.upload is not None:
-        rig = Rig.load(session.upload)
+        study = begun(session.upload, before.rig)
     else:
         rig = Rig.named(str(name))
-    log = session.study.experiment
-    # The log remains, since it is in SI units and independent of the rig; all results
-    # for the old rig are discarded.
-    session.become(
-        Study(rig=rig, assumptions=rig.assumptions)
-        if log is None
-        else examined(rig, log)
-    )
+        study = Study(rig=rig, assumptions=rig.assumptions)
+    assert study.rig is not None  # noqa: S101
+    # The log remains, since it is in SI units and independent of the rig, unless the
+    # new model is that of another log.
+    if before.experiment is not None and study.fit is None and study.design is None:
+        study = examined(study.rig, before.experiment)
+    session.become(study)
     session.renew()
     axes = session.subject.axes() if session.subject else {}
     return Reply(
         {
             "ok": True,
-            "rig": rig.name,
             "state": session.state,
             **axes,
             **session.overview(),

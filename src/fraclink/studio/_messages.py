@@ -142,10 +142,14 @@ def refusal(error: FraclinkError) -> Reply:
         }
         head |= parts | {"remedy": error.remedy}
     if isinstance(error, InfeasibleError):
+        nearest = dict(error.nearest)
+        if "phase_margin" in nearest:
+            margin = math.degrees(nearest.pop("phase_margin"))
+            nearest["phase_margin_deg"] = round(margin, 9)
         head |= {
             "condition": error.condition,
             "explanation": error.explanation,
-            "nearest": error.nearest,
+            "nearest": nearest,
         }
     return Reply(head)
 

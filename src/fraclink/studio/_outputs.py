@@ -4,7 +4,6 @@ as by the command line.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
 from fraclink._files import output_path
 from fraclink._law import Law
-from fraclink.errors import FieldError, required
+from fraclink.errors import FieldError
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
 from fraclink.view._arm_page import write_arm_page
@@ -138,27 +137,7 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
     return Reply({"ok": True, "board": rows, "power_on": power_on(design)})
 
 
-def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Pack the written files into one archive in the draft folder, for download by the
-    page.
-    """
-    required(
-        "files",
-        session.written or None,
-        allowed="exported files",
-        remedy="export something first",
-    )
-    place = session.draft / "studio.zip"
-    # In the draft folder: an archive among the results would be packed into the next
-    # one.
-    with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in session.written:
-            archive.write(session.folder / name, name)
-    return Reply({"ok": True, "size": place.stat().st_size})
-
-
 OUTPUT_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
     "export": _export,
     "board": _board,
-    "zip": _zip,
 }

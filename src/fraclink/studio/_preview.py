@@ -24,17 +24,16 @@ from fraclink._design.completed import design_for
 from fraclink._display import number
 from fraclink._law import Law
 from fraclink._law.refit import refitted
-from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+from fraclink.errors import FieldError, FraclinkError
 from fraclink.studio._messages import Reply, checked_request, refusal, wanted_of
 from fraclink.view._loops import payloads_about
 from fraclink.view._text import grams
-from fracsys.checks import Real
+from fracsys.checks import Complex, Real
 
-__all__ = ["Subject", "blocks_of", "fan_of", "map_of", "nearest", "preview"]
+__all__ = ["Subject", "blocks_of", "fan_of", "map_of", "preview"]
 
 
 _POINTS = 280
-_DECIBELS = 20.0 / math.log(10.0)
 # Limits of the fan: corners of the box, and every fourth frequency. Six intervals have
 # 64 corners, which at two payloads and 280 frequencies are 36 000 numbers for a shaded
 # area.
@@ -124,30 +123,6 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
         return refusal(error)
 
 
-def nearest(subject: Subject, state: object) -> Reply:
-    """Return the feasible state nearest to a rejected one: the offer of the error,
-    which passed when followed.
-    """
-    request = checked_request(state)
-    try:
-        design_for(subject.rig, subject.model, **wanted_of(request))
-        return Reply({"ok": True, "state": request})
-    except InfeasibleError as error:
-        offer = dict(error.nearest)
-    if "phase_margin" in offer:
-        margin = math.degrees(offer.pop("phase_margin"))
-        offer["phase_margin_deg"] = float(f"{margin:.6g}")
-    if offer:
-        return Reply({"ok": True, "state": request | offer})
-    raise FieldError(
-        "state",
-        "this request",
-        "far from anything feasible",
-        allowed="a request near one that is feasible",
-        remedy="move crossover or margin by hand",
-    )
-
-
 def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     low, high = made.payloads
     nominal = made.rig.payloads.nominal
@@ -176,14 +151,19 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         # The poles of the last exact law with newly fitted residues: a fiftieth of the
         # time of a new law.
         head["blocks"] = blocks_of(refitted(subject.law, made.controller)[0])
-    curves = {
-        # An undamped mode has a pole on the axis: clipped far outside every plot, since
-        # float32 would carry infinities.
-        "gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
-        "phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
-        "margin": np.degrees(margin),
-    }
+    gain, phase = _drawn(logs)
+    curves = {"gain": gain, "phase": phase, "margin": np.degrees(margin)}
     return Reply(head, curves)
+
+
+def _drawn(logs: Complex) -> tuple[Real, Real]:
+    """Gain [dB] and phase [°] of the logarithms of a loop.
+
+    An undamped mode has a pole on the axis: clipped far outside every plot, since
+    float32 would carry infinities.
+    """
+    gain, phase = 20.0 * logs.real / math.log(10.0), np.degrees(logs.imag)
+    return np.clip(gain, -300.0, 300.0), np.clip(phase, -7200.0, 7200.0)
 
 
 def _controller(made: Design) -> dict[str, Any]:
@@ -283,7 +263,5 @@ def fan_of(made: Design, frequencies: Real) -> dict[str, Real]:
     logs = np.concatenate(
         [arm.loop(made.controller, made.rig).log(w, links[:, None]) for arm in sample]
     )
-    return {
-        "fan_gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
-        "fan_phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
-    }
+    gain, phase = _drawn(logs)
+    return {"fan_gain": gain, "fan_phase": phase}

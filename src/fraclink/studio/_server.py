@@ -24,6 +24,8 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from fraclink._reading.table import check_bytes
+from fraclink.errors import SizeError
 from fraclink.view._pages import squeezed, template_text
 
 if TYPE_CHECKING:
@@ -53,8 +55,6 @@ _KINDS = {
     ".svg": "image/svg+xml",
 }
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
-# bytes: at six characters each, as many numbers as the log readers take
-UPLOAD_LIMIT = 200_000_000
 # A plain file name with an ending: no folder, no leading dot, and nothing with a
 # special meaning for a file system or a shell.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
@@ -208,16 +208,12 @@ def application(studio: Studio) -> Any:
     async def talk(socket: WebSocket) -> None:
         await _talked(studio, socket)
 
-    def download(request: Request) -> Response:
-        return _downloaded(studio, request)
-
     routes = [Route(path, page) for path in contents]
     app = Starlette(
         middleware=[Middleware(GZipMiddleware)],
         routes=[
             *routes,
             Route("/upload", upload, methods=["POST"]),
-            Route("/studio.zip", download),
             WebSocketRoute("/talk", talk),
         ],
         exception_handlers={404: _nothing, 405: _nothing},
@@ -254,30 +250,17 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
                 size += len(part)
                 # Counted while receiving, because the length in the header is only a
                 # claim.
-                if size > UPLOAD_LIMIT:
-                    raise ValueError
+                check_bytes(size)
                 file.write(part)
-    except (ValueError, ClientDisconnect):
+    except (SizeError, ClientDisconnect) as error:
         place.unlink(missing_ok=True)
-        return refused(413, f"at most {UPLOAD_LIMIT} bytes")
+        return refused(413, str(error))
     except OSError as error:  # a full disk, or a folder of the same name
         if place.is_file():
             place.unlink()
         return refused(507, f"not stored: {error.strerror}")
     studio.session.upload = place
     return Response(status_code=204, headers=_HEADERS)
-
-
-def _downloaded(studio: Studio, request: Request) -> Response:
-    """The archive packed by the verb `zip`; only with the token, because it contains
-    the user's files.
-    """
-    place = studio.session.draft / "studio.zip"
-    if not studio.knows(request.headers.get("x-studio-token")):
-        return PlainTextResponse("wrong token", 403, headers=_HEADERS)
-    if not place.is_file():
-        return PlainTextResponse("nothing here", 404, headers=_HEADERS)
-    return Response(place.read_bytes(), media_type="application/zip", headers=_HEADERS)
 
 
 async def _talked(studio: Studio, socket: WebSocket) -> None:

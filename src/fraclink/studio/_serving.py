@@ -8,12 +8,12 @@ import socket
 import time
 import webbrowser
 from collections.abc import Callable
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import uvicorn
+import wsproto  # noqa: F401  (needed by uvicorn; its absence is reported before the start)
 
-from fraclink.errors import FieldError, MissingExtraError
+from fraclink.errors import FieldError
 from fraclink.studio._protocol import LONGEST
 from fraclink.studio._server import Studio, application
 
@@ -64,7 +64,7 @@ def serve(
         log_level="critical",  # its log lines would contain the addresses of pages
         access_log=False,
         server_header=False,
-        ws=_sockets(),
+        ws="wsproto",
         # At most four bytes per character (UTF-8): longer than any request accepted by
         # `parsed`.
         ws_max_size=4 * LONGEST,
@@ -83,17 +83,6 @@ def serve(
     session = studio.session
     session.close()
     return session
-
-
-def _sockets() -> Literal["wsproto", "websockets-sansio"]:
-    """The implementation of the WebSocket protocol: wsproto, a tenth of the size, or
-    the one that is installed.
-    """
-    if find_spec("wsproto") is not None:
-        return "wsproto"
-    if find_spec("websockets") is not None:
-        return "websockets-sansio"
-    raise MissingExtraError("wsproto", "studio")
 
 
 async def _served(

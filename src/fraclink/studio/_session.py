@@ -14,10 +14,12 @@ from threading import Lock
 from typing import Any
 
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._display import Table, marked, state_of
-from fraclink._files import kind_of, sha256_of
+from fraclink._files import load
+from fraclink._identify import Fit
 from fraclink._law import Law
 from fraclink.errors import FieldError, required
 from fraclink.findings import Finding, errors_of
@@ -30,7 +32,7 @@ from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view._arm_box import arm_box
 from fraclink.view._text import grid_of, sentence
 
-__all__ = ["Session", "SupersededError", "bare", "opened"]
+__all__ = ["Session", "SupersededError", "bare", "begun", "opened"]
 
 # Files of a study that become invalid with another design.
 _OUTDATED = (
@@ -351,7 +353,7 @@ class Session:
 def opened(
     place: Path | None, *, rig: Rig | None = None, out: Path = Path("results")
 ) -> Session:
-    """Return the session for a folder of results, a design, a log, or the rig alone.
+    """Return the session for a folder of results, a log, a design, a model, or a rig.
 
     Raises the errors of reading the file.
     """
@@ -362,12 +364,27 @@ def opened(
         return Session(
             study if rig is None else replace(study, rig=rig), place, kept=True
         )
-    if place.suffix == ".json" and kind_of(place) == "design":
-        design = Design.load(place)
-        return Session(
-            Study(rig=rig or design.rig, design=design, law=design.law()), out
-        )
+    if place.suffix in (".json", ".toml"):
+        return Session(begun(place, rig), out)
     return Session(Study(rig=rig or Rig.named("paper-2023")), out, source=place)
+
+
+def begun(path: Path, rig: Rig | None = None) -> Study:
+    """Return the study that begins with a rig, a design or a model.
+
+    A model is that of any `identify`: of a log, of a frequency response, or of a
+    transfer function that was brought into the form of a link.
+    """
+    if path.suffix == ".toml":
+        rig = Rig.load(path)
+        return Study(rig=rig, assumptions=rig.assumptions)
+    content: Any = load(path, (Design, Fit, LinkModel))
+    if isinstance(content, Design):
+        return Study(rig=rig or content.rig, design=content, law=content.law())
+    rig = rig or Rig.named("paper-2023")
+    if isinstance(content, Fit):
+        return Study(rig=rig, fit=content, assumptions=rig.assumptions)
+    return Study(rig=replace(rig, model=content), assumptions=rig.assumptions)
 
 
 def bare(study: Study) -> Study:
@@ -391,7 +408,7 @@ def _digests(folder: Path) -> dict[str, str]:
         return {}
     kinds = (".json", ".npz", ".toml")
     return {
-        path.name: sha256_of(path)
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.iterdir())
         if path.suffix in kinds
     }

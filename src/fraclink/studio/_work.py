@@ -181,7 +181,6 @@ def _checked(name: str, bounds: Between, value: object) -> Any:
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
 
 _PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
-_LATER = 6  # periods beyond the delay
 _POINTS = 1200  # of a curve: twenty within the resonance of the least damped link drawn
 _ARMS, _FAILED = 24, 12  # moves that are drawn, and how many of failing arms: 4 ms each
 _SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods per point: one pixel
@@ -198,8 +197,8 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     low, high = design.payloads
     payloads = payloads_about(low, high, _PAYLOADS)
     own = _plant(design, low, 0.0).delay
-    # From no delay at all, without that of the design, to six periods more.
-    more = np.linspace(-own, _LATER * law.period, _DELAYS)
+    # From no delay at all, without that of the design, period by period.
+    more = law.period * np.arange(_DELAYS) - own
     rows = [
         [_distance(design, law, float(mass), float(late)) for mass in payloads]
         for late in more

@@ -5,8 +5,6 @@ from fraclink.view._plots import phase_shares as phase_shares
 from fraclink.view._report import write_campaign_report as write_campaign_report
 from fraclink.view._report import write_report as write_report
 from fraclink.view._responses import margin_plot as margin_plot
-from fraclink.view._responses import nichols as nichols
-from fraclink.view._responses import nyquist as nyquist
 from fraclink.view._runs import draw_outcome as draw_outcome
 
 __all__: list[str]

@@ -39,7 +39,7 @@ from fracsys.checks import Real
 __all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
 
 
-MOST_PAYLOADS = 24
+MOST_PAYLOADS = 15  # of the slider: 40 kB of a page
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 _SEED = 0
 # The move goes forward in the first half of the run and back in the second, so that the

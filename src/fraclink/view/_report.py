@@ -34,8 +34,6 @@ __all__ = ["render_report", "write_campaign_report", "write_report"]
 
 Figures = Table | tuple[Row, ...]
 
-_PAYLOADS = 15  # payloads of the moving arm: 40 kB of a report of 500
-
 
 def write_report(
     study: Study, path: Path | str, *, title: str | None = None, script: bool = True
@@ -84,9 +82,7 @@ def render_report(
         "report.html",
         title=title or f"{name}: {source}",
         study=study,
-        arm=arm_box(study, design, payloads=_PAYLOADS)
-        if script and design and moves
-        else None,
+        arm=arm_box(study, design) if script and design and moves else None,
         pointer=_pointer(script=script),
         zone=_zone(design),
         source=source,

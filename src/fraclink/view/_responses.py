@@ -1,4 +1,4 @@
-"""Loops and responses of any system over frequency: Bode, Nyquist, Nichols, margins.
+"""Loops and responses of any system over frequency: Bode plots and margins.
 
 Conventions of python-control: dB, degrees, rad/s, one curve for each system, into `ax`
 or new axes of matplotlib, which are returned. Unlike there, the grid refines itself
@@ -9,7 +9,7 @@ slope: a lead s^0.65 is drawn at 58.5° and not at −301.5°.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from fracsys._margins import margins as find_margins
 from fracsys._sweep import frequency_grid, refined
 from fracsys.checks import Complex, Real
 
-__all__ = ["bode", "line_of", "margin_plot", "named", "nichols", "nyquist"]
+__all__ = ["bode", "line_of", "margin_plot", "named"]
 
 
 _HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut off
@@ -63,9 +63,7 @@ class Response:
         if isinstance(system, FrequencyResponse):
             return Response(system.frequency, system.response, name)
         if isinstance(system, Design):
-            return loop_response(
-                system, system.payloads[1], name, frequency, planar=planar
-            )
+            return loop_response(system, system.payloads[1], name, frequency)
         loop = as_loop(system, limit)
 
         def at(x: Real) -> Response:
@@ -202,12 +200,10 @@ def _responses(
     labels: Sequence[str] | None,
     frequency: ArrayLike | None = None,
     limit: float | None = None,
-    *,
-    planar: bool = False,
 ) -> list[Response]:
     names = named(systems, labels)
     return [
-        Response.of(system, frequency, limit, name, planar=planar)
+        Response.of(system, frequency, limit, name)
         for system, name in zip(systems, names, strict=True)
     ]
 
@@ -393,128 +389,3 @@ def margin_plot(
         title = f"phase margin {margin:.2f}° at {stability.gain_crossover:.4g} rad/s"
     axes[0].set_title(title, fontsize="medium")
     return axes
-
-
-def nyquist(
-    *systems: Any,
-    ax: Any = None,
-    labels: Sequence[str] | None = None,
-    frequency: ArrayLike | None = None,
-    limit: float | None = None,
-    reach: float | None = None,
-    mirror: bool = True,
-    **style: Any,
-) -> Any:
-    """Draw L(jω) in the complex plane with the unit circle and the point −1.
-
-    Parameters
-    ----------
-    *systems, labels, frequency, limit, **style
-        As in `bode`.
-    ax
-        axes to draw into; new ones without.
-    reach
-        Half the side of the square that is shown; without it all of the curve, or 5 if
-        it goes beyond 8.
-    mirror
-        Draw negative frequencies too, thin.
-
-    Examples
-    --------
-    >>> axis = nyquist(lambda s: 2 / (s + 1) ** 3)
-    >>> axis.get_aspect()
-    1.0
-    """
-    responses = _responses(systems, labels, frequency, limit, planar=True)
-    circle = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
-    marks: list[Mark] = [Curve(circle.real, circle.imag, 0, weight="thin")]
-    for k, one in enumerate(responses):
-        real, imaginary = one.values.real, one.values.imag
-        marks.append(Curve(real, imaginary, line_of(k), one.name))
-        if mirror:
-            marks.append(Curve(real, -imaginary, line_of(k), weight="thin"))
-    marks.append(Point(-1.0, 0.0, "−1", line=2, sign="cross"))
-    largest = max(1.2, *(float(np.nanmax(np.abs(one.values))) for one in responses))
-    # Beyond 8 the decisive point −1 would lie within a few dots of the origin: a range
-    # of 5 shows it and cuts off the rest.
-    half = reach or (1.1 * largest if largest <= 8 else 5.0)
-    square = Scale(-half, half)
-    panel = Panel("Im L", marks, 340.0, square)
-    description = "Nyquist curve around −1"
-    figure = Figure("nyquist", description, (panel,), "Re L", scale=square, rigid=True)
-    return on_axes(figure, ax, **style)
-
-
-# |L/(1 + L)| of the contours [dB]: 3 dB is about the largest acceptable value, 0.25 dB
-# shows how the contours close around −1.
-_CONTOURS = (-12.0, -6.0, -3.0, 0.25, 1.0, 3.0, 6.0, 12.0)
-
-
-def nichols(
-    *systems: Any,
-    ax: Any = None,
-    labels: Sequence[str] | None = None,
-    frequency: ArrayLike | None = None,
-    limit: float | None = None,
-    grid: bool = True,
-    **style: Any,
-) -> Any:
-    """Draw magnitude [dB] over phase [°], with contours of the closed loop's magnitude.
-
-    Parameters
-    ----------
-    *systems, labels, frequency, limit, **style
-        As in `bode`.
-    ax
-        axes to draw into; new ones without.
-    grid
-        Draw |L/(1 + L)| = −12 … 12 dB around each critical point that is seen.
-
-    Examples
-    --------
-    >>> axis = nichols(lambda s: 2 / (s + 1) ** 3)
-    >>> axis.get_xlabel()
-    'phase [°]'
-    """
-    responses = _responses(systems, labels, frequency, limit)
-    marks: list[Mark] = [
-        Curve(one.degrees, one.decibels, line_of(k), one.name)
-        for k, one in enumerate(responses)
-    ]
-    # Margins are read between −40 dB and 60 dB; an integrator or a mode would otherwise
-    # take the axis.
-    y = Scale.around(*(np.clip(one.decibels, -40.0, 60.0) for one in responses))
-    # The phases at the magnitudes that are shown, and in any case −180°.
-    phases = [np.array([-200.0, -100.0])]
-    for one in responses:
-        inside = (one.decibels > y.low) & (one.decibels < y.high)
-        phases.append(one.degrees[inside])
-    x = Scale.around(*phases)
-    turns = range(math.floor(x.low / 360), math.ceil(x.high / 360) + 1)
-    if grid:
-        marks += [mark for turn in turns for mark in _contours(360.0 * turn)]
-    marks += [
-        Point(360.0 * turn - 180.0, 0.0, line=2, sign="cross")
-        for turn in turns
-        if x.low < 360.0 * turn - 180.0 < x.high
-    ]
-    panel = Panel("magnitude [dB]", marks, 340.0, y)
-    figure = Figure("nichols", "Magnitude over phase", (panel,), "phase [°]", scale=x)
-    return on_axes(figure, ax, **style)
-
-
-def _contours(shift: float) -> Iterator[Mark]:
-    """Contours of |L/(1 + L)| between shift − 360° and shift."""
-    angle = np.linspace(1e-3, 2 * math.pi - 1e-3, 721)
-    for level in _CONTOURS:
-        closed = 10 ** (level / 20) * np.exp(1j * angle)
-        loop = closed / (1 - closed)
-        phase = np.degrees(np.mod(np.angle(loop), 2 * math.pi)) - 360 + shift
-        # Contours below 0 dB run through all phases and are drawn from left to right;
-        # those above are closed around −1 and keep their order.
-        order = np.argsort(phase) if level < 0 else np.arange(phase.size)
-        decibels = 20 * np.log10(np.abs(loop))
-        yield Curve(phase[order], decibels[order], 0, weight="thin")
-        ends = np.abs(phase - (shift - 358))
-        at = int(np.argmin(ends) if level < 0 else np.argmax(decibels))
-        yield Point(phase[at], decibels[at], f"{level:g} dB", sign="")

@@ -35,10 +35,10 @@ export class Around {
   strip() {
     const {states, at} = this.app, place = emptied('strip');
     for (let k = Math.max(0, states.length - 12); k < states.length; k++) {
-      const state = states[k], item = make('div', `thumb${k === at ? ' now' : ''}`, '', place), kept = this.app.kept.has(k) ? ', kept' : '';
-      const go = button('', '', item, () => this.app.go(k), `Go to state ${k + 1}: ${this.words(state)}${kept}`), key = JSON.stringify(state);
+      const state = states[k], item = make('div', `thumb${k === at ? ' now' : ''}`, '', place);
+      const go = button('', '', item, () => this.app.go(k), `Go to state ${k + 1}: ${this.words(state)}`), key = JSON.stringify(state);
       const path = el('path', {}, el('svg', {viewBox: '0 0 64 40', 'aria-hidden': 'true'}, go));
-      make('small', '', `${kept ? '★ ' : ''}${this.words(state)}`, go);
+      make('small', '', this.words(state), go);
       const letter = this.others().find((other) => other.key === key)?.letter;
       put(button(letter || '+', 'chip', item, () => this.pin(key, state), `Overlay state ${k + 1} on this design`), {'aria-pressed': Boolean(letter)});
       this.look(state).then((seen) => {

@@ -218,12 +218,10 @@ export class Design {
       table($('moves-table'), found.moves.header, found.moves.lines, 'Moves of the model with the exact law');
     }
   }
-  /** A feasible state near the requested one, found by Python. */
-  async offer() {
-    const found = await this.app.need('nearest', {state: this.app.state});
-    if (!found) return;
+  /** Take over the nearest request of a refusal. */
+  use(nearest) {
     this.app.begin();
-    this.app.state = found.state;
+    this.app.state = {...this.app.state, ...nearest};
     this.app.change();
     this.app.end();
   }
@@ -233,7 +231,7 @@ export class Design {
     make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
     place.append(answer.explanation || answer.error);
     if (Object.keys(answer.nearest || {}).length) {
-      button('Use the nearest feasible request', '', place, () => this.offer());
+      button('Use the nearest feasible request', '', place, () => this.use(answer.nearest));
     }
     $('step-design').classList.add('stale');
     this.app.refuse(true);

@@ -81,3 +81,9 @@ export function findings(place, list) {
     if (f.remedy) make('span', 'remedy', ` ${f.remedy[0].toUpperCase()}${f.remedy.slice(1)}.`, item);
   }
 }
+/** Hand a file to the browser, which saves it as a download. */
+export function saveAs(content, name) {
+  const link = Object.assign(document.createElement('a'), {href: URL.createObjectURL(content), download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}

@@ -83,12 +83,3 @@ export async function upload(file, name, token) {
   const answer = await fetch(`/upload?name=${encodeURIComponent(name)}`, {method: 'POST', body: file, headers: {'X-Studio-Token': token}});
   return answer.ok ? '' : await answer.text();
 }
-
-export async function download(token, name) {
-  const answer = await fetch('/studio.zip', {headers: {'X-Studio-Token': token}});
-  if (!answer.ok) return await answer.text();
-  const link = Object.assign(document.createElement('a'), {href: URL.createObjectURL(await answer.blob()), download: name});
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  return '';
-}

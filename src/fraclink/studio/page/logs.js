@@ -91,7 +91,7 @@ export class Logs {
     say('log-said', `Reading ${file.name} …`);
     const why = await upload(file, file.name, this.app.link.token);
     if (why) { this.app.toast(why); say('log-said', ''); return; }
-    if (file.name.endsWith('.toml')) this.rig('upload');
+    if (/\.(toml|json)$/.test(file.name)) this.rig('upload');
     else this.open('upload');
   }
   async rig(name) {

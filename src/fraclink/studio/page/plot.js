@@ -1,5 +1,6 @@
 // Plots in screen pixels with fixed axes, curves from arrays, handles that are accessible sliders, and tables.
 import {$, button, emptied, make, on, put, table} from './dom.js';
+import {savePlot} from './picture.js';
 
 /** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
@@ -82,9 +83,10 @@ export class Plot {
     const figure = svg.closest('figure'), caption = figure.querySelector('figcaption');
     this.numbers = make('div', 'tablebox');
     svg.after(this.numbers);
-    this.opener = button('▦', 'chip tool numbers', null, () => { put(this.opener, {'aria-expanded': this.opener.ariaExpanded !== 'true'}); this.tell(); }, `${caption.firstChild.textContent.trim()}: the numbers as a table`);
-    put(this.opener, {'aria-expanded': 'false'});
-    caption.prepend(this.opener);
+    this.opener = button('▦', 'chip tool numbers', null, () => this.open(this.opener.ariaExpanded !== 'true'), `${caption.firstChild.textContent.trim()}: the numbers as a table, and the plot as a file`);
+    this.saves = ['SVG', 'PNG'].map((kind) => button(kind, 'chip tool', null, () => savePlot(this, this.told(), kind.toLowerCase()), `Save the plot as ${kind}`));
+    caption.prepend(this.opener, ...this.saves);
+    this.open(false);
     plots.push(this);
     on(svg, 'pointermove', (event) => { if (!event.buttons) this.point(this.spot(event)[0]); });
     on(svg, 'pointerleave', () => this.point(NaN));
@@ -94,6 +96,12 @@ export class Plot {
     new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
+  /** Show the numbers and the buttons that save the plot, or hide them. */
+  open(is) {
+    put(this.opener, {'aria-expanded': is});
+    for (const save of this.saves) save.hidden = !is;
+    this.tell();
+  }
   part(axis, v) {
     const {low, high, log} = axis;
     return log ? Math.log(Math.max(v, 1e-300) / low) / Math.log(high / low) : (v - low) / (high - low);
@@ -334,7 +342,7 @@ export class Plot {
       el('text', {x: left ? LEFT + 4 : this.W - RIGHT - 4, y: TOP + 12 + 13 * i, 'text-anchor': left ? 'start' : 'end'}, place, text);
     });
   }
-  told() { return [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys}]) => ({name: this.names[key] || key, xs, ys})); }
+  told() { return [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys, path}]) => ({name: this.names[key] || key, xs, ys, path})); }
   /** The position of a pointer as shares of the axes, and in their units. */
   parts(event) {
     const box = this.svg.getBoundingClientRect();

@@ -1,7 +1,6 @@
 // Steps 6 and 7: the certificate, the trials, and the exported files.
 import {Plot, ends, joined, plain, ring} from './plot.js';
 import {$, make, button, emptied, items, on, table, say} from './dom.js';
-import {download} from './link.js';
 
 const precision = () => document.querySelector('input[name=precision]:checked').value;
 const JOBS = ['prove', 'arms', 'faults'];
@@ -18,11 +17,6 @@ export class Proof {
     this.arms = new Plot('p-fan');
     on(document.querySelector('.choice'), 'change', () => this.board());
     for (const one of document.querySelectorAll('[data-target]')) on(one, 'click', () => this.export(one.dataset.target));
-    on('zip', 'click', async () => {
-      const answer = await app.link.ask('zip');
-      const why = answer.ok ? await download(app.link.token, 'fraclink.zip') : answer.error;
-      if (why) app.toast(why);
-    });
   }
 
   async work(verb) {
@@ -109,7 +103,6 @@ export class Proof {
     say('proof-said', answer.proof_said);
     const files = Object.entries(answer.files || {});
     say('board-said', answer.board_said);
-    $('zip').hidden = !files.length;
     table($('files'), ['file', 'bytes'], files.map(([name, size]) => [name, String(size)]));
     if (this.app.step === 'proof') this.draw();
   }

@@ -1,4 +1,4 @@
-// The page: steps, the state and its history, verdicts, kept states. It shows Python's answers and decides nothing itself.
+// The page: steps, the state and its history, verdicts. It shows Python's answers and decides nothing itself.
 import {Link} from './link.js';
 import {Arm} from './arm.js';
 import {Design} from './design.js';
@@ -11,7 +11,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
   /** the request, with the option names of the command line */
-  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
+  state: {}, states: [], at: -1, axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
   link: null,
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -52,7 +52,6 @@ export const app = {
   /** After the end of a gesture: add the state to the history and request the exact answer. */
   settle() {
     app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
-    app.kept = new Set([...app.kept].filter((k) => k <= app.at));
     app.at = app.states.length - 1;
     app.ask('note', {state: app.state});
     app.buttons();
@@ -183,8 +182,6 @@ export const app = {
     const answer = await app.ask('keep', {force});
     if (answer.ok) {
       app.took(answer);
-      app.kept.add(app.at);
-      app.buttons();
       app.toast(`Kept ${answer.kept.length} files in ${answer.folder}`);
     } else if (answer.field === 'folder') app.replace(answer.error, () => app.keep(true));
     else app.toast(answer.error);
@@ -213,7 +210,6 @@ async function hello() {
   if (first || !('box' in app.state)) {
     app.states = answer.states;
     app.at = answer.at;
-    app.kept = new Set(answer.kept);
     app.state = answer.state;
     if (!app.states.length) { app.begun(); app.ask('note', {state: app.state}); }
   }
