@@ -263,7 +263,9 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     # The motor angle follows from the torque as a double integral, so exchanged columns
     # leave a clearly smaller residual in this direction. In a log filled by one
     # vibration each signal explains the other well.
-    exchanged = replace(log, motor_angle=log.output, output=log.motor_angle)
+    exchanged = replace(
+        log, motor_angle=log.output, output=log.motor_angle, earlier_angle=None
+    )
     share, reverse = share_of(mode), share_of(vibration_of(exchanged))
     if reverse > SHOWN and 1 - reverse < CLEARER * (1 - share):
         yield Finding(
