@@ -16,7 +16,6 @@ from golden.record import TOPICS, differences, entries, plain, probe, recorded
 
 # These take more than two seconds each.
 SLOW = {
-    "claims",
     "run",
     "report",
     "design-geared",

@@ -70,9 +70,6 @@ from fraclink.trials import (  # noqa: E402
     simulate_part,
 )
 from made_logs import example_motor_log  # noqa: E402
-from reproduce.evidence import EVIDENCE  # noqa: E402
-from reproduce.published import read_published  # noqa: E402
-from reproduce.values import computed  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
 
@@ -471,26 +468,6 @@ def runs() -> Entries:
     }
 
 
-# --- the paper
-
-
-def paper() -> Entries:
-    """Every value that the reproduction computes, and every verdict on the printed
-    ones.
-    """
-    published = read_published(ROOT / "reproduce")
-    return {
-        "values": lambda: plain(computed(published)),
-        "numbers": lambda: plain({item.id: item.verdict for item in published.numbers}),
-        "claims": lambda: plain(
-            {
-                item.id: EVIDENCE[item.evidence](published).verdict
-                for item in published.claims
-            }
-        ),
-    }
-
-
 # --- certificates
 
 
@@ -863,7 +840,6 @@ TOPICS: dict[
     str, tuple[Callable[[], Entries], float]
 ] = {  # topic: its entries and their relative tolerance
     "runs": (runs, 1e-9),
-    "paper": (paper, 1e-9),
     "certificates": (certificates, 1e-9),
     # A search ends within its own tolerance; the equations before it are exact.
     "designs": (designs, 1e-5),
