@@ -181,7 +181,7 @@ class Judge:
             link = self.model.at_payload(float(payload))
             if payload == self.payloads[-1]:  # with which no model was identified
                 link = model_at(self.model, self.rig, float(payload))
-            inertia, drag = s**model.order, model.damping * s**model.damping_order
+            inertia, drag = s**model.order, link.damping * s**model.damping_order
             torque = inertia / (inertia + drag + link.natural_frequency**2)
             if link.second_mode is not None:
                 torque = torque + link.second_mode.response(s)
