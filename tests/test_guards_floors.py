@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 728,
     "studio": 1117,
     "trials": 1403,
-    "view": 1512,
+    "view": 1495,
 }
 
 

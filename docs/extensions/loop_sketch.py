@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 from fraclink.view._drawing import stand_alone
-from fraclink.view._sketches import lettering
+from fraclink.view._marks import escaped
 
 _SIZE = (652.0, 220.0)
+
+
+def lettering(
+    x: float, y: float, text: str, style: str = "name", anchor: str = "start"
+) -> str:
+    """A text of the sketch."""
+    return f'<text class="{style}" x="{x:g}" y="{y:g}" text-anchor="{anchor}">{escaped(text)}</text>'
 
 
 def loop_sketch() -> str:
