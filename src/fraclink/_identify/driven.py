@@ -10,6 +10,7 @@ rest, and a peak above it, where both swing.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -230,7 +231,8 @@ def identify_driven_link(
     if fit.passed:
         return fit
     for part in _narrower(measured.band):
-        if _holds(measured, part, output, weighting):
+        # Too few lines for the parameters, or no fit.
+        with contextlib.suppress(FieldError, NotConvergedError):
             narrowed = _fitted(measured.between(*part), output, weighting, details)
             if narrowed.passed:
                 warning = _of_the_rest(part, measured.band)
@@ -250,19 +252,6 @@ def _narrower(band: Limits) -> Iterator[Limits]:
     for octave in range(1, octaves + 1):
         for above in range(octave, -1, -1):
             yield low * 2.0 ** (octave - above), high / 2.0**above
-
-
-def _holds(
-    measured: FrequencyResponse,
-    part: Limits,
-    output: Output,
-    weighting: Weighting | None,
-) -> bool:
-    try:
-        lines = measured.between(*part)
-        return _fitted(lines, output, weighting, details=False).passed
-    except (FieldError, NotConvergedError):
-        return False  # too few lines for the parameters, or no fit
 
 
 def _of_the_rest(part: Limits, band: Limits) -> Finding:

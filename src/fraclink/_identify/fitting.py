@@ -16,7 +16,7 @@ from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.findings import findings_of
 from fraclink._identify.fit import Fit, aic
-from fraclink._identify.problem import QUANTILE
+from fraclink._identify.problem import QUANTILE, Interval
 from fraclink._identify.residual import find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -94,7 +94,6 @@ def make_search(
     heldout: float | None,
     stiffness: float | None,
     fixed: Mapping[str, float] | None,
-    guess: LinkModel | None,
     hold: Hold,
 ) -> Search:
     """Check the fixed parameters and select the fitted part of the log."""
@@ -125,13 +124,7 @@ def make_search(
             remedy="record a longer log",
         )
     check_motion(motor_angle=window.angle, output=window.output)
-    start = None
-    if guess is not None:
-        start = shape_of(guess, values.get("delay", 0.0))
-        # A guess may be any link; a search that starts outside its limits would end
-        # there.
-        start[0] = np.clip(start[0], *ORDER_LIMITS)
-    return Search(window, values, start)
+    return Search(window, values)
 
 
 def fitted_window(
@@ -270,9 +263,15 @@ def fit_from(
             residual[: window.samples], motion, window.period, covariance.lag
         )
         intervals = link_intervals(search, solution, covariance)
+    mode: tuple[SecondMode | None, float | None] = (None, None)
+    if like is not None:
+        mode = like.model.second_mode, like.model.unseen_up_to
+    elif details:
+        whole = fitted_window(log, log.output.size, window.hold)
+        mode = find_second_mode(search, solution, whole.angle, residual)
     fit = Fit(
         structure=name,
-        model=model_of(solution.shape, 1.0, log.payload),
+        model=_identified(solution, log, covariance.errors, intervals, mode, stiffness),
         gain=float(solution.gain),
         offset=float(solution.offset),
         delay=float(solution.shape[4]),
@@ -291,13 +290,6 @@ def fit_from(
         source=log.source,
         sha256=log.sha256,
     )
-    mode: tuple[SecondMode | None, float | None] = (None, None)
-    if like is not None:
-        mode = like.model.second_mode, like.model.unseen_up_to
-    elif details:
-        whole = fitted_window(log, log.output.size, window.hold)
-        mode = find_second_mode(search, solution, whole.angle, residual)
-    fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     shares = motion_after(log, window.samples)
     sure = (resonance, covariance.unseen.size > 0)
     findings = findings_of(fit, solution, sure, stiffness, shares, log)
@@ -338,7 +330,12 @@ def _figures(
 
 
 def _identified(
-    fit: Fit, mode: tuple[SecondMode | None, float | None], stiffness: float | None
+    solution: Solution,
+    log: Experiment,
+    errors: Mapping[str, float],
+    intervals: Mapping[str, Interval],
+    mode: tuple[SecondMode | None, float | None],
+    stiffness: float | None,
 ) -> LinkModel:
     """The link with everything that the log determined, so that no later step has to
     state it again.
@@ -350,28 +347,22 @@ def _identified(
     """
     # A link model cannot have zero stiffness; a fit to noise may end there, which its
     # gates report.
-    size = max(abs(fit.gain), 1e-12)
-    torque = fit.output_kind == "torque"
+    size = max(abs(solution.gain), 1e-12)
+    torque = log.output_kind == "torque"
     # The gain is linear in the prediction: its profile is a parabola, and the standard
     # error suffices.
-    reach = QUANTILE * fit.standard_errors.get("gain", math.nan)
+    reach = QUANTILE * errors.get("gain", math.nan)
     rows = [
-        (name, end.low, end.high)
-        for name, end in fit.intervals.items()
-        if name != "delay"
+        ("gauge_delay" if name == "delay" else name, end.low, end.high)
+        for name, end in intervals.items()
     ]
-    if "delay" in fit.intervals:
-        rows.append(
-            ("gauge_delay", fit.intervals["delay"].low, fit.intervals["delay"].high)
-        )
-    if fit.intervals and math.isfinite(reach):
+    if intervals and math.isfinite(reach):
         rows.append(
             ("stiffness" if torque else "gauge_gain", size - reach, size + reach)
         )
     return dataclasses.replace(
-        fit.model,
-        stiffness=size if torque else (stiffness or 1.0),
-        gauge_delay=fit.delay,
+        model_of(solution.shape, size if torque else stiffness or 1.0, log.payload),
+        gauge_delay=float(solution.shape[4]),
         gauge_gain=1.0 if torque else size,
         second_mode=mode[0],
         unseen_up_to=mode[1],

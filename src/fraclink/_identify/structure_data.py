@@ -159,7 +159,7 @@ class Signals:
     @property
     def screen(self) -> Blocks:
         """The recording in blocks, for many candidates at once."""
-        return Blocks(self, max(self.output.size // _BLOCKS, 1))
+        return Blocks(self, math.ceil(self.output.size / _BLOCKS))
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """See `Lines`: each the exact one to the held input."""

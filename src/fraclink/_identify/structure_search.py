@@ -27,11 +27,10 @@ from fraclink._identify.structure_problem import StructureProblem
 from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
 
-# A valley that holds one in 200 of the places is missed by all of them in e⁻⁵ = 0.7 % of
-# logs.
-_DRAWS, _DESCENTS = 1000, 16
-_NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
-_TRIED = 4  # number of descents followed to their end
+# Of the draws, and of the descents after a few steps, so many are continued: on the
+# screen each stage takes about as long as the one before.
+_DRAWS, _DESCENTS, _FOLLOWED = 1000, 64, 16
+_TRIED = 4  # number of descents on the samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +59,9 @@ def best_places(
         if not len(rows):
             continue
         first = descend(screen, rows, iterations=FIRST_STEPS)
-        order = _distinct(problem, first)
-        last = descend(screen, first.places[order[:_TRIED]])
-        candidates += [*last.places, *first.places[order[_TRIED:]]]
+        promising = _distinct(problem, first)[:_FOLLOWED]
+        last = descend(screen, first.places[promising])
+        candidates += [*last.places[_distinct(problem, last)]]
         evaluations += first.evaluations + last.evaluations
     if start is not None:
         # In addition to the others: a wrong start only costs one descent.
@@ -72,7 +71,7 @@ def best_places(
     rows = np.reshape(candidates, (len(candidates), len(problem.low)))
     costs = problem.costs(rows)
     near = np.argsort(costs)[:_TRIED]
-    near = near[np.isfinite(costs[near]) & (costs[near] <= _NEARLY * costs[near[0]])]
+    near = near[np.isfinite(costs[near])]
     if not near.size:
         raise NotConvergedError(
             problem.structure.text,
@@ -80,19 +79,19 @@ def best_places(
             wanted=0.0,
             remedy="check that the structure is proper (use a frequency response if it is not), or give start",
         )
-    first = descend(problem, rows[near], iterations=FIRST_STEPS)
-    lowest, *others = _distinct(problem, first)
-    ends = [descend(problem, first.places[[lowest]])]
+    found = descend(problem, rows[near])
+    lowest, *others = _distinct(problem, found)
+    ends = [found]
     if isinstance(data, Signals) and data.hold == "zero":
         ends += [
-            descend_within_samples(problem, ends[0].places[0], k, data.period)
+            descend_within_samples(problem, found.places[lowest], k, data.period)
             for k, name in enumerate(problem.moving)
             if problem.structure.roles[name] == "delay"
         ]
-    evaluations += len(rows) + first.evaluations + sum(e.evaluations for e in ends)
+    evaluations += len(rows) + sum(end.evaluations for end in ends)
     end = Descent.together(ends)
     best = place_of(problem, end, int(np.argmin(end.costs)))
-    return [best, *(place_of(problem, first, k) for k in others)], evaluations
+    return [best, *(place_of(problem, found, k) for k in others)], evaluations
 
 
 def _drawn_places(problem: StructureProblem, data: Signals | Lines) -> Real:
