@@ -134,8 +134,7 @@ def scaling(runs: int) -> None:
                     workers=workers,
                     watch=lambda _, f=finished: f.append(time.monotonic()),
                 )
-                # From the first part on: starting the processes takes a constant 2 s,
-                # whatever the campaign.
+                # From the first part on, whatever the start takes.
                 took[workers] = (finished[-1] - finished[workers - 1]) / (
                     len(finished) - workers
                 )
@@ -151,10 +150,12 @@ def scaling(runs: int) -> None:
 
 
 MEMORY = """
-import resource, sys
+import pathlib, resource, sys
+from fraclink.trials import load_campaign
 from fraclink.trials._run import compute
+folder = pathlib.Path(sys.argv[1])
 for part in range(int(sys.argv[2])):
-    compute(sys.argv[1], part)
+    compute(load_campaign(folder), folder, part)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
@@ -196,7 +197,9 @@ def faults(tested: Bench, seeds: int) -> None:
     spent = time.thread_time() - began
     rows = table.rows()
     for row in (row for row in rows if not row.passed):
-        print(f"  {row.number}: {row.failed} of {row.runs}, {row.group}: {row.worst}")
+        print(
+            f"  {row.number}: {row.failed} of {row.runs}, {row.group}: {row.worst[0]}"
+        )
     unsafe = sum(outcome.group == "unsafe" for outcome in table.outcomes)
     line(
         f"faults met in every one of {len(planned)} runs",

@@ -52,8 +52,6 @@ LEAVES = ".,"  # proved by L, proved by 1/L
 _DETUNING = AXES.index("detuning")
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
-_HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest ones included in L
-_ROOTS = 16  # roots of unity; the sampled motor loop has up to 14 coefficients
 
 
 @dataclass(frozen=True)
@@ -427,7 +425,10 @@ class BoxLoop:
             motor = motor**2
             first = first * (near**2 / (near**2 + motor))
         fast = self.held(box["frequency"].low)
-        first, begin = np.where(fast, 0.0, first), np.where(fast, 2.0 * _HELD, 0.0)
+        first, begin = (
+            np.where(fast, 0.0, first),
+            np.where(fast, len(ALIASES) - 1.0, 0.0),
+        )
         above, below = begin + 2.0 + box["frequency"].low / w, begin + 4.0 - ratio
         terms = sum(t**-3 + 0.25 / (t + 1.0) ** 2 for t in (above, below))
         rest = self._tip_bound(
@@ -517,14 +518,14 @@ class BoxLoop:
         if self.motor_loop == "ideal":
             return True
         # The coefficients of (1 − e x)(1 − r x) X/A, ascending in x (highest power of z
-        # first), from its values at the roots of unity, which outnumber the
-        # coefficients.
-        x = Disc(np.exp(2j * math.pi / _ROOTS * np.arange(_ROOTS)))
+        # first), from its values at as many roots of unity as there are coefficients.
+        count = 6 + self.statement.whole
+        x = Disc(np.exp(2j * math.pi / count * np.arange(count)))
         both = self.controllers(x)[1]
-        window = FrequencyWindow((both,), np.zeros(_ROOTS), x, both)
+        window = FrequencyWindow((both,), np.zeros(count), x, both)
         late = Disc(np.array(self.low["delay"]))
         closing = self.closing(window, late, Disc(np.array(1 / self.low["motor"])))
         decay = math.exp(-self.statement.decay * self.period)
         poles = (1 - x.c * decay) * (1 - x.c * self.pid["filter_decay"])
-        coefficients = np.fft.fft(closing.c * poles).real / _ROOTS
-        return inside_circle(coefficients[: 6 + self.statement.whole].tolist())
+        coefficients = np.fft.fft(closing.c * poles).real / count
+        return inside_circle(coefficients.tolist())

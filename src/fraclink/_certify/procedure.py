@@ -35,12 +35,9 @@ ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Limits on the nodes of the first proof and of the following ones with smaller claims.
-# A smaller claim needs fewer nodes, so these attempts give up earlier.
-_NODES = (80_000, *7 * (20_000,))
-# Limit on the nodes for the smallest claim that passes: half a gigabyte. A second mode
+# Limits on the nodes for a claim, and for the smallest one that passes: half a gigabyte. A second mode
 # with a damping ratio of 0.05 % at ±0.1 % takes half of it, and seven seconds.
-_MOST = 1_000_000
+_USUAL, _MOST = 80_000, 1_000_000
 
 
 @checked
@@ -124,7 +121,7 @@ def certify(
         return _largest_claim(claim, distance, place)
     if distance <= claim.modulus:
         return _too_close(claim, distance, place)
-    return _certificate(claim, prove(BoxLoop(claim)), distance)
+    return _certificate(claim, prove(BoxLoop(claim), most=_USUAL), distance)
 
 
 def _largest_claim(
@@ -134,17 +131,17 @@ def _largest_claim(
     claim if that one is refuted.
     """
     loop, step = BoxLoop(claim), _ROOM
-    for most in (*_NODES, _MOST):
+    # Ends: each refutation lowers the distance, each other failure doubles the step.
+    while True:
         # The proof includes only some of the aliases and bounds the rest: the claim is
         # reduced by that bound.
         margin = distance - loop.alias_at(place)
         if margin < LEAST_MODULUS + _ROOM:
             return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
         modulus = max(math.floor(1000.0 * (margin - step)) / 1000.0, LEAST_MODULUS)
-        last = most == _MOST or modulus == LEAST_MODULUS
-        modulus = LEAST_MODULUS if last else modulus
+        last = modulus == LEAST_MODULUS
         claim = replace(claim, modulus=modulus)
-        outcome = prove(BoxLoop(claim), most=_MOST if last else most)
+        outcome = prove(BoxLoop(claim), most=_MOST if last else _USUAL)
         if isinstance(outcome, MarginProof):
             break
         # If the claim is refuted, the next one is the distance at that place. Otherwise

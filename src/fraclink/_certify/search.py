@@ -222,7 +222,7 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
     return np.concatenate([low, bottom]), np.concatenate([top, high])
 
 
-def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
+def prove(loop: BoxLoop, *, most: int) -> MarginProof | MarginFailure:
     """Cut the box of the statement until every leaf is proved, or give up at `most`
     nodes and report the place.
 

@@ -1,4 +1,4 @@
-"""Compute the missing parts of a campaign in processes on this machine.
+"""Compute the missing parts of a campaign in threads of this machine.
 
 A part is done if its file exists and reads back as one of this campaign; everything
 else is computed again. An interruption therefore only costs the parts in progress, and
@@ -7,12 +7,9 @@ the same command continues from there.
 
 from __future__ import annotations
 
-import multiprocessing
-import sys
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import Executor, as_completed
-from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,7 +30,6 @@ __all__ = [
     "Progress",
     "compute",
     "part_path",
-    "process_pool",
     "read_part",
     "run_campaign",
 ]
@@ -75,17 +71,14 @@ def run_campaign(
     folder
         where campaign.json and part-*.npz are kept.
     workers
-        processes on this machine. The result does not depend on their number. One is
-        this process. More import the script that runs: it calls this below ``if
-        __name__ == "__main__":``.
+        threads. The result does not depend on their number.
     watch
         called after every part.
 
     Raises
     ------
     FieldError
-        the folder belongs to another campaign, or cannot be written; a worker process
-        died (finished parts are kept); the script has no such line.
+        the folder belongs to another campaign, or cannot be written.
     """
     place = checked_path("folder", folder)
     try:
@@ -100,8 +93,8 @@ def run_campaign(
         ]
         before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
         progress = Progress(before, before, campaign.runs)
-        # Closed in any case: an exception in `watch` must not leave processes behind.
-        with closing(_computed(place, missing, workers)) as finished:
+        # Closed in any case: an exception in `watch` must not leave work behind.
+        with closing(_computed(campaign, place, missing, workers)) as finished:
             for part, failures in finished:
                 progress = replace(
                     progress,
@@ -143,67 +136,16 @@ def _claim(campaign: Campaign, place: Path) -> None:
 
 
 def _computed(
-    place: Path, missing: list[int], workers: int
+    campaign: Campaign, place: Path, missing: list[int], workers: int
 ) -> Generator[tuple[int, int], None, None]:
     """Yield the result of `compute` for every missing part, in the order of completion."""
-    folder = str(place.resolve())
-    if workers == 1:
-        # A single worker needs no separate process, which would take a second to start
-        # and execute the script again.
-        yield from (compute(folder, part) for part in missing)
-        return
-    with process_pool(workers) as executor:
-        tasks = [executor.submit(compute, folder, part) for part in missing]
-        yield from (task.result() for task in as_completed(tasks))
-
-
-# --- processes ------------------------------------------------------------------------
-
-
-@contextmanager
-def process_pool(workers: int) -> Iterator[Executor]:
-    """Provide a pool of `workers` processes; at the end waiting tasks are cancelled and
-    running ones are awaited.
-
-    Raises FieldError if a worker dies, because it executes the user's script again or
-    because the system ends it.
-    """
-    # spawn: a forked child could inherit threads of numerical libraries that hold a
-    # lock
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    pool = ThreadPoolExecutor(workers)
     try:
-        yield pool
-    except BrokenProcessPool as error:
-        script = _unguarded_script()
-        if script is None:
-            raise FieldError(
-                "workers",
-                workers,
-                "ended by the system while they worked",
-                allowed="as many as the machine has memory for",
-                remedy="finished parts are kept: give fewer, and the same command again",
-            ) from error
-        raise FieldError(
-            "script",
-            script.name,
-            "run again by every worker process, and so starts workers itself",
-            allowed='a script whose work stands below `if __name__ == "__main__":`',
-            remedy="put that line above the call, and indent what follows",
-        ) from error
+        tasks = [pool.submit(compute, campaign, place, part) for part in missing]
+        yield from (task.result() for task in as_completed(tasks))
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _unguarded_script() -> Path | None:
-    """The running script, if it has no `__main__` guard; a spawned process executes it
-    again.
-    """
-    file = getattr(sys.modules["__main__"], "__file__", None)
-    # a package's __main__.py (`python -m fraclink`) is not executed again
-    if file is None or Path(file).name == "__main__.py" or not Path(file).is_file():
-        return None
-    text = Path(file).read_text(encoding="utf-8", errors="replace")
-    return None if "__main__" in text or "parent_process" in text else Path(file)
+        # What waits is dropped: an interruption only costs the parts in progress.
+        pool.shutdown(cancel_futures=True)
 
 
 # --- files ----------------------------------------------------------------------------
@@ -228,16 +170,14 @@ class CampaignPart:
     columns: Mapping[str, Real]
 
 
-def compute(folder: str, part: int) -> tuple[int, int]:
-    """Compute one part of the campaign kept in `folder` and write its file in one step;
-    return its number and how many of its runs failed: plain values, as a worker process
-    receives and sends them.
+def compute(campaign: Campaign, folder: Path, part: int) -> tuple[int, int]:
+    """Compute one part of a campaign and write its file into `folder` in one step;
+    return its number and how many of its runs failed.
     """
-    campaign = load_campaign(folder)
-    place = part_path(Path(folder), part)
+    place = part_path(folder, part)
     # An interrupted write leaves a temporary file; its part is missing and is computed
     # here again.
-    for stray in place.parent.glob(f".{place.name}.*.tmp"):
+    for stray in folder.glob(f".{place.name}.*.tmp"):
         stray.unlink(missing_ok=True)
     columns = {
         name: np.asarray(values, dtype=np.float64)

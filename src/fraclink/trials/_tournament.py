@@ -25,7 +25,6 @@ from fracsys.checks import Between, Payload, Seed, checked, length
 
 __all__ = ["Standing", "Tournament", "compare"]
 
-PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
 # [N·m], [s]. Five times the noise of the paper's gauge: an apparent deflection of 32
 # mrad, more than the 2 % band in which a move of 1 rad settles.
 OFFSET, OFFSET_TIME = 0.05, 0.2
@@ -175,7 +174,7 @@ def compare(
     design: Design,
     *,
     link_mass: Annotated[float, Between(0.0, 1e4, "kg")] | None = None,
-    payloads: Annotated[Sequence[Payload], length(1)] = PAYLOADS,
+    payloads: Annotated[Sequence[Payload], length(1)] | None = None,
     reference: Reference | None = None,
     names: Sequence[str] | None = None,
     seed: Seed = 0,
@@ -191,7 +190,8 @@ def compare(
         of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm)
         where that is 0
     payloads
-        at which the worst is looked for [kg], all > 0
+        at which the worst is looked for [kg], all > 0; default the ends of the design's
+        range and the rig's nominal payload
     reference
         the move of the tip; default 1 rad in 1 s
     names
@@ -219,6 +219,7 @@ def compare(
     # The twin judges the arm, while the rivals are tuned with the model: none of them
     # uses the twin before its run.
     twin = Twin.from_rig(rig, model=design.model, link_mass=mass)
+    tried = payloads or (*design.payloads, rig.payloads.nominal)
     notes = [f"link of {1e3 * mass:g} g, {twin.damping.label}"]
     notes += [str(finding) for finding in twin.findings]
     standings, runs = [], {}
@@ -233,9 +234,7 @@ def compare(
             # tournament
             notes.append(f"{name} left out: {error}")
             continue
-        standing, runs[name] = _standing(
-            design, twin, rival, move, tuple(payloads), seed
-        )
+        standing, runs[name] = _standing(design, twin, rival, move, tried, seed)
         standings.append(standing)
     return Tournament(tuple(standings), tuple(notes), runs)
 
@@ -266,7 +265,7 @@ def _standing(
     twin: Twin,
     rival: Rival,
     move: Reference,
-    payloads: tuple[float, ...],
+    payloads: Sequence[float],
     seed: int,
 ) -> tuple[Standing, Run]:
     followed = rival.shaped(move)
