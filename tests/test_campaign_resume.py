@@ -308,7 +308,7 @@ def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
 
 @contextlib.contextmanager
 def _files_up_to(size: int):
-    """Let this process and the workers it spawns write files of at most `size` bytes."""
+    """Let this process write files of at most `size` bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

@@ -47,9 +47,8 @@ def table(bench: Bench) -> FaultTable:
 
 
 def loosened(bench: Bench, **limits: float) -> Bench:
-    return bench.with_law(
-        replace(bench.law, limits=replace(bench.law.limits, **limits))
-    )
+    law = replace(bench.law, limits=replace(bench.law.limits, **limits))
+    return replace(bench, law=law)
 
 
 def test_the_catalogue_is_complete() -> None:
@@ -238,7 +237,7 @@ def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> No
             motor_loop, coulomb_voltage=30.0 * motor_loop.coulomb_voltage
         ),
     )
-    failed = run_case(bench.with_law(wild), case).failed
+    failed = run_case(replace(bench, law=wild), case).failed
     assert "limit cycle [rad]" in [check.name for check in failed]
 
 

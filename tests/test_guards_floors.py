@@ -198,7 +198,7 @@ CEILINGS = {
     "lab": 1937,
     "logs": 728,
     "studio": 1117,
-    "trials": 1385,
+    "trials": 1381,
     "view": 1495,
 }
 

@@ -20,9 +20,8 @@ from fraclink._simulate import Twin, kernel
 from fraclink._simulate import events as columns
 from fraclink._simulate.events import FAULTS, healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.on_twin import acted, checked_motor_loop, twin_run
+from fraclink._simulate.on_twin import acted, twin_run
 from fraclink._simulate.run import Run
-from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, checked
 
 __all__ = ["PHASES", "Bench", "Case", "FaultTrial", "Phase", "end_of", "execute"]
@@ -111,20 +110,6 @@ class Bench:
         # heaviest payload, depending on the design.
         margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
         return Bench(arm, law, twin, (low, nominal, high), margin)
-
-    def with_law(self, law: Law) -> Bench:
-        """Return the same bench for another law; FieldError where its period is not the
-        rig's.
-        """
-        if law.period != self.law.period:
-            raise FieldError(
-                "period",
-                law.period,
-                "not the rig's",
-                allowed=f"{self.law.period} s",
-                remedy="discretise at the rig's period",
-            )
-        return replace(self, law=checked_motor_loop(law))
 
 
 class FaultTrial:
