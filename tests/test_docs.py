@@ -115,6 +115,7 @@ def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module(name)
 
 
+@pytest.mark.slow
 def test_every_command_has_a_page_with_example_options_and_picture(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -170,6 +170,7 @@ def test_fit_of_a_structure_is_a_plant(tmp_path: Path) -> None:
     assert fl.extend.FractionalPid.load(tmp_path / "c.json") == made.controller
 
 
+@pytest.mark.slow
 def test_plants_of_python_control() -> None:
     control = pytest.importorskip("control")
     own = fl.tune_pid(1 / (s * (0.4 * s + 1)), gain_crossover=2.0)

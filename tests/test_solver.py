@@ -154,6 +154,7 @@ def test_figures_of_a_refusal_are_the_best_together() -> None:
             fl.design(MODEL, RIG, payloads=RANGE, **more, law=False, nearest=False)
 
 
+@pytest.mark.slow
 def test_a_loop_that_controls_nothing_is_no_answer_where_nothing_is_asked() -> None:
     late = replace(MODEL, gauge_delay=0.057)
     try:
@@ -172,6 +173,7 @@ def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
     assert "30 ms late" in str(e.value) and not e.value.nearest
 
 
+@pytest.mark.slow
 def test_a_request_that_no_gain_meets_is_refused_with_its_row() -> None:
     # The search ends where the controller vanishes: no gain damps this link from there.
     bare = fl.LinkModel(2.47, 10.14, order=2.0, payload=0.0536)

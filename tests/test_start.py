@@ -645,6 +645,7 @@ def test_recorded_names_serve_though_they_do_not_fit_the_columns() -> None:
     assert (found.columns.output.column, found.columns.output.sign) == ("#3", -1)
 
 
+@pytest.mark.slow
 def test_recorded_structures_offer_no_reference_and_no_column_twice() -> None:
     place = shared_data("rig_b_two_stage", "lqg30.mat")
     columns, (angle, output) = read_columns(place), match(place).questions

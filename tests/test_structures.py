@@ -194,7 +194,7 @@ def test_intervals_cover() -> None:
     truth = {"k": 2.0, "T": 3.0, "a": 0.7}
     inside = 0
     for seed in range(40):
-        data = recording("k/((T*s)**a + 1)", truth, samples=1500, noise=0.1, seed=seed)
+        data = recording("k/((T*s)**a + 1)", truth, samples=500, noise=0.1, seed=seed)
         fit = fl.identify_structure(data, "k/((T*s)**a + 1)", heldout=0.0)
         inside += sum(
             fit.intervals[name].contains(value) for name, value in truth.items()

@@ -197,6 +197,7 @@ def test_a_refusal_names_the_nearest_that_is_feasible(subject, tmp_path):
     assert 10 < found["gain_crossover"] < 30
 
 
+@pytest.mark.slow
 def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject):
     found = map_of(subject, ASKED)
     assert np.any(found["noise"] > 0)

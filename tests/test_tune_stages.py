@@ -483,6 +483,7 @@ def test_what_reaches_a_limit_is_repeated_smaller_twice(
         assert tuned.link.fit.passed and tuned.link.rounds[0][0] < 0.05
 
 
+@pytest.mark.slow
 def test_a_stiff_link_at_a_short_period_is_excited(tmp_path: Path) -> None:
     # Its burst has a thousand bits of one period each.
     stiffness, payload, length, period = 8.0, 0.05, 0.30, 0.002
@@ -541,6 +542,7 @@ def tuned_outside(
     return fl.tune(board, plan, out=place, clock="none", **options)
 
 
+@pytest.mark.slow
 def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     # Its wiring check shows little but the second mode, 15 times as high: a model of
     # that one fits these doublets better, and does not predict the moves behind them.
@@ -571,6 +573,7 @@ def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_link_that_still_swings_does_not_hide_the_motors_sign(tmp_path: Path) -> None:
     # Stiff, hardly damped, half as heavy as the hub: what is left of a doublet turns the
     # motor as far as the next one does.
@@ -596,6 +599,7 @@ def test_a_link_that_still_swings_does_not_hide_the_motors_sign(tmp_path: Path) 
     assert tuned.wiring.gain > 0.0 and tuned.link is not None
 
 
+@pytest.mark.slow
 def test_a_weak_motor_gets_moves_that_its_voltage_can_make(tmp_path: Path) -> None:
     weak = {"K": 0.06, "visc": 0.08, "Fc": 0.03, "Fs": 0.04}
     tuned = tuned_outside(outside_arm(**weak), tmp_path / "tuned")
@@ -609,6 +613,7 @@ def test_a_weak_motor_gets_moves_that_its_voltage_can_make(tmp_path: Path) -> No
         assert run.metrics.settling_time < 1.2 * move.duration
 
 
+@pytest.mark.slow
 def test_an_arm_that_loses_samples_is_measured_on_its_own_time(tmp_path: Path) -> None:
     own, chance = arm(seed=1), np.random.default_rng(1)
     last: list[Any] = []
