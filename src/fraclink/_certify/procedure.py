@@ -35,9 +35,11 @@ ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Limits on the nodes for a claim, and for the smallest one that passes: half a gigabyte. A second mode
+# Limit on the nodes for a claim: where a smaller one is tried next.
+_USUAL = 80_000
+# Limit on the nodes for the smallest claim that passes: half a gigabyte. A second mode
 # with a damping ratio of 0.05 % at ±0.1 % takes half of it, and seven seconds.
-_USUAL, _MOST = 80_000, 1_000_000
+_MOST = 1_000_000
 
 
 @checked
