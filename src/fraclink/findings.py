@@ -160,8 +160,8 @@ class Verdict:
 
     @property
     def state(self) -> State:
-        """The worst state of the scopes; no record of the arm itself is none of them, and
-        a record of the arm stands in for the twin where that was not run.
+        """The worst state of the scopes. A missing record of the arm does not count, and
+        a record of the arm replaces a twin that was not run.
         """
         scopes = [self.promise, self.model]
         scopes += [

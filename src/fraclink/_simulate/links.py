@@ -259,8 +259,9 @@ def batch_links(
     residue = swing / (order * swing + alpha * ratio * np.exp(alpha * log_poles))
     pair = np.where(inside, -2.0 * residue, 0.0)
     if not whole:
-        # What the trapezoidal rule has of a pole's exponential, which depends on the
-        # pole's distance from the grid and its side of the cut, is no part of the pair.
+        # The trapezoidal rule already contains a share of a pole's exponential, which
+        # depends on the distance of the pole from the grid and on its side of the cut:
+        # the pair adds the rest.
         turns = (float(grid[0]) - log_poles + 1j * np.pi) / width
         pair = pair * (1.0 / (1.0 - np.exp(2j * np.pi * turns)))
     # The weight of e^(−r t) in S is `width` times the density; over one period the mode

@@ -1,6 +1,6 @@
-"""The causes, found in its record, why an arm gets no law: a clipping gauge, a coarse
-encoder, a delayed voltage, a sticking motor, a delayed gauge, a long period; and the
-domain that follows from these.
+"""Why an arm gets no law, as its record shows: a clipping gauge, a coarse encoder, a
+delayed voltage, a sticking motor, a delayed gauge, a long period; and the arms for
+which a law can be expected.
 """
 
 from __future__ import annotations
@@ -152,10 +152,11 @@ def _late_gauge(link: LinkModel) -> tuple[str, ...]:
 def unexplained(
     residual: Real, model: LinkModel, record: Record, wiring: Wiring, least: float
 ) -> tuple[str, ...]:
-    """What bends the link by more than `least` [rad], and by more than the sensors'
-    noise, that its model does not know, from its `residual` [N·m] in moves.
+    """A sentence on the bending that the model does not explain, from the `residual`
+    [N·m] of moves; none if it is below `least` [rad] or the noise of the sensors.
     """
-    # What the gauge reads before the first voltage is not the link's answer, hum as well.
+    # What the gauge reads before the first voltage, hum included, is not a response of
+    # the link.
     rest = record.torque[: int(np.argmax(record.voltage != 0.0))]
     noise = max(
         sensor_noise(model, record.torque, record.period, wiring),
@@ -164,7 +165,7 @@ def unexplained(
     power = float(np.mean(np.square(residual)))
     left = math.sqrt(max(power - noise**2, 0.0)) / model.stiffness
     bound = max(least, noise / model.stiffness)
-    # A reading without any noise is a simulation's, whose residual is the fit's own.
+    # Without any noise the reading is simulated, and the residual is that of the fit.
     if left <= bound or wiring.gauge_noise == 0.0:
         return ()
     return (
@@ -176,19 +177,19 @@ def unexplained(
 def sensor_noise(
     model: LinkModel, torque: Real, period: float, wiring: Wiring
 ) -> float:
-    """The standard deviation [N·m] that the sensors leave of a record: the gauge's noise
-    and step, and the encoder's count, which the link answers like a motion of the motor
-    and, with little damping, amplifies at its vibrations.
+    """The standard deviation [N·m] of the residual that is due to the sensors: the noise
+    and the step of the gauge, and the count of the encoder, to which the link responds
+    as to a motion of the motor and which it amplifies at its resonances.
     """
     # At rest, the reading of a coarse gauge does not change.
     step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
-    # Not at the first sample: before it, the motor stands where that one is.
+    # At the second sample: the first one is the motor's angle at rest, and no motion.
     pulse = np.zeros(torque.size)
     pulse[1] = wiring.encoder_step
     answer = simulated_torque(model, pulse, period, hold="first")
     if model.second_mode is not None:
         answer = answer + second_torque(model.second_mode, model, pulse, period)
-    # Its variance grows from rest on with every sample; this is the mean.
+    # From rest on the variance grows with every sample: its mean over the record.
     count = math.sqrt(float(np.mean(np.cumsum(answer**2))))
     # Rounding to a step s leaves s/√12.
     return math.hypot(
