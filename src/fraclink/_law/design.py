@@ -236,6 +236,13 @@ class Design(Saved):
             Row("controller.filter_order", "n", c.filter_order),
             Row("notch", "notch", c.notch and c.notch.frequency, "rad/s"),
             Row("gain_crossover_upper", "ω̄_c", self.gain_crossover_upper, "rad/s"),
+            Row(
+                "",
+                "box",
+                "its worst arm counts in every row"
+                if self.box
+                else "not asked: nothing is shown of arms that differ from the model",
+            ),
         )
         # A doubt about the input outranks requirements that are met, because they are
         # met by a doubtful model; a missed one fails in any case.
