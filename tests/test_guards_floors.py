@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1482,
     "_export": 432,
     "_files": 566,
-    "_identify": 2586,
+    "_identify": 2595,
     "_law": 979,
     "_reading": 941,
     "_simulate": 1168,

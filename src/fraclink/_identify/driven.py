@@ -50,7 +50,7 @@ _AROUND = 3
 
 @document(
     "driven-link",
-    version=2,
+    version=3,
 )
 @checked
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,24 +157,13 @@ def reduced(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """The ends of M descents: places (M, p), costs (M,), whether no step would gain
-    anything, and the number of candidates used.
+    """The ends of M descents: places (M, p), costs (M,), and whether no step would
+    gain anything.
     """
 
     places: Real
     costs: Real
     converged: Mask
-    evaluations: int
-
-    @classmethod
-    def together(cls, parts: Sequence[Descent]) -> Descent:
-        """The ends of several."""
-        return cls(
-            np.concatenate([part.places for part in parts]),
-            np.concatenate([part.costs for part in parts]),
-            np.concatenate([part.converged for part in parts]),
-            sum(part.evaluations for part in parts),
-        )
 
 
 def descend(
@@ -196,7 +185,7 @@ def descend(
     places = np.clip(problem.clip(np.array(places, dtype=np.float64)), low, high)
     at = problem.quadratic(places)
     costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
-    evaluations, damping = len(places), np.full(len(places), 1e-3)
+    damping = np.full(len(places), 1e-3)
     # A start without a response has no slope along which to leave it.
     moving, settled = np.isfinite(costs), np.zeros(len(places), dtype=bool)
     for _ in range(iterations):
@@ -215,7 +204,6 @@ def descend(
         settled[own] = gain <= least
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
         at = problem.quadratic(trial)
-        evaluations += own.size
         better = at.cost < costs[own]
         # At its end a descent continues as long as that costs one candidate per step.
         moving[own] = np.where(
@@ -225,7 +213,7 @@ def descend(
         successes = own[better]
         places[successes], costs[successes] = trial[better], at.cost[better]
         slope[successes], normal[successes] = at.slope[better], at.normal[better]
-    return Descent(places, costs, settled & np.isfinite(costs), evaluations)
+    return Descent(places, costs, settled & np.isfinite(costs))
 
 
 def descend_within_samples(

@@ -90,8 +90,8 @@ class Lines:
 # σ·span of the inverse transform: with less, a slow end wraps around; with more, the
 # response is lost in the truncation beyond the lines
 _BACK = 4.0
-# blocks of a screen: orders, corners and delays show in its lowest 500 lines
-_BLOCKS = 1000
+# blocks of a screen: orders, corners and delays show in its lowest 250 lines
+_BLOCKS = 500
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,7 +106,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
             "W302",
             "error",
             "the search stopped early: the data hardly distinguish the parameters",
-            {"evaluations": float(fit.evaluations)},
+            {},
             "excite more of the band, give parameters that are known in fixed, or narrower bounds",
         )
 

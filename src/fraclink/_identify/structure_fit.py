@@ -23,6 +23,7 @@ from fracsys.checks.equality import compared
 @displayed
 @document(
     "structure-fit",
+    version=2,
     container="either",
     summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
@@ -54,8 +55,6 @@ class StructureFit(Saved):
         parameters that the data do not determine, whatever their value says.
     offset
         constant part of a recording's output.
-    domain
-        "time" or "frequency".
     period, hold
         sampling period [s] and what the input does between samples; None for a
         frequency response.
@@ -72,8 +71,8 @@ class StructureFit(Saved):
     measured, predicted
         output of the recording, shape (N,); of a frequency response the real parts,
         then the imaginary ones, shape (2N,).
-    converged, evaluations
-        whether the descent met its tolerance, and the candidates that it took.
+    converged
+        whether the descent met its tolerance.
     findings
         codes W35x; one of severity "error" means that the parameters are not to be
         believed.
@@ -100,7 +99,6 @@ class StructureFit(Saved):
     at_bound: tuple[str, ...]
     undetermined: tuple[str, ...]
     offset: float
-    domain: Literal["time", "frequency"]
     period: float | None
     hold: Literal["zero", "first"] | None
     fitted: int
@@ -110,7 +108,6 @@ class StructureFit(Saved):
     measured: Real
     predicted: Real
     converged: bool
-    evaluations: int
     findings: tuple[Finding, ...] = ()
     source: str = ""
     sha256: str = ""

@@ -13,7 +13,7 @@ import numpy as np
 from fraclink._identify.expression import Expression
 from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.structure_data import Limits, Samples
-from fracsys.checks import Real
+from fracsys.checks import Complex, Real
 
 Values = Mapping[str, float]
 
@@ -50,25 +50,57 @@ class StructureProblem(Problem):
     @cached_property
     def gain(self) -> str | None:
         """The free coefficient that multiplies everything, or None."""
-        # No two values are equal, and no sum of two equals another; all are positive if
-        # they may be, since a negative base has no real powers. Two functions of the
-        # same form that agree at three points in general position agree everywhere.
-        values: dict[str, Any] = {
-            name: np.clip(0.6 + 0.17 * k, *self.limits[name])
-            for k, name in enumerate(self.names)
-        }
-        values |= self.fixed
-        points = np.array([0.5, 1.1, 2.3]) * np.exp(1j * np.array([0.3, 0.9, 1.4]))
-        once = self.structure.response(values, points)
         for name in self.names:
             # Tested numerically instead of on the tree: k/(k·s + k) does not depend on
             # k, whatever the form of its text.
-            twice = self.structure.response(
-                {**values, name: 2.0 * values[name]}, points
-            )
-            if np.allclose(twice, 2.0 * once, rtol=1e-12, atol=0.0):
+            if np.allclose(self._changed(name, 2.0), 2.0, rtol=1e-12, atol=0.0):
                 return name
         return None
+
+    def _changed(self, name: str, factor: float) -> Complex:
+        """The factor (K,) of the response for a factor of one parameter."""
+        # No two values are equal, and no sum of two equals another; all are positive if
+        # they may be, since a negative base has no real powers. The points are in
+        # general position, more than a structure has parameters.
+        values: dict[str, Any] = {
+            other: np.clip(0.6 + 0.17 * k, *self.limits[other])
+            for k, other in enumerate(self.names)
+        }
+        values |= self.fixed
+        points = np.linspace(0.5, 2.3, 16) * np.exp(1j * np.linspace(0.3, 1.4, 16))
+        once, changed = (
+            self.structure.response(each, points)
+            for each in (values, {**values, name: factor * values[name]})
+        )
+        # Where the bounds leave no response, no parameter has an effect.
+        with np.errstate(all="ignore"):
+            return np.nan_to_num(changed / once, nan=1.0, posinf=1.0, neginf=1.0)
+
+    @cached_property
+    def _scaling(self) -> Real:
+        """Exponents (p,) such that coefficients · κ^exponents make the response κ times
+        as large; zero if there are none.
+        """
+        step = 1.0 + _STEP
+        rates = [
+            np.log(self._changed(name, step)) / np.log(step) * self.is_coefficient(name)
+            for name in self.names
+        ]
+        rows = np.concatenate([np.real(rates), np.imag(rates)], axis=1).T
+        wanted = np.repeat([1.0, 0.0], len(rows) // 2)
+        exponents = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+        own = exponents[[self.names.index(name) for name in self.moving]]
+        return np.asarray(own * np.allclose(rows @ exponents, wanted, atol=1e-4))
+
+    def sized(self, places: Real) -> Real:
+        """Places whose coefficients are scaled such that the response has the size of
+        what was measured.
+        """
+        columns = self.data.response(self.structure, self.values(places))[:, None]
+        size = np.abs(self._projected(columns, (-math.inf, math.inf))[0].gain)
+        # A coordinate is a logarithm with a sign.
+        shift = np.log(np.where(size > 0, size, 1.0))[:, None] * self._scaling
+        return self.clip(places + np.sign(places) * shift)
 
     @cached_property
     def moving(self) -> tuple[str, ...]:
@@ -223,7 +255,9 @@ class StructureProblem(Problem):
         step = _STEP * self.data.shortest
         return np.where(value < step, step, -step)
 
-    def _projected(self, columns: Real) -> tuple[Quadratic, Real]:
+    def _projected(
+        self, columns: Real, limits: Limits | None = None
+    ) -> tuple[Quadratic, Real]:
         """The quadratic model of columns (M, 1 + p, R), and the residuals (M, R)."""
         measured, constant = self.data.measured, self.data.constant
         shape = (len(columns), 1, measured.size)
@@ -236,7 +270,8 @@ class StructureProblem(Problem):
             ],
             axis=1,
         )
-        limits = (1.0, 1.0) if self.gain is None else self.limits[self.gain]
+        if limits is None:
+            limits = (1.0, 1.0) if self.gain is None else self.limits[self.gain]
         with np.errstate(all="ignore"):
             gram = rows @ rows.transpose(0, 2, 1)
             quadratic = reduced(gram, limits, self.offset)

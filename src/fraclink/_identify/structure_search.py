@@ -1,9 +1,9 @@
 """The best parameters of a structure, without a start value.
 
-1. Parameters are drawn over their ranges; the gain and the offset follow by linear
-   least squares.
-2. The best draws descend together on the screen: a recording in a thousand blocks, at
-   a few microseconds per candidate.
+1. Parameters are drawn over their ranges; the size of the response and the offset
+   follow by linear least squares.
+2. The best draws descend together on the screen: a recording in blocks, at a few
+   microseconds per candidate.
 3. The best of these descend on the samples, each candidate by its exact response.
 """
 
@@ -30,6 +30,7 @@ from fracsys.checks import Real
 # Of the draws, and of the descents after a few steps, so many are continued: on the
 # screen each stage takes about as long as the one before.
 _DRAWS, _DESCENTS, _FOLLOWED = 1000, 64, 16
+_NEARLY = 1.05  # costs on the samples within 5 % are followed
 _TRIED = 4  # number of descents on the samples
 
 
@@ -45,11 +46,12 @@ class Place:
 
 def best_places(
     problem: StructureProblem, data: Signals | Lines, start: Mapping[str, float] | None
-) -> tuple[list[Place], int]:
-    """Places that no step improves, best first, and the number of candidates used."""
-    screen, places = replace(problem, data=data.screen), _drawn_places(problem, data)
+) -> list[Place]:
+    """Places that no step improves, best first."""
+    screen = replace(problem, data=data.screen)
+    places = screen.sized(_drawn_places(problem, data))
     costs = screen.costs(places)
-    evaluations, candidates = len(places), []
+    candidates: list[Real] = []
     # Positive coefficients separately: most functions with a negative one are unstable,
     # which a transform does not show, and they would crowd out the others.
     positive = np.all(places >= 0.0, axis=1)
@@ -62,7 +64,6 @@ def best_places(
         promising = _distinct(problem, first)[:_FOLLOWED]
         last = descend(screen, first.places[promising])
         candidates += [*last.places[_distinct(problem, last)]]
-        evaluations += first.evaluations + last.evaluations
     if start is not None:
         # In addition to the others: a wrong start only costs one descent.
         candidates += [*problem.clip(problem.places_of(start))]
@@ -71,7 +72,10 @@ def best_places(
     rows = np.reshape(candidates, (len(candidates), len(problem.low)))
     costs = problem.costs(rows)
     near = np.argsort(costs)[:_TRIED]
-    near = near[np.isfinite(costs[near])]
+    near = near[
+        np.isfinite(costs[near])
+        & (costs[near] <= _NEARLY * costs.min(initial=math.inf))
+    ]
     if not near.size:
         raise NotConvergedError(
             problem.structure.text,
@@ -79,19 +83,18 @@ def best_places(
             wanted=0.0,
             remedy="check that the structure is proper (use a frequency response if it is not), or give start",
         )
-    found = descend(problem, rows[near])
-    lowest, *others = _distinct(problem, found)
-    ends = [found]
+    first = descend(problem, rows[near], iterations=FIRST_STEPS)
+    lowest, *others = _distinct(problem, first)
+    ends = [descend(problem, first.places[[lowest]])]
     if isinstance(data, Signals) and data.hold == "zero":
         ends += [
-            descend_within_samples(problem, found.places[lowest], k, data.period)
+            descend_within_samples(problem, ends[0].places[0], k, data.period)
             for k, name in enumerate(problem.moving)
             if problem.structure.roles[name] == "delay"
         ]
-    evaluations += len(rows) + sum(end.evaluations for end in ends)
-    end = Descent.together(ends)
-    best = place_of(problem, end, int(np.argmin(end.costs)))
-    return [best, *(place_of(problem, found, k) for k in others)], evaluations
+    bests = [place_of(problem, end, int(np.argmin(end.costs))) for end in ends]
+    best = min(bests, key=lambda place: place.cost)
+    return [best, *(place_of(problem, first, k) for k in others)]
 
 
 def _drawn_places(problem: StructureProblem, data: Signals | Lines) -> Real:

@@ -140,8 +140,9 @@ def identify_structure(
         check_motion(input=moved, output=samples.output)
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)
-    places, evaluations = best_places(problem, samples, start)
-    places = [in_order(problem, place) for place in places]
+    places = [
+        in_order(problem, place) for place in best_places(problem, samples, start)
+    ]
     best = places[0]
     # Everything on the fitted part; the held-out part is predicted once and influences
     # nothing.
@@ -170,7 +171,6 @@ def identify_structure(
         at_bound=certain.at_bound,
         undetermined=certain.undetermined,
         offset=best.offset,
-        domain="time" if isinstance(whole, Signals) else "frequency",
         period=whole.period if isinstance(whole, Signals) else None,
         hold=whole.hold if isinstance(whole, Signals) else None,
         fitted=fitted,
@@ -180,7 +180,6 @@ def identify_structure(
         measured=whole.measured / weight,
         predicted=predicted / weight,
         converged=best.converged,
-        evaluations=evaluations,
         source=data.source,
         sha256=data.sha256,
     )

@@ -120,7 +120,7 @@ def structure_figure(fit: StructureFit) -> Figure:
     """Draw measurement, prediction of the structure and residual, over time or
     frequency.
     """
-    return _over_time(fit) if fit.domain == "time" else _over_frequency(fit)
+    return _over_time(fit) if fit.period is not None else _over_frequency(fit)
 
 
 def _over_time(fit: StructureFit) -> Figure:
