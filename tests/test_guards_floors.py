@@ -197,7 +197,7 @@ CEILINGS = {
     "_simulate": 1168,
     "lab": 1937,
     "logs": 728,
-    "studio": 1117,
+    "studio": 1105,
     "trials": 1381,
     "view": 1495,
 }

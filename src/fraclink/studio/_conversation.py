@@ -22,6 +22,7 @@ from fraclink.studio._played import PLAY_VERBS
 from fraclink.studio._preview import Subject, map_of, preview
 from fraclink.studio._session import Session, SupersededError
 from fraclink.studio._work import JOBS, WORK_VERBS, Job
+from fracsys.checks import rule
 
 __all__ = ["Conversation"]
 
@@ -41,11 +42,7 @@ def _note(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _go(session: Session, given: Mapping[str, Any]) -> Reply:
-    at = given.get("at")
-    if type(at) is not int:
-        raise FieldError(
-            "at", at, "not a number", allowed="a whole number", remedy="send the place"
-        )
+    at = rule(int).check("at", given.get("at"))
     return Reply({"ok": True, "state": session.history.go(at), "at": at})
 
 

@@ -36,7 +36,7 @@ from fraclink.trials._study import Study
 from fraclink.view._figures import fit_panels
 from fraclink.view._scales import envelope
 from fraclink.view._text import grid_of
-from fracsys.checks import Real
+from fracsys.checks import Real, rule
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
@@ -133,15 +133,8 @@ def _scaled(values: Real) -> Real:
 
 def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     """Read the log with the columns that the page states, and examine it."""
-    texts, payload = given.get("columns", []), given.get("payload")
-    if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
-        raise FieldError(
-            "columns",
-            texts,
-            "not statements",
-            allowed="texts",
-            remedy="state a column as motor_angle=theta [deg]",
-        )
+    texts = rule(tuple[str, ...]).check("columns", given.get("columns", ()))
+    payload = given.get("payload")
     source = required(
         "log", session.source, allowed="a log", remedy="choose one in step 1"
     )
@@ -163,7 +156,9 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
                 allowed="an answer to each question",
                 remedy="drag the channel to its place",
             )
-    keep = _stretch(given.get("keep"))
+    keep = given.get("keep")
+    if keep is not None:  # its limits are checked by `read_log`
+        keep = rule(tuple[float, float]).check("keep", keep)
     # Without statements those of the rig file apply, as on the command line.
     log = read_log(source, columns=columns or rig.log, payload=payload, keep=keep)
     session.columns = () if columns is None else _statements(columns)
@@ -196,25 +191,6 @@ def _statements(columns: LogColumns) -> tuple[str, ...]:
         f"{role}={'-' if channel.sign < 0 else ''}{channel.column}"
         f"{'' if channel.scale == 1.0 else f' * {channel.scale!r}'} [{channel.unit}]"
         for role, channel in columns.channels().items()
-    )
-
-
-def _stretch(given: object) -> tuple[float, float] | None:
-    """The stretch of the log marked in the page [s]; `read_log` checks its limits."""
-    if given is None:
-        return None
-    if (
-        isinstance(given, list)
-        and len(given) == 2
-        and all(type(t) in (int, float) for t in given)
-    ):
-        return float(given[0]), float(given[1])
-    raise FieldError(
-        "keep",
-        given,
-        "not a stretch",
-        allowed="two numbers of seconds",
-        remedy="mark the stretch again",
     )
 
 

@@ -202,11 +202,8 @@ def checked_request(given: object) -> dict[str, Any]:
             )
     values = {}
     for name, hint in _HINTS.items():
-        # JSON has no tuples, and a range is one; None leaves the choice to the rule or
-        # the rig.
+        # None leaves the choice to the rule or the rig.
         value = given.get(name)
-        if isinstance(value, list):
-            value = tuple(value)
         values[name] = None if value is None else rule(hint).check(name, value)
     return values
 

@@ -19,6 +19,7 @@ from fraclink.studio._session import Session
 from fraclink.trials._fault_trial import Bench, Case
 from fraclink.trials._faults import fault_named, observe
 from fraclink.view._arm_box import assumed_mass
+from fracsys.checks import rule
 
 __all__ = ["PLAY_VERBS"]
 
@@ -129,16 +130,7 @@ def _reply(said: str, run: Run, move: float) -> Reply:
 
 
 def _number(given: Mapping[str, Any], name: str) -> float:
-    value = given.get(name)
-    if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]
-        raise FieldError(
-            name,
-            value,
-            "not a number",
-            allowed="a number",
-            remedy="reload the page",
-        )
-    return float(value)  # type: ignore[arg-type]
+    return float(rule(float).check(name, given.get(name)))
 
 
 PLAY_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
