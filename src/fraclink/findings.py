@@ -1,5 +1,5 @@
-"""Findings: what the checks noticed, each with its evidence and what to do; a verdict:
-what all was shown.
+"""Findings: what the checks noticed, each with its evidence and its remedy. Verdicts:
+what was shown of a design, in four scopes.
 
 Rigs, logs and fits carry findings instead of printing warnings, so that a report can
 show them and a program can act on their codes.

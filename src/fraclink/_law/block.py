@@ -245,8 +245,8 @@ class DiscreteMotorLoop:
 
 @dataclass(frozen=True)
 class Tracking:
-    """What a law needs where it is given the payload: what that makes of its
-    feed-forward, and its tip.
+    """What a law needs that is told the payload: the scale of its feed-forward, and the
+    tip angle to expect.
 
     The feed-forward of a payload m is that of the nominal one times (m + link)/nominal.
     The tip then follows the reference as the motor follows its own (`MotorModel`).

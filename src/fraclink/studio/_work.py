@@ -197,7 +197,7 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     low, high = design.payloads
     payloads = payloads_about(low, high, _PAYLOADS)
     own = _plant(design, low, 0.0).delay
-    # From no delay at all, without that of the design, period by period.
+    # Total delays of 0, 1, 2, … periods, less the delay that the plant contains already.
     more = law.period * np.arange(_DELAYS) - own
     rows = [
         [_distance(design, law, float(mass), float(late)) for mass in payloads]

@@ -101,7 +101,7 @@ class Evidence:
 
     @property
     def marked(self) -> NDArray[np.bool_]:
-        """The bad periods of those that were run: a run that leaves every bound is cut."""
+        """The bad periods that were simulated: a run that leaves every bound ends early."""
         return self.trial.marks[: len(self.faulty.flags)]
 
     @property

@@ -25,8 +25,8 @@ _LARGEST = 160_000  # bytes of a page
 
 
 def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
-    """Write the arm of `study` as a page that moves, one HTML file that asks nobody,
-    and return its path.
+    """Write a page in which the arm of `study` moves, one HTML file that loads nothing
+    from the network, and return its path.
 
     The page runs the law of the design on the identified model, compiled from the
     package's own C to WebAssembly: a run in it equals `simulate` in every bit. Payload,
@@ -108,8 +108,8 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         # At least one less in every round, so that the loop ends; a link counts as a
         # large one, so that not too many are dropped.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
-        # A fine slider without the twin, whose noise takes the space of a short period,
-        # is more useful than both with few payloads; so the full number is tried again.
+        # A fine slider is more useful than the twin, whose recorded noise is large at a
+        # short period: rather than with few payloads, the page is made without the twin.
         if twin and payloads < MOST_PAYLOADS // 2:
             payloads, twin = MOST_PAYLOADS, False
 
