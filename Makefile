@@ -59,7 +59,7 @@ LARGE := tests/test_arm_page.py tests/test_engine.py tests/test_export_fmu_sourc
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.
 # 1 is pytest's code for tests that failed: the others are tried, too. What interrupted it ends all.
 test: setup
-	@$(PY) -m pytest -n 2 --dist loadfile $(LARGE); large=$$?; [ $$large -le 1 ] || exit $$large; \
+	@$(PY) -m pytest $(LARGE); large=$$?; [ $$large -le 1 ] || exit $$large; \
 	  $(PY) -m pytest -n 2 --dist loadfile $(LARGE:%=--ignore=%) && exit $$large
 
 # What a contributor runs before every commit: under a minute on two cores.
