@@ -57,6 +57,43 @@ DESIGN = (
 )
 
 
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--gain-crossover", "twelve"), ("--gain-crossover", "twelve", "rad/s")),
+        (("--payloads", "20 g", "40 g"), ("--payloads", "20 g", "kg")),
+    ],
+)
+def test_a_text_that_is_no_number_is_named_with_its_option_and_range(
+    fraclink: Command, words: tuple[str, ...], named: tuple[str, ...]
+) -> None:
+    code, out, line = fraclink("design", "--rig", "paper-2023", *words)
+    assert (code, out, line.count("\n")) == (2, "", 1)
+    assert all(word in line for word in named)
+
+
+def test_ctrl_c_says_what_became_of_the_files(
+    fraclink: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fraclink._cli.models.inspect_log", interrupted)
+    code, _, line = fraclink("inspect", "demo")
+    assert code == 130
+    assert line.startswith("interrupted; ")
+
+
+def test_a_payload_in_grams_that_the_law_is_given_is_a_doubt(
+    fraclink: Command,
+) -> None:
+    assert fraclink(*DESIGN).code == 0
+    answer = fraclink("simulate", "design.json", "--payload", "0.03", "--told", "30")
+    assert answer.code == 1
+    assert "30 g is 0.030" in answer.out
+    assert "next:" not in answer.err
+
+
 def test_version_and_help(fraclink: Command) -> None:
     assert fraclink("--version") == Answer(0, f"fraclink {__version__}\n", "")
     answer = fraclink("--help")
@@ -108,7 +145,7 @@ def every_command() -> Iterator[tuple[tuple[str, ...], Any]]:
 
 @pytest.mark.slow
 def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> None:
-    listed = fraclink("help", "all").out
+    listed = fraclink("help").out
     for words, command in every_command():
         example = command.help.partition("\n\n$ ")[2]
         assert (

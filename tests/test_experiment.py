@@ -70,6 +70,12 @@ def test_values_that_make_no_sense_are_refused(
     assert caught.value.allowed and caught.value.remedy
 
 
+def test_stamps_of_another_length_are_refused() -> None:
+    samples = np.sin(np.arange(9.0))
+    with pytest.raises(LogError, match="8 stamps"):
+        Experiment.from_arrays(0.004 * np.arange(8), samples, samples)
+
+
 def test_b18_lengths_differ() -> None:
     with pytest.raises(
         LogError, match="another number of samples than motor_angle"

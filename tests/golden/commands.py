@@ -32,7 +32,6 @@ THREE = "prbs_20g.csv prbs_30g.csv prbs_40g.csv"
 COMMANDS: dict[str, str] = {
     "version": "--version",
     "help": "--help",
-    "help-all": "help all",
     "help-export": "export --help",
     "help-campaign": "campaign --help",
     "help-identify": "identify --help",

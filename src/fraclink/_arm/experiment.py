@@ -177,7 +177,15 @@ class Experiment:
             role: channel.in_si(_column(frame, channel), role)
             for role, channel in columns.channels().items()
         }
-        base = time_base(data["time"])
+        base, samples = time_base(data["time"]), data["motor_angle"].size
+        if data["time"].size != samples:
+            raise LogError(
+                "time",
+                f"{data['time'].size} stamps",
+                f"not one for each of {samples} samples",
+                allowed="arrays of one length",
+                remedy="cut them to the samples that belong together",
+            )
         return cls(
             period=base.period,
             motor_angle=data["motor_angle"],

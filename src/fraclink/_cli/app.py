@@ -11,55 +11,40 @@ import typer
 from typer.core import TyperGroup
 
 from fraclink import __version__
-from fraclink._cli.console import emit, guarded
+from fraclink._cli.console import INTERRUPTED, emit, guarded
 
 __all__ = ["application", "run"]
 
-# Section -> command -> its module and a one-line description. A module of commands
-# imports the library; the lists do not load them.
-_SECTIONS: dict[str, dict[str, tuple[str, str]]] = {
-    "From a log to a board": {
-        "start": (
-            "starting",
-            "your own log to a first model, columns and units guessed",
-        ),
-        "run": ("designs", "log to model, controller, simulated moves and report"),
-        "inspect": ("models", "list a log's channels, rates and ranges"),
-        "diagnose": ("models", "examine a log before a model is fitted to it"),
-        "identify": ("identification", "fit a link model to a log, or any structure"),
-        "design": ("designs", "design the controller for a payload range"),
-        "simulate": ("designs", "simulate a move of the tip"),
-        "certify": ("designs", "prove stability for every payload and delay"),
-        "export": ("boards", "write the controller as C99 or FMU"),
-        "report": ("designs", "gather a folder of results into one HTML file"),
-        "studio": ("studio", "a page on this machine: drag the loop, see the arm"),
-    },
-    "On an arm": {
-        "tune": ("tunings", "tune an unknown arm within limits, up to its first moves"),
-        "run-realtime": ("boards", "run the shipped law on an arm in real time"),
-        "serve-arm": ("boards", "serve a simulated arm in real time"),
-        "watch": ("tunings", "say what has changed since an arm was tuned"),
-    },
-    "More on logs and models": {
-        "validate": ("models", "hold a model against other logs of the arm"),
-    },
-    "More on designs and laws": {
-        "assess": ("assessments", "phase budget, margins and higher modes of a design"),
-        "compare": ("assessments", "run a design and its rivals on one twin"),
-        "shape": ("moves", "shape the fastest move within the limits"),
-        "tune-pid": ("assessments", "tune a fractional PID for any plant"),
-        "campaign": ("campaigns", "many runs: Monte Carlo and faults"),
-        "replay": ("campaigns", "repeat one run of a campaign with its signals"),
-    },
+# Command -> its module and a one-line description, in the order of a usual session. A
+# module of commands imports the library; the list does not load it.
+_COMMANDS = {
+    "start": ("starting", "your own log to a first model, columns and units guessed"),
+    "run": ("designs", "log to model, controller, simulated moves and report"),
+    "inspect": ("models", "list a log's channels, rates and ranges"),
+    "diagnose": ("models", "examine a log before a model is fitted to it"),
+    "identify": ("identification", "fit a link model to a log, or any structure"),
+    "design": ("designs", "design the controller for a payload range"),
+    "simulate": ("designs", "simulate a move of the tip"),
+    "certify": ("designs", "prove stability for every payload and delay"),
+    "export": ("boards", "write the controller as C99 or FMU"),
+    "report": ("designs", "gather a folder of results into one HTML file"),
+    "studio": ("studio", "a page on this machine: drag the loop, see the arm"),
+    "tune": ("tunings", "tune an unknown arm within limits, up to its first moves"),
+    "run-realtime": ("boards", "run the shipped law on an arm in real time"),
+    "serve-arm": ("boards", "serve a simulated arm in real time"),
+    "watch": ("tunings", "say what has changed since an arm was tuned"),
+    "validate": ("models", "hold a model against other logs of the arm"),
+    "assess": ("assessments", "phase budget, margins and higher modes of a design"),
+    "compare": ("assessments", "run a design and its rivals on one twin"),
+    "shape": ("moves", "shape the fastest move within the limits"),
+    "tune-pid": ("assessments", "tune a fractional PID for any plant"),
+    "campaign": ("campaigns", "many runs: Monte Carlo and faults"),
+    "replay": ("campaigns", "repeat one run of a campaign with its signals"),
 }
-_LISTED = {name: each for listed in _SECTIONS.values() for name, each in listed.items()}
-_EPILOG = "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
-_MORE = [
-    ("help all", "every command"),
-    ("help COMMAND", "its options, and an example"),
-    ("--version", "print the version"),
-    ("--install-completion", "complete commands and options in this shell"),
-]
+_EPILOG = (
+    "Exit code: 0 passed, 1 failed or not shown, 2 bad input. "
+    "`fraclink help COMMAND` shows options and an example."
+)
 
 
 class _Group(TyperGroup):
@@ -67,14 +52,18 @@ class _Group(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names of the commands in their order."""
-        return list(_LISTED if ctx.parent is None else self.commands)
+        return list(_COMMANDS if ctx.parent is None else self.commands)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; its module is imported here and not before."""
         # Only for the program itself: the commands of a group came with its module, and
         # `export c` must not look for a stage of that name.
-        if ctx.parent is None and cmd_name in _LISTED and cmd_name not in self.commands:
-            app = import_module(f"fraclink._cli.{_LISTED[cmd_name][0]}").app
+        if (
+            ctx.parent is None
+            and cmd_name in _COMMANDS
+            and cmd_name not in self.commands
+        ):
+            app = import_module(f"fraclink._cli.{_COMMANDS[cmd_name][0]}").app
             self.commands.update(typer.main.get_group(app).commands)
         return super().get_command(ctx, cmd_name)
 
@@ -84,21 +73,20 @@ class _Group(TyperGroup):
         """
         # Slow, and only on the way to an error: click looks for similar names among the
         # loaded commands.
-        if ctx.parent is None and args and args[0] not in _LISTED:
-            for name in _LISTED:
+        if ctx.parent is None and args and args[0] not in _COMMANDS:
+            for name in _COMMANDS:
                 self.get_command(ctx, name)
         return super().resolve_command(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands; the first screen has no room for options that every
-        program has.
-        """
+        """Write the commands, without the options that every program has."""
         if ctx.parent is not None:
             super().format_options(ctx, formatter)
             return
-        _write_sections(formatter, 1)
-        with formatter.section("More"):
-            formatter.write_dl(_MORE)
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, words) for name, (_, words) in _COMMANDS.items()]
+            )
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each command of a group with its whole first sentence, which click cuts
@@ -111,21 +99,6 @@ class _Group(TyperGroup):
                     for name, each in self.commands.items()
                 ]
             )
-
-
-def _write_sections(formatter: Any, count: int) -> None:
-    for title, commands in list(_SECTIONS.items())[:count]:
-        with formatter.section(title):
-            formatter.write_dl([(name, words) for name, (_, words) in commands.items()])
-
-
-def _everything() -> str:
-    """Every command in a line, in sections."""
-    formatter = typer.Context(typer.main.get_command(application())).make_formatter()
-    _write_sections(formatter, len(_SECTIONS))
-    formatter.write_paragraph()
-    formatter.write_text(_EPILOG)
-    return str(formatter.getvalue()).strip("\n")
 
 
 def group(help: str = "") -> typer.Typer:
@@ -150,9 +123,7 @@ def _options(
         ),
     ] = False,
 ) -> None:
-    """From the log of a flexible-link robot to the fractional-order controller on its
-    board.
-    """
+    """From the log of a flexible-link robot to the controller on its board."""
 
 
 def application() -> typer.Typer:
@@ -174,15 +145,10 @@ def application() -> typer.Typer:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line with `arguments` and return the exit code."""
     words = list(arguments) or ["--help"]
-    # An argument instead of an option, since it takes the place of a command.
-    everything = words == ["help", "all"]
     if words[0] == "help":
         words = [*words[1:], "--help"]
 
     def work() -> int | None:
-        if everything:
-            emit(_everything())
-            return None
         streams = sys.stdout, sys.stderr
         try:
             # Not standalone: click would print errors in its own words and end the
@@ -197,6 +163,9 @@ def run(arguments: Sequence[str]) -> int:
                 raise
             sys.stdout, sys.stderr = streams
             raise end.__context__ from None
+        # typer turns Ctrl-C into an exit code without a word.
+        if result == INTERRUPTED:
+            raise KeyboardInterrupt
         # --help and --version return what click makes of them: nothing went wrong.
         return result if isinstance(result, int) else None
 

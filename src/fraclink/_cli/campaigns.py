@@ -211,6 +211,14 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
     """Run one case of a finished fault campaign again, on the same arm and with the
     same law.
     """
+    if not (folder / "faults.json").is_file():
+        raise FieldError(
+            "folder",
+            str(folder),
+            "without a campaign",
+            allowed="a folder that `fraclink campaign` has written",
+            remedy="give its --out",
+        )
     table = load(folder / "faults.json", FaultTable)
     runs = {outcome.case.name: outcome.case for outcome in table.outcomes}
     if name not in runs:

@@ -252,5 +252,6 @@ def _show_text(answer: Answer) -> None:
         tell(remark)
     for path in answer.files:
         tell(f"written: {path}")
-    if answer.following:
+    # What rests on a doubtful input goes no further.
+    if answer.following and not answer.doubts:
         tell(f"next: {answer.following}")

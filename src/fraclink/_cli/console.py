@@ -155,7 +155,7 @@ def ask(
                 option.removeprefix("--").replace("-", "_"),
                 None,
                 "missing",
-                allowed="an answer",
+                allowed=f"an answer to: {question.rstrip('?')}",
                 remedy=f"give {option} where nobody can be asked",
             )
         try:
@@ -228,7 +228,15 @@ def _answer(error: BaseException) -> tuple[int, str]:
     if isinstance(error, _USAGE):
         # The command whose help lists the correct words.
         command = "fraclink" if error.ctx is None else error.ctx.command_path
-        return BAD_INPUT, f"error: {words.rstrip('.')} (see `{command} --help`)"
+        problem = words.rstrip(".")
+        # A text that is no number, or none of the words: the parser names neither value
+        # nor range.
+        refused: list[Any] = getattr(error.__context__, "errors", list)()
+        if refused and (parameter := getattr(error, "param", None)):
+            why = refused[0]["msg"].removeprefix("Value error, ").rstrip(".")
+            problem = f"{parameter.opts[0]}: {why} (got {refused[0]['input']})"
+            problem += f"; expected: {(parameter.help or '').rstrip('.')}"
+        return BAD_INPUT, f"error: {problem} (see `{command} --help`)"
     # Before FraclinkError, the base of both: bad input is 2, and a missing package is
     # no verdict on an arm.
     if isinstance(error, FieldError | MissingExtraError):
@@ -242,7 +250,8 @@ def _answer(error: BaseException) -> tuple[int, str]:
     if isinstance(error, OSError):
         # A full disk or a loader names no file.
         name = error.filename if error.filename is not None else "file"
-        return BAD_INPUT, f"error: {name}: {error.strerror or words}"
+        problem = f"{name}: {error.strerror or words}"
+        return BAD_INPUT, f"error: {problem}; check the path, its rights and the disk"
     # A shared library without room in memory raises ImportError although its package
     # exists.
     if isinstance(error, MemoryError) or _NO_ROOM in words:

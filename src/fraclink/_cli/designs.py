@@ -231,7 +231,7 @@ def simulate(
     return Answer(
         move,
         passed,
-        doubts=doubts_of_move(subject, payload),
+        doubts=doubts_of_move(subject, payload, told or None),
         saved={place: move},
         following=f"fraclink {step}",
     )

@@ -63,7 +63,9 @@ ReferenceFile = Annotated[
     Path | None,
     "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time",
 ]
-GivenPayload = Annotated[float, "Payload that the law is given [kg]; 0: none"]
+GivenPayload = Annotated[
+    float, ranges.Between(0.0, 1e4, "kg"), "Payload that the law is given; 0: none"
+]
 Estimate = Annotated[
     bool, "The law is given the payload that it estimates while the arm moves"
 ]

@@ -89,6 +89,7 @@ def tune(
 
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
+    connection = connection_of(io, unsafe_remote, key_file)
     answers = {
         "angle_deg": angle_deg,
         "speed": speed,
@@ -110,7 +111,7 @@ def tune(
         answers = {k: before[k] if x is None else x for k, x in answers.items()}
         payloads, own_rig = payloads or earlier.payloads, own_rig or earlier.rig
     # Before the limits are requested: nobody should answer five questions to learn that
-    # a file is in the way.
+    # a file is in the way, or the address misspelt.
     elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
@@ -128,7 +129,6 @@ def tune(
         in_seconds(period_ms),
         own_rig,
     )
-    connection = connection_of(io, unsafe_remote, key_file)
     # On standard error, so that it is read even if the result goes to a pipe.
     tell(plan.text)
     if resume:

@@ -229,7 +229,11 @@ def parse_json(text: str, *, source: str = "json") -> Any:
         if isinstance(error, RecursionError):
             problem = "nested too deeply"
         raise FileFormatError(
-            source, text, problem, allowed="JSON text", remedy="make the file again"
+            source,
+            text,
+            problem,
+            allowed="JSON text",
+            remedy="give a file that fraclink has written, or make it again",
         ) from error
 
 

@@ -23,7 +23,7 @@ from fraclink._identify.shape import moving_angle
 from fraclink._identify.welch import EXCITED, mean_power, segments
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of, worst_first
-from fracsys.checks import Complex, Real
+from fracsys.checks import Complex, Real, checked_noun
 from fracsys.checks.equality import compared
 
 
@@ -296,7 +296,11 @@ def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
             allowed="one at least",
             remedy="give a log that the fit was not made from",
         )
-    validation = Validation(fit, tuple(_validated(fit, log) for log in logs), ())
+    validation = Validation(
+        fit,
+        tuple(_validated(fit, checked_noun("logs", log, Experiment)) for log in logs),
+        (),
+    )
     findings = (
         finding for each in validation.logs for finding in _findings(validation, each)
     )

@@ -320,7 +320,7 @@ class LogTable:
         them.
         """
         return [
-            f"{self.names[place]}: {each.bad} cells are no numbers, the first in line "
+            f"{self.names[place]}: {each.bad} of its cells are no numbers, the first in line "
             f"{each.first_bad[0]}, {each.first_bad[1]!r}: {cell_remedy(each.first_bad[1])}"
             for place, each in sorted(self.faults.items())
             if each.bad

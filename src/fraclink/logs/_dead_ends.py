@@ -31,7 +31,7 @@ def check_signals_in(table: LogTable, source: str) -> None:
         raise LogError(
             "log",
             source,
-            f"not two columns of numbers: {'. '.join(faults)}",
+            f"not two columns of numbers, such as {faults[0]}",
             allowed="a motor angle and an output that move",
             remedy="export the log as a table of numbers",
         )
