@@ -231,9 +231,7 @@ def one_arm(seed: int, out: Path) -> dict[str, Any]:
         if found.link is None
         else [[round(x, 4) for x in r] for r in found.link.rounds],
         "mode": found.link is not None and found.link.fit.model.second_mode is not None,
-        "motor": None
-        if found.motor is None
-        else [found.motor.rounds, found.motor.loop.pole],
+        "motor": None if found.motor is None else [found.motor.loop.pole],
         "moves": [(m.promised_settling, m.measured_settling) for m in found.moves],
     }
     if found.has_law:

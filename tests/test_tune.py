@@ -8,6 +8,7 @@ period.
 from __future__ import annotations
 
 import math
+import re
 import socket
 import sys
 import threading
@@ -28,7 +29,7 @@ from fraclink.lab._tune_build import _designs
 from fraclink.lab._tune_link import _fitted
 from fraclink.lab._tune_motion import random_steps
 from fraclink.lab._tune_wiring import check_wiring
-from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded, own_clock
+from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded, outside_arm, own_clock
 
 if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -66,6 +67,7 @@ WRONG: dict[str, Callable[[fl.lab.SimulatedArm], Callback]] = {
     "encoder dead": lambda made: wired(made, angle=0),
     "gauge dead": lambda made: wired(made, torque=0),
     "neither encoder nor gauge answers": lambda made: wired(made, voltage=0),
+    "both sensors dead": lambda made: wired(made, angle=0, torque=0),
     "channels swapped": swapped,
     "gauge scale wrong": lambda made: wired(made, torque=10),
     "encoder scale wrong": lambda made: wired(made, angle=4),
@@ -73,14 +75,41 @@ WRONG: dict[str, Callable[[fl.lab.SimulatedArm], Callback]] = {
 
 
 @pytest.mark.parametrize("fault", WRONG)
-def test_a_wrong_wire_is_named_within_five_degrees(fault: str) -> None:
+def test_a_wrong_wire_is_named_within_the_plan(fault: str) -> None:
     made = arm()
     guard = guarded(WRONG[fault](made))
     with pytest.raises(FraclinkError, match=fault):
         check_wiring(guard, RIG)
     guard.release()
-    assert np.ptp(made.record[:, 1]) < math.radians(5.0)
+    assert np.ptp(made.record[:, 1]) < planned_motion()
     assert made.record[-1, 4] == 0.0  # the drive is off
+
+
+@pytest.mark.parametrize(
+    ("fault", "changes", "torque"),
+    [
+        ("encoder dead", {"ggain": 0.012, "gnoise": 5e-5, "goffset": 4e-4}, 0.02),
+        ("gauge dead", {"grav": 0.17, "Fc": 0.15, "Fs": 0.2}, 1.5),
+        ("both sensors dead", {"grav": 0.17, "Fc": 0.15, "Fs": 0.2}, 1.5),
+    ],
+    ids=["a gauge in volts", "a tilted arm", "a tilted arm, unseen"],
+)
+def test_a_dead_sensor_is_named_within_the_plan_on_other_arms(
+    fault: str, changes: dict[str, float], torque: float
+) -> None:
+    own = outside_arm(**changes)
+    connection = WRONG[fault](own)
+    limits = fl.MotionLimits(angle=0.698, speed=4.0, torque=torque, voltage=10.0)
+    guard = guarded(connection, limits)
+    with pytest.raises(FraclinkError, match=fault):
+        check_wiring(guard, None)
+    assert np.ptp([row[1] for row in own.rows]) < planned_motion()
+
+
+def planned_motion() -> float:
+    """The largest motion [rad] that the plan states for the wiring check."""
+    (degrees,) = re.findall(r"wiring: .* over ([\d.]+)° at most", PLAN.text)
+    return math.radians(float(degrees))
 
 
 def test_right_wiring_has_evidence() -> None:

@@ -18,7 +18,7 @@ from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_motor import closed_motor
 
 PERIOD, NOISE = 0.004, 0.004
-WIRING = Wiring(11.0, 0.4, 0.0015, 1.7, 12.0, 0.002, 0.0, NOISE, 3.8e-4, 1.0, 0.02, ())
+WIRING = Wiring(11.0, 0.0015, 1.7, 12.0, 0.002, NOISE, 0.0, 3.8e-4, ())
 
 
 def record(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Record:
@@ -36,7 +36,7 @@ def vibration(quantum: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.float6
     return np.round(torque / quantum) * quantum if quantum else torque
 
 
-def motor(delay: float, step: float = 3.8e-4) -> Any:
+def motor(delay: float, wiring: Wiring = WIRING) -> Any:
     """A motor with K/J = 11 and ν/J = 15, identified with a delay [s], and its loop."""
     rng = np.random.default_rng(0)
     voltage = np.repeat(rng.choice([-4.0, 4.0], 120), 25)
@@ -56,7 +56,7 @@ def motor(delay: float, step: float = 3.8e-4) -> Any:
     )
     limits = fl.MotionLimits(angle=0.7, speed=4.0, torque=1.5, voltage=10.0)
     guard: Any = SimpleNamespace(period=PERIOD, limits=limits)
-    return closed_motor(found, guard, replace(WIRING, encoder_step=step), 1)
+    return closed_motor(found, guard, wiring)
 
 
 def said(
@@ -128,12 +128,11 @@ def test_hum_before_the_first_voltage_is_not_the_links() -> None:
 def test_what_slows_the_motor_loop_is_named() -> None:
     assert said(vibration(), motor=motor(0.0)) == ""
     coarse = 2 * np.pi / 500
-    named = said(
-        vibration(),
-        motor=motor(0.0, coarse),
-        wiring=replace(WIRING, encoder_step=coarse),
-    )
-    assert "encoder is coarse" in named and "late" not in named
+    # A noisy encoder shakes the motor as much as a coarse one does.
+    for changes in ({"encoder_step": coarse}, {"encoder_noise": coarse / 12**0.5}):
+        wiring = replace(WIRING, **changes)
+        named = said(vibration(), motor=motor(0.0, wiring), wiring=wiring)
+        assert "encoder is coarse" in named and "late" not in named
     assert "the voltage acts" in said(vibration(), motor=motor(4 * PERIOD))
 
 

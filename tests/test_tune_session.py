@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -97,7 +96,6 @@ def test_a_verdict_has_its_three_scopes_and_the_reasons_of_each() -> None:
         and law.has_law
         and not replace(law, design_passed=False).has_law
     )
-    assert replace(law, folder="f").file("law.json") == Path("f/law.json")
 
 
 # --- watch -----------------------------------------------------------------------------------------------

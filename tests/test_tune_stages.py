@@ -9,7 +9,6 @@ import re
 import shutil
 import sys
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,16 @@ from fraclink.lab._tune_motion import (
     motor_law,
 )
 from fraclink.lab._tune_wiring import check_wiring
-from shared_data import shared_data
-from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
+from tuned_arms import (
+    LIMITS,
+    PERIOD,
+    RIG,
+    Stages,
+    arm,
+    guarded,
+    outside_arm,
+    staged,
+)
 
 if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -519,15 +526,6 @@ def test_a_stiff_link_at_a_short_period_is_excited(tmp_path: Path) -> None:
     )
     assert tuned.link is not None, tuned
     assert abs(tuned.link.fit.model.pole) == pytest.approx(42.6, rel=0.02)
-
-
-def outside_arm(**changes: Any) -> Any:
-    """An arm that fraclink did not write, or a skipped test."""
-    spec = spec_from_file_location("arm", shared_data("..", "arms", "arm.py"))
-    assert spec is not None and spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.Arm(**changes)
 
 
 def tuned_outside(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib.util import module_from_spec, spec_from_file_location
 from typing import Any
 
 import fraclink as fl
@@ -14,6 +15,7 @@ from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_link import tune_link
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_wiring import check_wiring
+from shared_data import shared_data
 
 RIG = fl.Rig.named("paper-2023-geared")
 PERIOD = RIG.period
@@ -54,3 +56,12 @@ def staged(made: fl.lab.SimulatedArm | None = None) -> Stages:
     link = tune_link(guard, wiring, motor, 0.030)
     guard.release()
     return made, guard, wiring, motor, link
+
+
+def outside_arm(**changes: Any) -> Any:
+    """An arm that fraclink did not write, or a skipped test."""
+    spec = spec_from_file_location("arm", shared_data("..", "arms", "arm.py"))
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Arm(**changes)

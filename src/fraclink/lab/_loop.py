@@ -34,7 +34,7 @@ from fraclink.lab._run import (
     first_difference,
     saved,
 )
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Between, checked
 
 __all__ = ["run_realtime"]
 
@@ -137,7 +137,17 @@ def run_realtime(
     check_machine()
     if out is not None:
         check_ending(RealtimeRun, output_path(out, force=True))
-    estimator = _checked(estimator, law, payload)
+    # The law would silently use one of them, and the motion would not show which.
+    if estimator is not None and payload:
+        raise FieldError(
+            "payload",
+            payload,
+            "given beside an estimator",
+            allowed="payload or estimator",
+            remedy="leave one of them out",
+        )
+    if estimator is not None:
+        estimator = estimator_for(law, estimator)
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, 1e300, "s").check("duration", length)
@@ -173,33 +183,30 @@ def run_realtime(
         # A run that never began is an error; a run that began has a record, however it
         # ended.
         _check_answer(outcome, connection, law.period, patience)
-        run = _gathered(
-            law,
-            estimator,
-            connection,
-            outcome,
-            record,
-            marks,
-            priority,
-            lock_memory,
-            allowed_overruns,
+        count = int(outcome["count"])
+        columns: dict[str, NDArray[Any]] = {
+            name: record[:count, i].copy() for i, name in enumerate(SIGNALS)
+        }
+        columns |= {name: marks[:count, i].copy() for i, name in enumerate(MARKS)}
+        scheduling, memory = granted(outcome, priority, lock_memory)
+        run = RealtimeRun(
+            **columns,  # type: ignore[arg-type]  # by name
+            period=law.period,
+            law_sha256=law.digest,
+            connection=str(connection),
+            stopped=STOPS[int(outcome["stop"])],
+            lost_commands=int(outcome["lost"]),
+            scheduling=scheduling,
+            memory=memory,
+            origin=float(outcome["origin"]),
+            # Replayed immediately, while the same law is in memory: a bit flip must not
+            # pass unnoticed.
+            first_difference=first_difference(law, columns),
+            allowed_overruns=allowed_overruns,
+            planned=len(record),
+            estimator=estimator,
         )
         return run if out is None else replace(run, saved=str(saved(run, out)))
-
-
-def _checked(
-    estimator: PayloadEstimator | None, law: Law, payload: float
-) -> PayloadEstimator | None:
-    # The law would silently use one of them, and the motion would not show which.
-    if estimator is not None and payload:
-        raise FieldError(
-            "payload",
-            payload,
-            "given beside an estimator",
-            allowed="payload or estimator",
-            remedy="leave one of them out",
-        )
-    return None if estimator is None else estimator_for(law, estimator)
 
 
 def _check_answer(
@@ -222,40 +229,3 @@ def _check_answer(
             allowed=f"{1e-9 * outcome['period_ns']:g} s",
             remedy="run the arm at the law's period, or design for the arm's",
         )
-
-
-def _gathered(
-    law: Law,
-    estimator: PayloadEstimator | None,
-    connection: Connection,
-    outcome: dict[str, float],
-    record: Real,
-    marks: NDArray[np.uint32],
-    priority: int,
-    lock_memory: bool,
-    allowed_overruns: int,
-) -> RealtimeRun:
-    count = int(outcome["count"])
-    columns: dict[str, NDArray[Any]] = {
-        name: record[:count, i].copy() for i, name in enumerate(SIGNALS)
-    }
-    columns |= {name: marks[:count, i].copy() for i, name in enumerate(MARKS)}
-    parts: dict[str, Any] = dict(columns)
-    scheduling, memory = granted(outcome, priority, lock_memory)
-    return RealtimeRun(
-        **parts,
-        period=law.period,
-        law_sha256=law.digest,
-        connection=str(connection),
-        stopped=STOPS[int(outcome["stop"])],
-        lost_commands=int(outcome["lost"]),
-        scheduling=scheduling,
-        memory=memory,
-        origin=float(outcome["origin"]),
-        # Replayed immediately, while the same law is in memory: a bit flip must not
-        # pass unnoticed.
-        first_difference=first_difference(law, columns),
-        allowed_overruns=allowed_overruns,
-        planned=len(record),
-        estimator=estimator,
-    )

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fraclink._arm.experiment import Experiment
 from fraclink._design import Design
 from fraclink._files import load, output_path, save
 from fraclink._law import Law
@@ -420,25 +419,11 @@ class _Session:
         record = guard.record()
         # A single sample has no period and makes no log.
         if record.angle.size > 1:
-            log = Experiment(
-                period=guard.period,
-                motor_angle=record.angle,
-                output=record.torque,
-                voltage=record.voltage,
-                payload=self.plan.payload,
-                source="fraclink tune",
-            )
-            save(log, self._free_log())
-
-    def _free_log(self) -> Path:
-        """The next unused name of a log: a resumed tuning keeps the earlier records."""
-        if self.before is None:
-            (self.out / "log.npz").unlink(missing_ok=True)
-        names = (
-            f"log{f'-{number}' if number > 1 else ''}.npz"
-            for number in itertools.count(1)
-        )
-        return next(self.out / name for name in names if not (self.out / name).exists())
+            payload = self.plan.payload
+            # A resumed tuning keeps the record of the arm that was measured.
+            more = "" if self.before is None else f"-{1e3 * payload:g}g"
+            log = experiment_of(record, payload)
+            save(log, self.out / f"log{more}.npz", force=True)
 
     def _tell(self, lines: tuple[str, ...]) -> None:
         for line in lines:

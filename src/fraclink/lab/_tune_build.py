@@ -242,8 +242,14 @@ def _designs(
     if mode is not None:
         box = replace(
             box,
-            mode_frequency=_about(mode.frequency, _MODE_FREQUENCY),
-            mode_gain=_about(mode.gain, _MODE_SIZE),
+            mode_frequency=(
+                mode.frequency * (1.0 - _MODE_FREQUENCY),
+                mode.frequency * (1.0 + _MODE_FREQUENCY),
+            ),
+            mode_gain=(
+                mode.gain * (1.0 - _MODE_SIZE),
+                mode.gain * (1.0 + _MODE_SIZE),
+            ),
         )
     options: dict[str, Any] = {"box": box, "nearest": False}
     preamble: tuple[str, ...] = ()
@@ -448,7 +454,3 @@ def _bar(model: LinkModel, payload: float, mass: float) -> Link:
 def agree(measured: float, promised: float) -> bool:
     """Whether a settling time [s] agrees with the promise within 10 % or 50 ms."""
     return abs(measured - promised) <= max(_AGREEMENT * promised, _LEAST)
-
-
-def _about(value: float, share: float) -> tuple[float, float]:
-    return value * (1.0 - share), value * (1.0 + share)

@@ -82,7 +82,7 @@ def _slow_loop(
     finer = unlimited_pole(motor, period, motor.fit.delay)
     if finer is not None and finer > pole:
         sentences.append(
-            f"the encoder is coarse: one count is {math.degrees(wiring.encoder_step):.2g}°, and the motor loop "
+            f"the encoder is coarse: a count, or its noise, is {math.degrees(wiring.count):.2g}°, and the motor loop "
             f"is held at {pole:g} rad/s instead of {finer:g}, where a count would take a quarter of {voltage:g} V; "
             "a finer encoder helps"
         )
@@ -185,7 +185,7 @@ def sensor_noise(
     step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
     # At the second sample: the first one is the motor's angle at rest, and no motion.
     pulse = np.zeros(torque.size)
-    pulse[1] = wiring.encoder_step
+    pulse[1] = wiring.count
     answer = simulated_torque(model, pulse, period, hold="first")
     if model.second_mode is not None:
         answer = answer + second_torque(model.second_mode, model, pulse, period)

@@ -36,8 +36,8 @@ _FRICTIONS = np.linspace(0.0, 0.95, 96)
 
 def motor_of_doublets(
     record: Record, half: int, gauge_delay: float
-) -> tuple[float, float, float, float]:
-    """(A [rad/(s²·V)], its standard error, friction [V], delay [s]); from doublets of
+) -> tuple[float, float, float]:
+    """(A [rad/(s²·V)], its standard error, delay [s]); from doublets of
     `half` periods in each direction, with a torque that is `gauge_delay` [s] late.
     """
     period, most = record.period, float(np.max(np.abs(record.voltage)))
@@ -45,7 +45,7 @@ def motor_of_doublets(
     late = round(gauge_delay / period)
     torque = np.append(record.torque[late:], np.full(late, record.torque[-1]))
     torque = torque - np.mean(torque)
-    best = (np.inf, 0.0, np.inf, 0.0, 0.0)
+    best = (np.inf, 0.0, np.inf, 0.0)
     # Half periods, since hold and amplifier do not add up to a whole number of periods.
     for halves in range(round(2 * _LATEST / period) + 1):
         length = 2 * half + halves // 2
@@ -81,10 +81,9 @@ def motor_of_doublets(
                 each,
                 float(gains[k]),
                 error,
-                most * float(_FRICTIONS[k]),
                 0.5 * halves * period,
             )
-    return best[1], best[2], best[3], best[4]
+    return best[1:]
 
 
 def _swing(torque: Real, period: float) -> Real:

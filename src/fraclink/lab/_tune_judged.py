@@ -45,9 +45,9 @@ def _width(design: Design) -> int:
 def judged(
     angle: Real, torque: Real, band: float, ends: float, design: Design
 ) -> Judged:
-    """Time from which the tip estimate, smoothed over a quarter of a vibration, stays
-    within the band, its residual vibration after `ends` [s], and the remaining motion
-    of the motor.
+    """Time from which the tip estimate stays within the band, its residual vibration
+    after `ends` [s], and the remaining motion of the motor, each smoothed over a quarter
+    of a vibration.
     """
     model, period, width = design.model, design.rig.period, _width(design)
     # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
@@ -56,7 +56,9 @@ def judged(
     tip = angle[: angle.size - late] - torque[late:] / model.stiffness
     # Only means over the whole width: a shorter one at the end would show the noise of
     # single samples.
-    smooth = np.convolve(tip, np.full(width, 1 / width), "valid")
+    smooth, motor = (
+        np.convolve(x, np.full(width, 1 / width), "valid") for x in (tip, angle)
+    )
     # About its final position and not the reference, since friction of the motor leaves
     # a small offset.
     final = float(np.mean(tip[-round(_LAST / period) :]))
@@ -67,5 +69,5 @@ def judged(
     return (
         period * float(outside[-1] + 1 + middle) if outside.size else 0.0,
         0.5 * float(np.ptp(ringing)),
-        0.5 * float(np.ptp(angle[rest:])),
+        0.5 * float(np.ptp(motor[rest - middle :])),
     )

@@ -331,7 +331,7 @@ def experiment_of(record: Record, payload: float | None) -> Experiment:
         output=record.torque,
         payload=payload,
         voltage=record.voltage,
-        source="tuning",
+        source="fraclink tune",
     )
 
 
@@ -351,7 +351,7 @@ def motor_again(
         # the motor is known, and no load is assumed.
         if again.inertia is None or again.inertia <= 0 or not again.passed:
             return motor
-        return closed_motor(again, guard, wiring, motor.rounds)
+        return closed_motor(again, guard, wiring)
     except FraclinkError:
         return motor
 

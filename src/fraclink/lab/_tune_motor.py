@@ -57,11 +57,10 @@ _RINGING = 1.5
 @document("tuned-motor")
 @dataclass(frozen=True)
 class MotorResult:
-    """The identified motor, its motor loop, and the number of rounds of moves."""
+    """The identified motor and its motor loop."""
 
     fit: MotorFit
     loop: MotorLoop
-    rounds: int
 
     @property
     def gain(self) -> MotorGain:
@@ -150,7 +149,7 @@ def tune_motor(
         raise FraclinkError(
             f"the motor could not be identified: {fit.findings[0].message}"
         )
-    return closed_motor(fit, guard, wiring, number)
+    return closed_motor(fit, guard, wiring)
 
 
 def _moved(
@@ -178,9 +177,7 @@ def _moved(
     return follow(guard, law, path, origin=guard.origin)
 
 
-def closed_motor(
-    fit: MotorFit, guard: Guard, wiring: Wiring, rounds: int
-) -> MotorResult:
+def closed_motor(fit: MotorFit, guard: Guard, wiring: Wiring) -> MotorResult:
     """Return a motor with the fastest loop allowed by a fit accurate to a few per cent
     and by the encoder's resolution.
     """
@@ -196,9 +193,9 @@ def closed_motor(
         ratios=_SURE,
         margin=_MARGIN,
         most=_FAST,
-        kick=_COUNT * guard.limits.voltage / max(wiring.encoder_step, 1e-12),
+        kick=_COUNT * guard.limits.voltage / max(wiring.count, 1e-12),
     )
-    return MotorResult(fit, loop, rounds)
+    return MotorResult(fit, loop)
 
 
 def unlimited_pole(motor: MotorResult, period: float, delay: float) -> float | None:

@@ -2,9 +2,9 @@
 function of the sensors, delay.
 
 The arm is moved by doublets, a voltage followed by its opposite, each slightly larger
-than the last, until encoder or gauge responds. A train of such moves is then fitted:
-the motor to the angle, the link to the torque. Every sign is a fitted gain with its
-standard error.
+than the last, until the encoder responds. A train of such moves is then fitted: the
+motor to the angle, the link to the torque. Every sign is a fitted gain with its standard
+error.
 """
 
 from __future__ import annotations
@@ -41,20 +41,18 @@ _PAUSE = 0.16  # [s] after a doublet
 # the next doublet
 _FIRST, _GROWTH = (0.01, 1.25)
 _ANSWER = 0.012  # [rad], 0.7°: size of motion at which the doublets stop growing
-# [rad], 2.3°: size of motion if the gauge does not respond to the first one
-_MOST = 0.040
-# [N·m], at least: if only the gauge responds, possibly with an angle, the response must
-# be a real motion
-_FELT = 0.006
-# share of the wanted motion below which there is none, if the gauge responds
-_MISSING = 0.5
+# [rad], 2.3°: farthest from where the arm stood
+MOST = 0.040
+# [rad/s²] at the voltage limit, the strongest motor that is expected if none is stated:
+# a geared one that reaches 12 rad/s with a time constant of 40 ms
+STRONGEST = 300.0
 # counts of an encoder, at least: with fewer, the motion, and thus K/J, is known to no
 # better than an eighth
 _COUNTS = 8
 # The plan states the largest motion; this factor leaves room for a later, larger
 # attempt.
 _LARGER = 1.6
-COUNT = _MOST / _LARGER / _COUNTS  # [rad]: the coarsest encoder with that many counts
+COUNT = MOST / _LARGER / _COUNTS  # [rad]: the coarsest encoder with that many counts
 # Standard errors required of a sign: a wrong sign closes a loop that runs away; the
 # probability of chance is one in two million.
 _SURE = 5.0
@@ -95,39 +93,36 @@ class Wiring:
 
     Parameters
     ----------
-    gain, friction
-        of the motor, a first guess: A = K/J [rad/(s²·V)], Coulomb friction as a voltage
-        [V].
+    gain
+        of the motor, a first guess: A = K/J [rad/(s²·V)].
     delay
         from a voltage to the motion [s].
     stiffness, natural_frequency
         of the link, a first guess [N·m/rad], [s^(-λ/2)].
     gauge_delay
         of the torque behind the motor angle [s].
-    encoder_noise, gauge_noise
-        standard deviations at rest [rad], [N·m].
+    gauge_noise, encoder_noise
+        standard deviations at rest [N·m], [rad].
     encoder_step
         smallest difference of two readings [rad].
-    pulse
-        voltage of the doublets at the end [V].
-    motion
-        farthest from the start [rad].
     evidence
         sentences, one for each conclusion.
     """
 
     gain: float
-    friction: float
     delay: float
     stiffness: float
     natural_frequency: float
     gauge_delay: float
-    encoder_noise: float
     gauge_noise: float
+    encoder_noise: float
     encoder_step: float
-    pulse: float
-    motion: float
     evidence: tuple[str, ...]
+
+    @property
+    def count(self) -> float:
+        """Step of an encoder with the same noise [rad]: that of a step s is s/√12."""
+        return max(self.encoder_step, math.sqrt(12.0) * self.encoder_noise)
 
 
 def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
@@ -137,6 +132,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     `stated` is the user's description of the arm: scales are compared with its motor
     and stiffness.
     """
+    # Samples of a mean: half of a doublet's half, which leaves its motion.
+    width = max(1, round(0.5 * _PULSE / guard.period))
     for _ in range(_LOOKS):
         start = guard.count
         guard.rest(_REST)
@@ -147,8 +144,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
             float(np.std(np.diff(x, 2))) / math.sqrt(6.0)
             for x in (still.angle, still.torque)
         )
-        angle = float(np.ptp(_smoothed(still.angle)))
-        if angle <= _STILL + _CLEAR * shake / math.sqrt(_SMOOTH):
+        angle = float(np.ptp(_smoothed(still.angle, width)))
+        if angle <= _STILL + _CLEAR * shake / math.sqrt(width):
             break
     else:
         raise WiringFault(
@@ -160,120 +157,170 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     # Before the first doublet: six standard deviations of a coarse encoder's speed
     # would end it.
     guard.allow(shake)
-    # An answer must exceed the noise after smoothing over five samples.
-    goal = max(_ANSWER, _CLEAR * shake / math.sqrt(_SMOOTH))
-    pulse = _grown(guard, goal, still.torque)
-    while True:
-        record, earlier = _train(guard, pulse)
+    strongest = STRONGEST
+    if stated is not None:
+        strongest = FAR * stated.motor.gain * guard.limits.voltage
+    doublets, largest = _Doublets(guard, still, shake, strongest, width), MOST / _LARGER
+    goal = max(_ANSWER, doublets.clear)
+    fault = WiringFault(
+        f"small doublets take the motor {math.degrees(MOST):.2g}° from where it stood: its weight, a cable or a "
+        "spring pulls it; take that away, or level the arm"
+    )
+    while doublets.grow(goal):
+        record, earlier = doublets.train()
         guard.release()
-        conclusion = _concluded(record, earlier, shake, noise, pulse, stated)
+        conclusion = _concluded(record, earlier, noise, doublets, stated)
         if isinstance(conclusion, Wiring):
             return conclusion
-        if not isinstance(conclusion, _Unsure) or goal >= _MOST / _LARGER:
-            raise conclusion
+        fault = conclusion
+        if not isinstance(fault, _Unsure) or goal >= largest or not doublets.room:
+            break
         # Continue from there: a motion too small for the noise is enlarged, and may
         # exceed its goal by one growth.
-        goal = min(_LARGER * goal, _MOST / _LARGER)
-        pulse = _grown(guard, goal, still.torque, pulse)
+        goal = min(_LARGER * goal, largest)
+    raise fault
 
 
-def _grown(guard: Guard, goal: float, still: Real, pulse: float = 0.0) -> float:
-    """The voltage of a doublet that moves the encoder by `goal` [rad], or the gauge
-    visibly more than it moved at rest [N·m].
+class _Doublets:
+    """Doublets about the place where the arm stood, each larger than the last. Internal,
+    mutable.
+
+    Until the encoder has shown a motion, a half is no longer than the strongest motor
+    takes for `MOST`.
     """
-    most, swings = guard.limits.voltage, [float(np.var(still))]
-    pulse = max(pulse, _FIRST * most / _GROWTH)
-    # Signs alternate, so that each doublet cancels the remaining motion of the last
-    # one.
-    sign = 1.0
-    while pulse < most:
-        pulse = min(_GROWTH * pulse, most)
-        before = guard.count
-        angle = float(np.mean(guard.record(max(before - 2 * _SMOOTH, 0)).angle))
-        _doublet(guard, sign * pulse)
-        sign = -sign
+
+    def __init__(
+        self,
+        guard: Guard,
+        still: Record,
+        shake: float,
+        strongest: float,
+        width: int,
+    ) -> None:
+        self._guard, self._strongest, self._width = guard, strongest, width
+        self._start, self._first = guard.count, float(np.mean(still.angle))
+        # An answer must exceed the noise of a mean.
+        self.shake, self.clear = shake, _CLEAR * shake / math.sqrt(width)
+        self._swing = float(np.var(still.torque))
+        self._longest = max(2, round(_PULSE / guard.period))
+        self.voltage, self.half, self._sign = 0.0, self._longest, 1
+        self.travel, self._apart, self._seen = 0.0, 0.0, False
+
+    def once(self) -> Record:
+        """The record of one doublet."""
+        guard, before = self._guard, self._guard.count
+        angle = float(np.mean(guard.record(max(before - 2 * self._width, 0)).angle))
+        for part in (self._sign, -self._sign):
+            for _ in range(self.half):
+                guard.step(part * self.voltage)
+        guard.rest(_PAUSE)
+        # Signs alternate, so that each doublet cancels the remaining motion of the last
+        # one.
+        self._sign = -self._sign
         record = guard.record(before)
-        travel = float(np.max(np.abs(_smoothed(record.angle) - angle)))
-        # The resolution of the encoder is determined each time, since it is unknown
-        # before something moves; but never beyond the plan, so that a coarse encoder is
-        # reported as such.
-        counts = min(_COUNTS * _step(record.angle), _COUNTS * COUNT)
-        if travel >= max(goal, counts):
-            return pulse
-        # Over two doublets: the mean square of their 2n samples scatters by 1/√n.
-        swings.append(float(np.var(record.torque)))
-        noise = swings[0] * (1.0 + _SURE / math.sqrt(record.torque.size))
-        if travel < _MISSING * goal and 0.5 * sum(swings[-2:]) > max(
-            noise, 0.5 * _FELT**2
-        ):
-            return pulse
-    raise WiringFault(
-        f"neither encoder nor gauge answers {most:g} V: drive not enabled, voltage not connected, brake "
-        "on, or both sensors dead"
-    )
+        self.travel = float(
+            np.max(np.abs(_smoothed(record.angle, self._width) - angle))
+        )
+        self._apart = float(np.mean(record.angle[-self._width :])) - self._first
+        return record
+
+    def grow(self, goal: float) -> bool:
+        """Enlarge the doublets until one moves the encoder by `goal` [rad], if the
+        voltage suffices; whether there is room for more of them.
+        """
+        while self._enlarged():
+            record = self.once()
+            if not self.room:
+                return False
+            # The resolution of the encoder is determined each time, since it is unknown
+            # before something moves; but never beyond the plan, so that a coarse
+            # encoder is reported as such.
+            count = min(_step(record.angle), COUNT)
+            self._seen = self._seen or self.travel > max(self.clear, count)
+            if self.travel >= max(goal, _COUNTS * count):
+                return True
+        if self._seen:
+            return True
+        # The mean square of n samples scatters by √(2/n).
+        torque = self._guard.record(self._start).torque
+        noise = self._swing * (1.0 + _SURE * math.sqrt(2.0 / torque.size))
+        if float(np.var(torque)) <= noise:
+            raise WiringFault(
+                f"neither encoder nor gauge answers {self.voltage:.3g} V: drive not enabled, voltage not "
+                "connected, brake on, or both sensors dead"
+            )
+        raise WiringFault(
+            f"encoder dead: it stands still while the gauge answers the drive ({self.voltage:.3g} V) with "
+            f"{float(np.ptp(_smoothed(torque, self._width))):.3g} N·m"
+        )
+
+    def _enlarged(self) -> bool:
+        """Whether the next doublet is larger: longer, or with more voltage."""
+        most = self._guard.limits.voltage
+        if self._seen and self.half < self._longest:
+            # At the same voltage the motion grows with the square of the time.
+            longer = int(self.half * math.sqrt(MOST / _LARGER / self.travel))
+            if longer > self.half:
+                self.half = min(longer, self._longest)
+                return True
+        if self.voltage == most:
+            return False
+        self.voltage = min(max(_GROWTH * self.voltage, _FIRST * most), most)
+        if not self._seen:
+            reach = math.sqrt(MOST * most / (self._strongest * self.voltage))
+            self.half = min(int(reach / self._guard.period), self._longest)
+        return self.half > 0
+
+    @property
+    def room(self) -> bool:
+        """Whether a doublet of either sign stays within the plan, as far as the noise
+        shows.
+        """
+        moved = max(self.travel - self.clear, 0.0)
+        return abs(self._apart) + 2.0 * moved <= 2.0 * MOST
+
+    def train(self) -> tuple[Record, Record]:
+        """Doublets with pauses of different lengths, so that no vibration builds up; and
+        the earlier record since the last rest.
+        """
+        guard = self._guard
+        guard.rest(0.2)
+        start = guard.count
+        guard.rest(0.1)
+        for k in range(_DOUBLETS):
+            if not self.room:
+                break
+            self.once()
+            # Equal pauses would excite a link with that period; four different ones
+            # excite none.
+            guard.rest(0.05 * (k % 4))
+        guard.rest(0.3)
+        return guard.record(start), guard.record(0, start)
 
 
-_SMOOTH = 5
-
-
-def _smoothed(values: Real) -> Real:
-    return np.convolve(values, np.full(_SMOOTH, 1 / _SMOOTH), "valid")
-
-
-def _doublet(guard: Guard, voltage: float) -> None:
-    for part in (voltage, -voltage):
-        for _ in range(_half(guard.period)):
-            guard.step(part)
-    guard.rest(_PAUSE)
-
-
-def _half(period: float) -> int:
-    """Periods of one half of a doublet."""
-    return max(2, round(_PULSE / period))
-
-
-def _train(guard: Guard, pulse: float) -> tuple[Record, Record]:
-    """Doublets of both signs with pauses of different lengths, so that no vibration
-    builds up; and the earlier record since the last rest.
-    """
-    guard.rest(0.2)
-    start = guard.count
-    guard.rest(0.1)
-    for k in range(_DOUBLETS):
-        _doublet(guard, pulse if k % 2 == 0 else -pulse)
-        # Equal pauses would excite a link with that period; four different ones excite
-        # none.
-        guard.rest(0.05 * (k % 4))
-    guard.rest(0.3)
-    return guard.record(start), guard.record(0, start)
+def _smoothed(values: Real, width: int) -> Real:
+    return np.convolve(values, np.full(width, 1 / width), "valid")
 
 
 def _concluded(
     record: Record,
     earlier: Record,
-    shake: float,
     noise: float,
-    pulse: float,
+    doublets: _Doublets,
     stated: Rig | None,
 ) -> Wiring | WiringFault:
-    step = _step(record.angle)
+    pulse, half = doublets.voltage, doublets.half
     travel = float(np.ptp(record.angle))
     degrees = f"{math.degrees(travel):.2g}°"
-    # An encoder at rest between two marks may show two counts.
-    if travel < 3 * step or travel == 0.0:
-        return WiringFault(
-            f"encoder dead: it stands still while the gauge answers the drive ({pulse:.3g} V) with "
-            f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
-        )
     link = _link(record, earlier)
-    gain, error, friction, delay = motor_of_doublets(
-        record, _half(record.period), 0.0 if link is None else max(link[3], 0.0)
+    gain, error, delay = motor_of_doublets(
+        record, half, 0.0 if link is None else max(link[3], 0.0)
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
     # fit a link either, and would be blamed.
     if stated is not None and gain > FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
-    shares = _kept(record, record.angle), _kept(record, record.torque)
+    shares = _kept(record, half, record.angle), _kept(record, half, record.torque)
     if shares[1] > max(_KEPT, 2.0 * shares[0]) or (
         shares[1] > max(_KEPT, shares[0]) and _swapped(record, earlier, link)
     ):
@@ -313,16 +360,13 @@ def _concluded(
         return WiringFault(fault)
     return Wiring(
         gain=gain,
-        friction=friction,
         delay=delay,
         stiffness=stiffness,
         natural_frequency=frequency,
         gauge_delay=gauge_delay,
-        encoder_noise=shake,
         gauge_noise=noise,
-        encoder_step=step,
-        pulse=pulse,
-        motion=float(np.max(np.abs(record.angle))),
+        encoder_noise=doublets.shake,
+        encoder_step=_step(record.angle),
         evidence=(
             f"encoder and voltage: right, {voltage}",
             f"gauge: right, alive, {bend}, noise {noise:.2g} N·m at rest",
@@ -366,7 +410,7 @@ def _encoder_scale(gain: float, stated: Rig) -> str:
     )
 
 
-def _kept(record: Record, channel: Real) -> float:
+def _kept(record: Record, half: int, channel: Real) -> float:
     """The share of a channel's motion that follows the motor positions reached by the
     doublets.
     """
@@ -374,7 +418,7 @@ def _kept(record: Record, channel: Real) -> float:
     for begin in edges_of(record):
         # A doublet leaves the motor where its first half has moved it: a staircase with
         # its steps in the middle of the doublets.
-        place[begin + _half(record.period) :] += np.sign(record.voltage[begin])
+        place[begin + half :] += np.sign(record.voltage[begin])
     matrix = np.column_stack([place, np.ones(channel.size)])
     rest = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
     whole = float(np.sum((channel - np.mean(channel)) ** 2))

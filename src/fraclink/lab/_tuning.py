@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 from fraclink._arm.rig import Rig
@@ -18,7 +17,7 @@ from fraclink.lab._tune_guard import PLANNED, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_motor import MotorResult
 from fraclink.lab._tune_moves import FirstMove
-from fraclink.lab._tune_wiring import _MOST, Wiring
+from fraclink.lab._tune_wiring import MOST, STRONGEST, Wiring
 from fracsys.checks import Between, Payload, checked, checked_noun
 
 __all__ = ["FILES", "Tuning", "TuningPlan"]
@@ -119,7 +118,8 @@ class TuningPlan:
                 f"{limits.speed:g} rad/s, {limits.torque:g} N·m at the gauge, {limits.voltage:g} V",
                 domain(self.period),
                 "1 wiring: short pulses that grow until the motor turns by 1°, over "
-                f"{math.degrees(2.0 * _MOST):.2g}° at most; nothing is closed; 8 s",
+                f"{math.degrees(2.0 * MOST):.2g}° at most, also with dead sensors if the motor accelerates by no more "
+                f"than {STRONGEST:g} rad/s²; nothing is closed; 8 s",
                 f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
                 f"growing to {part} % of the limits where that is needed; 5 to 15 s",
                 f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "
@@ -208,8 +208,9 @@ class Tuning:
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
         # Compared with the promise instead of the arm: this scope is that of the model.
+        last = {move.payload: move for move in self.moves}
         settles = all(
-            move.promised_settling <= move.duration + _LATEST for move in self._fast
+            move.promised_settling <= move.duration + _LATEST for move in last.values()
         )
         model = (
             Scope("passed")
@@ -229,11 +230,6 @@ class Tuning:
             last = self.moves[-1]
             return -last.amplitude, last.duration, last.payload
         return None if self.planned is None else (*self.planned, self.payload)
-
-    @property
-    def _fast(self) -> tuple[FirstMove, ...]:
-        """The last move with each payload."""
-        return tuple({move.payload: move for move in self.moves}.values())
 
     def _arm(self) -> Scope:
         off = [str(move) for move in self.moves if not move.kept]
@@ -328,7 +324,3 @@ class Tuning:
             if mode is not None:
                 rows.append(Row("model.mode", "second mode", mode.frequency, "rad/s"))
         return tuple(rows)
-
-    def file(self, name: str) -> Path:
-        """The place of one of its files."""
-        return Path(self.folder) / name
