@@ -19,6 +19,7 @@ from fracsys.checks import Between, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = [
+    "LOST_SHARE",
     "PRIORITY",
     "Priority",
     "Spread",
@@ -50,9 +51,9 @@ _MEASURED = 0.5  # [s], an unnoticeable delay before a move
 # Longest time between two wake-ups [s]: their lateness hardly depends on the time
 # slept.
 _STEP = 0.002
-# Share of wake-ups more than one period late: a machine with one in a hundred would
-# have some in every move of a second.
-_LATE_SHARE = 0.01
+# Share of periods that may be late or lost: a machine with one in a hundred would have
+# some in every move of a second.
+LOST_SHARE = 0.01
 
 
 class Spread(NamedTuple):
@@ -105,7 +106,7 @@ class WakeUps:
         """Whether the period can be kept: at most 1 % of the wake-ups were later than a
         period.
         """
-        return self.late <= _LATE_SHARE
+        return self.late <= LOST_SHARE
 
     def __str__(self) -> str:
         spread = Spread.of(self.latency)
@@ -124,7 +125,7 @@ class WakeUps:
                 "period",
                 self.period,
                 f"not kept by this machine: {100 * self.late:.2g} % of its wake-ups come later than that",
-                allowed=f"at most {100 * _LATE_SHARE:g} %",
+                allowed=f"at most {100 * LOST_SHARE:g} %",
                 remedy="grant SCHED_FIFO (rtprio), end other programs, or design for a longer period",
             )
 

@@ -26,7 +26,7 @@ from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
-from fraclink.lab._machine import Spread
+from fraclink.lab._machine import LOST_SHARE, Spread
 from fracsys.checks import Real
 from fracsys.checks.equality import compared
 
@@ -48,7 +48,6 @@ INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "paylo
 OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
-LOST_SHARE = 0.01  # share of lost samples that a reader may interpolate
 
 
 @displayed

@@ -247,7 +247,7 @@ class _Doublets:
         if float(np.var(torque)) <= noise:
             raise WiringFault(
                 f"neither encoder nor gauge answers {self.voltage:.3g} V: drive not enabled, voltage not "
-                "connected, brake on, or both sensors dead"
+                "connected, brake on, both sensors dead, or the encoder, beside a noisy gauge"
             )
         raise WiringFault(
             f"encoder dead: it stands still while the gauge answers the drive ({self.voltage:.3g} V) with "
@@ -340,20 +340,11 @@ def _concluded(
         return _Unsure("signs not sure: the motion is too small for the sensors' noise")
     voltage = f"{pulse:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
     bend = f"torque over angle {stiffness:+.3g} ± {spread:.1g} N·m/rad, {100 * (1 - nmse):.0f} % explained"
-    if gain < 0 and stiffness < 0:
+    if min(gain, stiffness) < 0:
+        wrong = "gauge" if gain > 0 else "encoder" if stiffness < 0 else "motor"
         return WiringFault(
-            f"encoder reversed: {voltage}, and {bend}; turn the encoder's sign (the same is seen where motor "
-            "and gauge are both reversed)"
-        )
-    if gain < 0:
-        return WiringFault(
-            f"motor reversed: {voltage}, while {bend} is right; turn the sign of the voltage (the same is "
-            "seen where encoder and gauge are both reversed)"
-        )
-    if stiffness < 0:
-        return WiringFault(
-            f"gauge reversed: {bend}, while {voltage} is right; turn the gauge's sign (the same is seen "
-            "where motor and encoder are both reversed)"
+            f"{wrong} reversed: {voltage}, and {bend}; turn the {wrong}'s sign (the same is seen where the other "
+            "two are both reversed)"
         )
     scales, fault = _scales(gain, stiffness, stated)
     if fault:
