@@ -250,8 +250,12 @@ def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
 
 
 def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError:
-    problem = f"refused ({error.strerror or error})"
-    return _error(connection, problem, allowed, "choose another, or end the other")
+    return _error(
+        connection,
+        f"refused ({error.strerror or error})",
+        allowed,
+        "choose another, or end the other",
+    )
 
 
 @contextmanager

@@ -243,9 +243,8 @@ class _Session:
         """Make the first moves, and return the reason why the law fails on the arm, ""
         if it does not.
         """
-        assert built.design is not None and built.law is not None  # passed  # noqa: S101
-        assert built.move is not None  # passed  # noqa: S101
-        assert self.state.motor is not None  # measured  # noqa: S101
+        assert built.design and built.law and built.move  # passed  # noqa: S101
+        assert self.state.motor  # measured  # noqa: S101
         self.begin("first moves")
         try:
             moves = first_moves(
@@ -421,8 +420,11 @@ class _Session:
             payload = self.plan.payload
             # A resumed tuning keeps the record of the arm that was measured.
             more = "" if self.before is None else f"-{1e3 * payload:g}g"
-            log = experiment_of(record, payload)
-            save(log, self.out / f"log{more}.npz", force=True)
+            save(
+                experiment_of(record, payload),
+                self.out / f"log{more}.npz",
+                force=True,
+            )
 
     def _tell(self, lines: tuple[str, ...]) -> None:
         for line in lines:

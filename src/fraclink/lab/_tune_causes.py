@@ -77,8 +77,7 @@ def _slow_loop(
     """The speed that the motor loop would gain with a finer encoder, or without the
     delay.
     """
-    sentences = []
-    pole = motor.loop.pole
+    sentences, pole = [], motor.loop.pole
     finer = unlimited_pole(motor, period, motor.fit.delay)
     if finer is not None and finer > pole:
         sentences.append(

@@ -254,17 +254,12 @@ class Guard:
                 return motion(size), size
             except LimitReached as error:
                 tell(f"{error}; once more, half as large")
-                self._recover(noise)
+                # Unguarded until the arm rests, since nothing is driven.
+                self.release()
+                self._driven = False
+                self.quiet(noise, _RECOVERY)
+                self.release()
         return motion(_SIZES[-1]), _SIZES[-1]
-
-    def _recover(self, noise: float) -> None:
-        """Switch the drive off and wait beyond a limit until the arm rests, unguarded,
-        since nothing is driven.
-        """
-        self.release()
-        self._driven = False
-        self.quiet(noise, _RECOVERY)
-        self.release()
 
     def record(self, start: int = 0, end: int | None = None) -> Record:
         """The record from period `start` to `end`."""

@@ -157,28 +157,27 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     # Before the first doublet: six standard deviations of a coarse encoder's speed
     # would end it.
     guard.allow(shake)
-    strongest = STRONGEST
-    if stated is not None:
-        strongest = FAR * stated.motor.gain * guard.limits.voltage
+    strongest = (
+        STRONGEST if stated is None else FAR * stated.motor.gain * guard.limits.voltage
+    )
     doublets, largest = _Doublets(guard, still, shake, strongest, width), MOST / _LARGER
     goal = max(_ANSWER, doublets.clear)
-    fault = WiringFault(
+    found: Wiring | WiringFault = WiringFault(
         f"small doublets take the motor {math.degrees(MOST):.2g}° from where it stood: its weight, a cable or a "
         "spring pulls it; take that away, or level the arm"
     )
     while doublets.grow(goal):
         record, earlier = doublets.train()
         guard.release()
-        conclusion = _concluded(record, earlier, noise, doublets, stated)
-        if isinstance(conclusion, Wiring):
-            return conclusion
-        fault = conclusion
-        if not isinstance(fault, _Unsure) or goal >= largest or not doublets.room:
+        found = _concluded(record, earlier, noise, doublets, stated)
+        if not isinstance(found, _Unsure) or goal >= largest or not doublets.room:
             break
         # Continue from there: a motion too small for the noise is enlarged, and may
         # exceed its goal by one growth.
         goal = min(_LARGER * goal, largest)
-    raise fault
+    if isinstance(found, Wiring):
+        return found
+    raise found
 
 
 class _Doublets:
@@ -257,12 +256,12 @@ class _Doublets:
     def _enlarged(self) -> bool:
         """Whether the next doublet is larger: longer, or with more voltage."""
         most = self._guard.limits.voltage
-        if self._seen and self.half < self._longest:
-            # At the same voltage the motion grows with the square of the time.
-            longer = int(self.half * math.sqrt(MOST / _LARGER / self.travel))
-            if longer > self.half:
-                self.half = min(longer, self._longest)
-                return True
+        # At the same voltage the motion grows with the square of the time.
+        share = MOST / _LARGER / self.travel if self._seen else 1.0
+        longer = min(int(self.half * math.sqrt(share)), self._longest)
+        if longer > self.half:
+            self.half = longer
+            return True
         if self.voltage == most:
             return False
         self.voltage = min(max(_GROWTH * self.voltage, _FIRST * most), most)
@@ -276,8 +275,7 @@ class _Doublets:
         """Whether a doublet of either sign stays within the plan, as far as the noise
         shows.
         """
-        moved = max(self.travel - self.clear, 0.0)
-        return abs(self._apart) + 2.0 * moved <= 2.0 * MOST
+        return 0.5 * abs(self._apart) + max(self.travel - self.clear, 0.0) <= MOST
 
     def train(self) -> tuple[Record, Record]:
         """Doublets with pauses of different lengths, so that no vibration builds up; and
@@ -309,18 +307,19 @@ def _concluded(
     doublets: _Doublets,
     stated: Rig | None,
 ) -> Wiring | WiringFault:
-    pulse, half = doublets.voltage, doublets.half
-    travel = float(np.ptp(record.angle))
-    degrees = f"{math.degrees(travel):.2g}°"
+    degrees = f"{math.degrees(float(np.ptp(record.angle))):.2g}°"
     link = _link(record, earlier)
     gain, error, delay = motor_of_doublets(
-        record, half, 0.0 if link is None else max(link[3], 0.0)
+        record, doublets.half, 0.0 if link is None else max(link[3], 0.0)
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
     # fit a link either, and would be blamed.
     if stated is not None and gain > FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
-    shares = _kept(record, half, record.angle), _kept(record, half, record.torque)
+    shares = (
+        _kept(record, doublets.half, record.angle),
+        _kept(record, doublets.half, record.torque),
+    )
     if shares[1] > max(_KEPT, 2.0 * shares[0]) or (
         shares[1] > max(_KEPT, shares[0]) and _swapped(record, earlier, link)
     ):
@@ -338,7 +337,7 @@ def _concluded(
     stiffness, spread, frequency, gauge_delay, nmse = link
     if abs(stiffness) < _SURE * spread or abs(gain) < _SURE * error:
         return _Unsure("signs not sure: the motion is too small for the sensors' noise")
-    voltage = f"{pulse:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
+    voltage = f"{doublets.voltage:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
     bend = f"torque over angle {stiffness:+.3g} ± {spread:.1g} N·m/rad, {100 * (1 - nmse):.0f} % explained"
     if min(gain, stiffness) < 0:
         wrong = "gauge" if gain > 0 else "encoder" if stiffness < 0 else "motor"
@@ -468,9 +467,8 @@ def _swapped(
     other = _link(record, earlier, swapped=True)
     # The exchanged fit must be clearly better, since a torque fitted to an angle also
     # explains a little with the signals exchanged.
-    reference = 1.0 if link is None else link[4]
     return (
         other is not None
         and other[0] > _SURE * other[1]
-        and other[4] < _REVERSED * reference
+        and other[4] < _REVERSED * (1.0 if link is None else link[4])
     )

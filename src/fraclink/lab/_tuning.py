@@ -300,27 +300,22 @@ class Tuning:
                 for name, (symbol, unit) in SYMBOLS.items()
                 if name in errors
             ]
-            gain, late, mode = (
-                errors.get("gain"),
-                errors.get("delay"),
-                model.second_mode,
-            )
             rows += [
                 Row(
                     "model.stiffness",
                     "torque over bend",
                     model.stiffness,
                     "N·m/rad",
-                    gain,
+                    errors.get("gain"),
                 ),
                 Row(
                     "model.gauge_delay",
                     "delay of the gauge",
                     model.gauge_delay,
                     "ms",
-                    late,
+                    errors.get("delay"),
                 ),
             ]
-            if mode is not None:
+            if (mode := model.second_mode) is not None:
                 rows.append(Row("model.mode", "second mode", mode.frequency, "rad/s"))
         return tuple(rows)
