@@ -102,7 +102,7 @@ nitpick_ignore_regex = [
     # Private types in signatures of public functions: the text explains their meaning.
     (
         r"py:class",
-        r"fraclink\._law\.discretization\._Designed|fraclink\.trials\._fault_trial\.Trial"
+        r"fraclink\.trials\._fault_trial\.Trial"
         r"|fraclink\._simulate\.kernel\.ArmState",
     ),
     (

@@ -50,16 +50,25 @@ def known(design: fl.Design) -> ShapedMove:
     return fl.shape(design, 1.0, payloads=KNOWN, told=True, over="model", seeds=2)
 
 
-def other_arms(payload: float) -> list[Twin]:
-    """Arms with the same payload whose λ differs by 0.03, and a viscous one with equal
-    damping.
-    """
-    viscous = replace(
+def viscous_link() -> fl.LinkModel:
+    """The link of the other damping law, with the same damping ratio."""
+    assert RIG.model is not None
+    return replace(
         RIG.model,
         order=2.0,
         damping=2 * RIG.model.damping_ratio * RIG.model.natural_frequency,
     )
-    links = [RIG.model, viscous, *(replace(RIG.model, order=o) for o in (1.89, 1.95))]
+
+
+def other_arms(payload: float) -> list[Twin]:
+    """Arms with the same payload whose λ differs by 0.03, and a viscous one with equal
+    damping.
+    """
+    links = [
+        RIG.model,
+        viscous_link(),
+        *(replace(RIG.model, order=o) for o in (1.89, 1.95)),
+    ]
     return [Twin.from_rig(RIG, model=link, payload=payload) for link in links]
 
 
@@ -81,6 +90,25 @@ def test_the_worst_arm_of_the_box_is_told_beside_the_model(design: fl.Design) ->
         over="model",
     ).arms
     assert alone == case.nominal
+
+
+def test_an_unstable_arm_does_not_settle_however_small_its_vibration_is() -> None:
+    """The law of a viscous link, for 20 to 40 g, on one of 12 g with the other damping
+    law: its vibration grows by a tenth a second.
+    """
+    made = fl.design(
+        viscous_link(),
+        RIG,
+        payloads=(0.020, 0.040),
+        gain_crossover=11.7,
+        phase_margin=fl.deg(45),
+    )
+    options = {"payloads": (0.012, 0.012), "told": True}
+    case = fl.worst_case(made, fl.smooth_step(1.0, 0.5), **options)
+    assert "fractional" in case.worst.arm and case.settling_time == math.inf
+    assert case.nominal.settling_time < 0.6
+    with pytest.raises(FieldError, match=r"not stable.*fractional"):
+        fl.shape(made, 1.0, **options)
 
 
 @pytest.mark.slow

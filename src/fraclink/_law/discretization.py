@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from fracsys._discrete import (
     fit_discrete,
 )
 from fracsys.checks import Between, Real, checked
+
+if TYPE_CHECKING:
+    from fraclink._law.design import Design
 
 __all__ = [
     "TOLERANCE_DB",
@@ -164,23 +167,8 @@ def discretize_controller(
     return law if rig is None else equip(law, rig, model, moves=moves)
 
 
-class _Designed(Protocol):
-    """The fields of a design that are used here: its controller, and the arm it was
-    designed for.
-    """
-
-    @property
-    def controller(self) -> Controller: ...
-    @property
-    def model(self) -> LinkModel: ...
-    @property
-    def rig(self) -> Rig: ...
-    @property
-    def motor_loop(self) -> MotorLoop: ...
-
-
 def discretize(
-    design: _Designed | Controller,
+    design: Design | Controller,
     period: float | None = None,
     *,
     order: int | None = None,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fraclink._arm.link import LinkModel
@@ -80,11 +80,6 @@ class Limits:
     stop_ringing: bool = False
 
 
-class _Stuck(TypedDict):
-    stuck_torque: float
-    stuck_limit: int
-
-
 def derive_limits(
     link: LinkModel,
     period: float,
@@ -116,12 +111,11 @@ def derive_limits(
     torque = 2 * link.stiffness * flexible
     # The law's own range is symmetric about the encoder's zero.
     reach = moves.angle + abs(moves.centre)
-    lag = loop.lag * period
     # Reference, feed-forward and correction may each require the full speed at the same
     # time.
     motor_step = 3 * moves.velocity * period
     torque_limit = min(4 * torque, CREDIBLE_SHARE * gauge_limit)
-    error = lag * moves.velocity
+    error = loop.lag * period * moves.velocity
     # A vibrating link swings back within half a period. A deflection that lasts longer
     # is due to an acceleration, which is limited by the change of the reference's speed
     # from one extreme to the other.
@@ -175,7 +169,9 @@ def derive_limits(
             2 * encoder_resolution
             + max(sticking, 4.5 * moves.acceleration * period**2),
         ),
-        **_stuck(link, period, torque_limit, gauge_quantum),
+        stuck_torque=_stuck_torque(link, period, torque_limit, gauge_quantum),
+        # a sound gauge reads the same for its delay
+        stuck_limit=STILL + math.ceil(max(link.gauge_delay, 0.0) / period),
         # eight standard deviations of the tip's reading are not yet vibration
         swing_angle=max(
             SWING if moves.vibration is None else moves.vibration,
@@ -191,19 +187,16 @@ def derive_limits(
     )
 
 
-def _stuck(link: LinkModel, period: float, largest: float, quantum: float) -> _Stuck:
-    """The motion of the model, and the number of periods with a turning motor, from
-    which a constant reading means a stuck gauge.
+def _stuck_torque(
+    link: LinkModel, period: float, largest: float, quantum: float
+) -> float:
+    """The torque of the model from which a constant reading means a stuck gauge.
 
-    The reading of a sound gauge stays constant for its delay, and while the motor turns
-    by less than one quantum, q/c. With the jerk j of the reference this takes
-    (6q/cj)^(1/3); the torque of the model is then c j/ω² times that time. For no j is
-    this more than n periods after the model passed 8q/(9n²ω²T²). Noise only changes the
-    reading.
+    The reading of a sound gauge stays constant while the motor turns by less than one
+    quantum, q/c. With the jerk j of the reference this takes (6q/cj)^(1/3); the torque
+    of the model is then c j/ω² times that time. For no j is this more than n periods
+    after the model passed 8q/(9n²ω²T²). Noise only changes the reading.
     """
     step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
     slow = 8 / (9 * (STILL * abs(link.pole) * period) ** 2)
-    return {
-        "stuck_torque": max(8.0, slow) * step,
-        "stuck_limit": STILL + math.ceil(max(link.gauge_delay, 0.0) / period),
-    }
+    return float(max(8.0, slow) * step)

@@ -27,7 +27,6 @@ from fracsys.checks import Complex, Real
 
 __all__ = [
     "Following",
-    "equivalent_payload",
     "following",
     "forward_fit",
     "held_reference",
@@ -158,17 +157,6 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
         link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED
     )
     return (link.payload if computed else link.payload + own), own
-
-
-def equivalent_payload(
-    model: LinkModel, arm: LinkModel, rig: Rig, payload: float
-) -> float:
-    """Return the payload [kg] with which the model vibrates at the frequency that `arm`
-    has with `payload`: what an estimator finds by the model on that arm.
-    """
-    nominal, own = masses_of(model, rig)
-    pole = arm.with_mass((payload + own) / nominal).pole
-    return float(nominal * abs(model.pole / pole) ** model.order - own)
 
 
 def _share(link: LinkModel, feedforward: Modes, period: float) -> float:

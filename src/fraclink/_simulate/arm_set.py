@@ -8,7 +8,9 @@ judged by the worst of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Annotated, Any, Literal
 
@@ -18,15 +20,16 @@ from fraclink import _kernels
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
-from fraclink._arm.reference import Reference
+from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._display import Overview, Row, Table, displayed, quantity, span
 from fraclink._files import document
 from fraclink._law import Law
 from fraclink._law.design import Design
-from fraclink._law.tracking import equivalent_payload
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import ESTIMATED
+from fraclink._simulate.metrics import growth_per_window
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError
@@ -51,6 +54,12 @@ Payloads = Annotated[tuple[float, float], ascending()]
 PAYLOAD_STEP = 0.2
 # vibration periods for which an arm is observed after the end of the reference
 REST = 5.0
+# the same of the linear loop, in which a growth of a hundredth a period stands out
+LONGEST = 12.0
+UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
+# [rad] height of the step that a linear loop is run with: far below every guard of the
+# law, and far enough above the rounding of doubles
+STEP = 1e-3
 
 
 def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, LinkModel]:
@@ -104,9 +113,8 @@ def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, Link
 class ArmSet:
     """A law and the arms that it moves: each of `links` with each of `payloads` [kg].
 
-    told: whether the law gets the payload, "estimated" the one that its estimator finds on
-    the arm. on: whether the arms are twins of the rig,
-    or massless links as identified.
+    given: what the law is told of the payload of each arm, see `simulate`. on: whether
+    the arms are twins of the rig, or massless links as identified.
     """
 
     rig: Rig
@@ -114,19 +122,22 @@ class ArmSet:
     model: LinkModel
     links: dict[str, LinkModel]
     payloads: tuple[float, ...]
-    told: Told
+    given: Mapping[tuple[LinkModel, float], float | PayloadEstimator]
     on: On
 
     @staticmethod
     def of(
         design: Design,
         payloads: tuple[float, float] | None,
+        size: float,
         *,
         told: Told,
         over: Over,
         on: On,
     ) -> ArmSet:
-        """Return the arms of a design; `payloads` default to those of the design."""
+        """Return the arms of a design that move by `size` [rad]; `payloads` default to
+        those of the design.
+        """
         low, high = payloads or design.payloads
         if low <= 0.0:
             raise FieldError(
@@ -141,21 +152,55 @@ class ArmSet:
         # payload.
         masses = np.geomspace(low, high, steps + 1).tolist() if steps else [low]
         model = with_payload(design.model, design.rig)
-        return ArmSet(
-            design.rig,
-            design.law(),
-            model,
-            links_over(model, design.rig, over),
-            tuple(masses),
-            told,
-            on,
-        )
+        links = links_over(model, design.rig, over)
+        each = tuple(product(links.values(), masses))
+        given: dict[tuple[LinkModel, float], float | PayloadEstimator] = {
+            arm: arm[1] if told else 0.0 for arm in each
+        }
+        arms = ArmSet(design.rig, design.law(), model, links, tuple(masses), given, on)
+        if told != ESTIMATED:
+            return arms
+        # by another damping law than the model's a move shows another payload than the
+        # free vibration does
+        first = smooth_step(size, arms.vibration)
+        finding = replace(arms, given=dict.fromkeys(each, design.estimator()))
+        found = {
+            arm: float(finding.run(*arm, first).extras["payload_given"][-1])
+            for arm in each
+        }
+        return replace(arms, given=found)
 
     @property
     def vibration(self) -> float:
         """Longest vibration period of the model [s], that with the heaviest payload."""
         pole = self.model.at_payload(self.payloads[-1]).pole
         return 2.0 * math.pi / max(pole.imag, -pole.real)
+
+    @property
+    def linear(self) -> ArmSet:
+        """The set with linear loops: without friction, its compensation, and limits."""
+        drive = self.law.motor_loop
+        assert drive is not None  # a design's law drives its motor  # noqa: S101
+        free = replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED)
+        law = replace(self.law, motor_loop=free).in_precision("double")
+        return replace(self, rig=_without_friction(self.rig), law=law)
+
+    @cached_property
+    def unstable(self) -> tuple[tuple[str, float], ...]:
+        """The links, by their words, and payloads [kg] that the law does not hold: the
+        vibration of the linear loop grows, however small it is at the end of a move.
+        """
+        linear, window = self.linear, round(self.vibration / self.law.period)
+        step = smooth_step(STEP, 0.1 * self.vibration)
+
+        def grows(link: LinkModel, payload: float) -> bool:
+            run = linear.run(link, payload, step, duration=LONGEST * self.vibration)
+            left = run.tip_angle[window:] / STEP - 1.0
+            # a guard of the law holds what would grow beyond all bounds
+            return _guarded(run) or growth_per_window(left, window) > 0.0
+
+        arms = product(self.links.items(), self.payloads)
+        return tuple((words, m) for (words, link), m in arms if grows(link, m))
 
     def run(
         self,
@@ -168,13 +213,8 @@ class ArmSet:
     ) -> Run:
         """Run a reference on one arm of the set until the arm has come to rest."""
         length = reference.duration + REST * self.vibration
-        known = (
-            equivalent_payload(self.model, link, self.rig, payload)
-            if self.told == ESTIMATED
-            else payload
-        )
         options: dict[str, Any] = {
-            "told": known if self.told else 0.0,
+            "told": self.given[link, payload],
             "duration": length if duration is None else duration,
             "seed": seed,
         }
@@ -198,30 +238,43 @@ class ArmSet:
         rows = []
         for words, link in self.links.items():
             runs = [
-                self.run(link, payload, reference, seed=seed)
+                (payload, self.run(link, payload, reference, seed=seed))
                 for payload in self.payloads
                 for seed in range(seeds)
             ]
-            # A run that was cut off has not settled.
+            # A run that was cut off has not settled, nor has one whose vibration will
+            # leave the band again.
             settling = [
-                run.metrics.settling_time if run.verdict.passed else math.inf
-                for run in runs
+                run.metrics.settling_time
+                if run.verdict.passed and (words, payload) not in self.unstable
+                else math.inf
+                for payload, run in runs
             ]
             latest = int(np.argmax(settling))
             rows.append(
                 ArmFigures(
                     arm=words,
-                    payload=self.payloads[latest // seeds],
+                    payload=runs[latest][0],
                     settling_time=settling[latest],
-                    overshoot=max(run.metrics.overshoot for run in runs),
+                    overshoot=max(run.metrics.overshoot for _, run in runs),
                     residual_vibration=max(
-                        run.metrics.residual_vibration for run in runs
+                        run.metrics.residual_vibration for _, run in runs
                     ),
-                    peak_voltage=max(run.metrics.peak_voltage for run in runs),
-                    guarded=sum(map(_guarded, runs)) / len(runs),
+                    peak_voltage=max(run.metrics.peak_voltage for _, run in runs),
+                    guarded=sum(_guarded(run) for _, run in runs) / len(runs),
                 )
             )
         return tuple(rows)
+
+
+def _without_friction(rig: Rig) -> Rig:
+    """Return the rig with an amplifier without limit, a motor without friction, and
+    sensors without quantisation, noise and offset; the delay of the gauge remains.
+    """
+    motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
+    gauge = replace(rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
+    encoder = replace(rig.encoder, counts_per_revolution=None)
+    return replace(rig, motor=motor, gauge=gauge, encoder=encoder)
 
 
 def _guarded(run: Run) -> bool:
@@ -378,7 +431,7 @@ def worst_case(
         lightest and heaviest payload [kg]; the design's where it is left out.
     told
         whether the law is given the payload; "estimated": the payload that its estimator
-        has found on the arm, with which the model vibrates as the arm does.
+        finds in a first move of the arm by as much, in one vibration.
     over
         "box": the fit's box, at least as wide as the rig's tolerances, and the other
         damping law with the same damping ratio; "model": the model alone.
@@ -403,7 +456,8 @@ def worst_case(
     >>> case.nominal.settling_time < 0.5 < case.settling_time, case.worst.arm
     (True, 'viscous, ζ 0.0654')
     """
-    arms = ArmSet.of(design, payloads, told=told, over=over, on=on)
+    start, end = (reference.angle(time) for time in (0.0, reference.duration))
+    arms = ArmSet.of(design, payloads, float(end - start), told=told, over=over, on=on)
     return WorstCase(
         arms.figures(reference, seeds),
         (arms.payloads[0], arms.payloads[-1]),

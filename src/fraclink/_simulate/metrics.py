@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,15 @@ from fraclink._display import Row
 from fraclink._law import MODES, REASONS
 from fracsys.checks import Real
 
-__all__ = ["Metrics", "MoveVerdict", "judge", "judge_many", "measure", "measure_many"]
+__all__ = [
+    "Metrics",
+    "MoveVerdict",
+    "growth_per_window",
+    "judge",
+    "judge_many",
+    "measure",
+    "measure_many",
+]
 
 Bits = NDArray[np.uint32]
 
@@ -204,7 +211,8 @@ def judge_many(
     normal = mode == _kernels.LAW_RUN
     # Half a period of the vibration: a swing of constant size that happens to end
     # inside the band was outside within that time.
-    settled = metrics["settling_time"] <= _latest_settling(signals)
+    end = signals.period * (signals.tip_angle.shape[1] - 1)
+    settled = metrics["settling_time"] <= end - 0.5 * signals.vibration_period
     return {
         "mode": mode,
         "reason": np.where(normal, 0, signals.reason[rows, within]).astype(np.uint32),
@@ -281,13 +289,6 @@ def _settling(distance: Real, band: Real, period: float) -> Real:
     return np.asarray(np.where(outside[:, -1], np.inf, time))
 
 
-def _latest_settling(signals: Signals) -> Real:
-    return np.asarray(
-        signals.period * (signals.tip_angle.shape[1] - 1)
-        - 0.5 * signals.vibration_period
-    )
-
-
 def _residual(signals: Signals) -> Real:
     length = signals.tip_angle.shape[1]
     time = signals.period * np.arange(length)
@@ -346,13 +347,13 @@ def _growth(signals: Signals) -> Real:
     )
     rows = zip(deviation, begin, stop, window, strict=True)
     return np.array(
-        [_rate(row[b:s], w) / (w * signals.period) for row, b, s, w in rows]
+        [growth_per_window(row[b:s], w) / (w * signals.period) for row, b, s, w in rows]
     )
 
 
-def _rate(deviation: Real, window: int) -> float:
-    """Growth of ln(envelope) per vibration period, 0 if the envelope is not straight
-    enough to be trusted.
+def growth_per_window(deviation: Real, window: int) -> float:
+    """Return the growth of ln(envelope) in a vibration period of `window` samples, 0 if
+    the envelope is not straight enough to be trusted.
     """
     count = len(deviation) // window
     if count < WINDOWS:
@@ -374,9 +375,5 @@ def _rate(deviation: Real, window: int) -> float:
     # Standard error of the slope of a straight line through `count` points, with count
     # − 2 degrees of freedom.
     error = math.sqrt(float(residual @ residual) / ((count - 2) * spread))
-    return slope if abs(slope) > _straight(count) * error else 0.0
-
-
-@lru_cache(maxsize=256)
-def _straight(count: int) -> float:
-    return max(STRAIGHT, float(stdtrit(count - 2, 1.0 - CHANCE)))
+    least = max(STRAIGHT, float(stdtrit(count - 2, 1.0 - CHANCE)))
+    return slope if abs(slope) > least * error else 0.0

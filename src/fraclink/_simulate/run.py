@@ -226,12 +226,13 @@ def payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
     periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))
     if not periods:
         return ()
-    rejected = Finding(
-        "W603",
-        "warning",
-        f"the law rejected the payload that it was given in {periods} of {len(flags)} periods, "
-        "and ran there as if none were given",
-        {"periods": periods},
-        "give a payload within the law's limit, and design with a link model that knows its payload",
+    return (
+        Finding(
+            "W603",
+            "warning",
+            f"the law rejected the payload that it was given in {periods} of {len(flags)} periods, "
+            "and ran there as if none were given",
+            {"periods": periods},
+            "give a payload within the law's limit, and design with a link model that knows its payload",
+        ),
     )
-    return (rejected,)

@@ -14,7 +14,15 @@ from fraclink._arm.reference import Path
 from fraclink._display import Overview, Row, displayed, number, quantity, state_of
 from fraclink._files import Saved, document
 from fraclink._law.design import Design
-from fraclink._simulate.arm_set import ArmSet, On, Over, Payloads, Told, WorstCase
+from fraclink._simulate.arm_set import (
+    LONGEST,
+    ArmSet,
+    On,
+    Over,
+    Payloads,
+    Told,
+    WorstCase,
+)
 from fraclink._simulate.metrics import BAND
 from fraclink._simulate.programme import Programme
 from fraclink.errors import FieldError
@@ -28,7 +36,6 @@ __all__ = ["ShapedMove", "shape"]
 # Vibration periods after settling that the programme covers: beyond them a vibration
 # only decays, and a tip that was in the band for 2.5 periods stays there.
 TAIL = 2.5
-LONGEST = 12.0  # vibration periods: no move of an arm takes longer
 # per vibration period: more do not make the move settle sooner, and the cost is
 # quadratic
 KNOTS = 30
@@ -212,8 +219,7 @@ def shape(
     >>> move.settling_time <= 0.6, move.worst_case.worst.peak_voltage < 8.0
     (True, True)
     """
-    arms = ArmSet.of(design, payloads, told=told, over=over, on=on)
-    limits, amplifier = arms.law.limits, arms.rig.motor.voltage_limit
+    limits, amplifier = design.law().limits, design.rig.motor.voltage_limit
     # The amplifier limits the voltage, whatever is allowed.
     most = amplifier if voltage is None else min(voltage, amplifier)
     # Beyond the law's own angle limit, its guard would reject the reference.
@@ -224,6 +230,16 @@ def shape(
             "no move of this law",
             allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
             remedy="derive the law's limits for it",
+        )
+    arms = ArmSet.of(design, payloads, move, told=told, over=over, on=on)
+    if arms.unstable:
+        words, payload = arms.unstable[0]
+        raise FieldError(
+            "payloads",
+            payload,
+            f"one with which the loop is not stable on the arm “{words}”",
+            allowed="a payload that the law holds on every arm of the set",
+            remedy="narrow the range, or design for it",
         )
     coefficients, programme = _fastest(arms, move, 1.0 - reserve, most, settle)
     outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
