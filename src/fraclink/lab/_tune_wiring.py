@@ -257,7 +257,7 @@ class _Doublets:
         """Whether the next doublet is larger: longer, or with more voltage."""
         most = self._guard.limits.voltage
         # At the same voltage the motion grows with the square of the time.
-        share = MOST / _LARGER / self.travel if self._seen else 1.0
+        share = MOST / _LARGER / max(self.travel, 1e-12) if self._seen else 1.0
         longer = min(int(self.half * math.sqrt(share)), self._longest)
         if longer > self.half:
             self.half = longer
