@@ -8,6 +8,7 @@ does not count.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -45,17 +46,20 @@ def kernel_and_fits(rounds: int, whole_rounds: int) -> None:
     kernel = window.kernel(10.0, longest_delay=0.1)
     shape = np.array([1.9, 2.3, 0.0, 1.0, 0.0])
     signal = np.random.default_rng(0).standard_normal(2 * SAMPLES)
+    bad = LinkModel(1.0, 25.0, order=1.3)
     calls: dict[str, Callable[[], object]] = {
         "R": lambda: rfft(signal),
         "2": lambda: kernel.grams(shape[None], 0b00011),
         "3": lambda: kernel.grams(shape[None], 0b10011),
         "fit": lambda: identify(log, "UD-FOM", heldout=0, details=False),
+        "guess": lambda: identify(log, "UD-FOM", heldout=0, details=False, guess=bad),
     }
     spent = interleaved(calls, rounds)
     for name, title, wanted in (
         ("2", "residual + Jacobian (λ, ω₀) + Gram matrix, N = 5000", 1.5),
         ("3", "the same with the delay's derivative", 1.5),
         ("fit", "UD-FOM fit from Python, no guess", 40.0),
+        ("guess", "UD-FOM fit from Python, guess λ 1.3, ω₀ 25", 40.0),
     ):
         value, spread = median(spent[name] / np.median(spent["R"]))
         line(
@@ -73,7 +77,38 @@ def kernel_and_fits(rounds: int, whole_rounds: int) -> None:
     )
 
 
-def without_a_guess(logs: int) -> None:
+def random_starts(count: int, logs: int) -> None:
+    log = noisy_log(0)
+    best = identify(log, "UD-FOM", heldout=0, details=False)
+    generator = np.random.default_rng(1)
+    missed = 0
+    begin = time.perf_counter()
+    for _ in range(count):
+        order = float(generator.uniform(1.001, 2.0))
+        frequency = 10.02 * 3 ** float(generator.uniform(-1, 1))
+        guess = LinkModel(1.0, frequency ** (order / 1.92), order=order)
+        fit = identify(log, "UD-FOM", heldout=0, details=False, guess=guess)
+        missed += not fit.mse <= best.mse * (1 + 1e-7)
+    spent = (time.perf_counter() - begin) / count
+    line(
+        f"UD-FOM from {count} random starts (λ in [1, 2], ω₀ × or ÷ 3)",
+        f"{100 * (1 - missed / count):.2f} % at the optimum, {1e3 * spent:.2f} ms",
+        "100 %",
+        missed == 0,
+    )
+    missed = 0
+    for _ in range(count):
+        order, frequency = (
+            float(generator.uniform(1.001, 2.0)),
+            10.02 * 3 ** float(generator.uniform(-1, 1)),
+        )
+        guess = LinkModel(1.0, frequency ** (order / 1.92), order=order)
+        fit = identify(
+            log, "UD-FOM", heldout=0, details=False, guess=guess, stiffness=1.56
+        )
+        missed += abs(fit.model.order - 1.92) > 4 * fit.standard_errors["order"]
+    found = f"{100 * (1 - missed / count):.2f} % within 4 standard errors"
+    line("the same with a known gain", found, "100 %", missed == 0)
     missed = sum(
         abs(
             identify(noisy_log(seed), "UD-FOM", heldout=0, details=False).model.order
@@ -266,6 +301,7 @@ def against_the_usual_way(rounds: int) -> None:
     """
     log = noisy_log(5)
     angle, torque = log.motor_angle, log.output
+    start = LinkModel(1.56, 12.0, order=1.7)
 
     def usual() -> np.ndarray:
         def errors(x: np.ndarray) -> np.ndarray:
@@ -285,6 +321,7 @@ def against_the_usual_way(rounds: int) -> None:
             heldout=0,
             stiffness=1.56,
             fixed={"delay": 0.0, "offset": 0.0},
+            guess=start,
             details=False,
         )
 
@@ -366,13 +403,14 @@ def main() -> None:
         __doc__,
         rounds=(200, 1),
         slow=(9, 1),
+        starts=(2000, 1),
         guessless=(60, 1),
         logs=(1000, 1),
         places=(6, 1),
         cuts=(96, 1),
     )
     kernel_and_fits(given.rounds, given.slow)
-    without_a_guess(given.guessless)
+    random_starts(given.starts, given.guessless)
     if not given.short:  # the peer takes half a minute
         against_the_usual_way(given.slow)
     together(given.slow)

@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1482,
     "_export": 432,
     "_files": 566,
-    "_identify": 2595,
+    "_identify": 2604,
     "_law": 963,
     "_reading": 941,
     "_simulate": 1184,

@@ -93,6 +93,20 @@ def test_any_link_is_found_without_a_guess(
         )
 
 
+@pytest.mark.slow
+def test_bad_guesses_do_not_matter() -> None:
+    log = made_log(noise=NOISE)
+    best = identify(log, "UD-FOM", heldout=0, details=False)
+    generator = np.random.default_rng(2)
+    for _ in range(40):
+        order = float(generator.uniform(1.001, 2.0))
+        frequency = (10.02 * 3 ** float(generator.uniform(-1, 1))) ** (order / 1.92)
+        guess = LinkModel(1.0, frequency, order=order)
+        assert identify(
+            log, "UD-FOM", heldout=0, guess=guess, details=False
+        ).mse <= best.mse * (1 + 1e-7)
+
+
 def test_known_values_are_kept() -> None:
     log = made_log(noise=0.02, offset=0.1)
     fit = identify(

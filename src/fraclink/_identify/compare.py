@@ -10,7 +10,7 @@ from functools import partial
 from types import MappingProxyType
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import STRUCTURES
+from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
 from fraclink._display import Overview, Row, Table, displayed
 from fraclink._files import document
@@ -115,6 +115,7 @@ def identify(
     heldout: HeldOut | None = None,
     stiffness: Stiffness | None = None,
     fixed: Mapping[str, float] | None = None,
+    guess: LinkModel | None = None,
     hold: Hold = "auto",
     details: bool = True,
 ) -> Fit:
@@ -140,6 +141,8 @@ def identify(
     fixed
         values of "gain", "offset", "delay" [s], "order", "damping_order" that are not
         to be fitted.
+    guess
+        a start to try beside the scan over all frequencies of the log.
     hold
         what the motor angle does between samples: "first" (a measured motion), "zero"
         (a held command) or "auto" (zero only for angles that jump and rest).
@@ -188,7 +191,7 @@ def identify(
     if structure is not None:
         names = [structure_row(structure).name]
     search = make_search(
-        log, heldout=heldout, stiffness=stiffness, fixed=fixed, hold=hold
+        log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold
     )
     if len(names) < len(STRUCTURES):
         # With one structure, or two that have the fixed value, the pair of criteria,
@@ -265,7 +268,7 @@ def compare_structures(
     'UD-FOM'
     """
     search = make_search(
-        log, heldout=heldout, stiffness=stiffness, fixed=fixed, hold=hold
+        log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
     )
     choice = Choice.of(search, log)
 

@@ -94,6 +94,7 @@ def make_search(
     heldout: float | None,
     stiffness: float | None,
     fixed: Mapping[str, float] | None,
+    guess: LinkModel | None,
     hold: Hold,
 ) -> Search:
     """Check the fixed parameters and select the fitted part of the log."""
@@ -124,7 +125,13 @@ def make_search(
             remedy="record a longer log",
         )
     check_motion(motor_angle=window.angle, output=window.output)
-    return Search(window, values)
+    start = None
+    if guess is not None:
+        start = shape_of(guess, values.get("delay", 0.0))
+        # A guess may be any link; a search that starts outside its limits would end
+        # there.
+        start[0] = np.clip(start[0], *ORDER_LIMITS)
+    return Search(window, values, start)
 
 
 def fitted_window(

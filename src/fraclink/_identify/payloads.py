@@ -201,7 +201,9 @@ def identify_payloads(
     fixed = {} if delay is None else {"delay": delay}
     searches = [
         # Nothing is held out: the likelihood ratio compares fits over the same samples.
-        make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, hold=hold)
+        make_search(
+            log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
+        )
         for log in logs
     ]
     structure = _supported(searches) if structure is None else structure

@@ -100,11 +100,12 @@ class Search:
     """Fits of one window; every structure starts from the fits found before.
 
     `fixed` may hold "gain", "offset", "delay" and model coordinates "order",
-    "damping_order".
+    "damping_order"; `start` is a guess, tried in addition to the scan.
     """
 
     window: Window
     fixed: Mapping[str, float]
+    start: Real | None = None
     solutions: dict[str, Solution] = field(default_factory=dict)
     # of solutions, with and without the residual's colour: see `link_covariance`
     covariances: dict[tuple[Solution, bool], tuple[Covariance, float]] = field(
@@ -157,7 +158,7 @@ class Search:
     @cached_property
     def _scanned(self) -> list[Real]:
         """Undamped links as starts: the valleys of a scan over frequencies with every
-        delay, and the vibrations after a cut.
+        delay, the guess, and the vibrations after a cut.
         """
         low, high = self._range
         # 2ζ: the width of a resonance at half its power.
@@ -174,6 +175,12 @@ class Search:
         starts = [
             row for part in delays for row in self._links(valleys, _SCAN_ORDER, part)
         ]
+        if self.start is not None:
+            order, place, *_, delay = self.start
+            # Not at 2: on the limit the slope in λ may point outwards, and the descent
+            # would never leave it.
+            order = self.fixed.get("order", min(order, 1.95))
+            starts.append(np.array([order, place, 0.0, 1.0, delay]))
         if self.window.angle.size > self.window.samples:
             starts += self._sharp()
         return starts
