@@ -219,7 +219,7 @@ def upsets(tested: Bench, bits: int) -> None:
     harmful = []
     tried = range(0, size, max(1, size // bits))
     for bit in tried:
-        trial = fault.trial(tested, case, tested.law)
+        trial = fault.trial(tested, case)
 
         def flip(arm: ArmState, bit: int = bit) -> None:
             arm.law[bit // 8] ^= np.uint8(1 << bit % 8)

@@ -102,7 +102,7 @@ nitpick_ignore_regex = [
     # Private types in signatures of public functions: the text explains their meaning.
     (
         r"py:class",
-        r"fraclink\.trials\._fault_trial\.Trial"
+        r"fraclink\.trials\._fault_trial\.FaultTrial"
         r"|fraclink\._simulate\.kernel\.ArmState",
     ),
     (
@@ -111,7 +111,7 @@ nitpick_ignore_regex = [
     ),
     (r"py:class", r"fraclink\._identify\.validation\.Value"),
     (r"py:class", r"fraclink\._arm\.log_columns\.(ColumnStatement|LogColumns \|.*)"),
-    (r"py:class", r"fraclink\.trials\._fault_trial\.Trial"),
+    (r"py:class", r"fraclink\.trials\._fault_trial\.FaultTrial"),
     (r"py:class", r"fraclink\.view\._text\.View"),
 ]
 suppress_warnings = ["myst.strikethrough"]

@@ -126,7 +126,6 @@ def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None
     )
     remarks = listing.remarks
     assert any(words in remark for remark in remarks) if words else not remarks
-    assert all(f"read as: {remark}" in str(listing) for remark in remarks)
 
 
 def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
@@ -173,7 +172,7 @@ def test_columns_whose_names_do_not_fit_are_called_by_number(
     path.write_text(names + "\n" + BODY)
     listing = inspect_log(path)
     assert [channel.name for channel in listing.channels] == ["#1", "#2", "#3"]
-    assert "names above rows of 3 cells" in str(listing)
+    assert any("names above rows of 3 cells" in item for item in listing.remarks)
     numbered = {"time": "#1 [s]", "motor_angle": "#2 [rad]", "torque": "#3 [Nm]"}
     assert np.array_equal(read_log(path, columns=numbered).output, NUMBERS[:, 2])
     with pytest.raises(LogError, match='by its number, "#2"'):

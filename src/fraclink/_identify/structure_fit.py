@@ -81,6 +81,7 @@ class StructureFit(Saved):
 
     Examples
     --------
+    >>> import numpy as np
     >>> import fraclink as fl
     >>> import fracsys
     >>> G, w = 2 / (fracsys.s**0.8 + 3), np.geomspace(0.1, 100, 60)
