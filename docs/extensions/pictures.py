@@ -354,7 +354,7 @@ def arms() -> Figure:
         np.concatenate([part[name] for part in parts])
         for name in ("coulomb_torque", "amplitude", "passed")
     )
-    titles = ("Coulomb torque over what is compensated", "move [rad]")
+    titles = ("Coulomb torque over its compensation", "move [rad]")
     return fleets.failures_figure(
         friction.astype(float), size.astype(float), ~passed.astype(bool), titles
     )
