@@ -9,15 +9,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from fraclink._arm.fractional_pid import FractionalPid, PidOrder
-from fraclink._design.pid_search import (
-    PidProblem,
-    best_of,
-    itae,
-    searched,
-)
+from fraclink._design.pid_search import OFFER, REACH, PidProblem, best_of, itae
 from fraclink._design.pid_tuning import PERIODS, PidTuning
 from fraclink._design.rows import SENSITIVITY
 from fraclink._identify.structure_fit import StructureFit
+from fraclink._law.discretization import TOLERANCE_DEG
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
 from fracsys._control import from_control
@@ -29,9 +25,6 @@ __all__ = ["tune_pid"]
 
 # horizon of ITAE times ω_c: six periods of an oscillation at the crossover
 HORIZON = 40.0
-# Loss of phase margin in the law: its own tolerance of 0.5°, and the difference between
-# the hold and a delay of 1.5 periods.
-LAW_LOSS = math.radians(1.0)
 MARGIN = math.radians(60.0)
 # With λ below one half an error decays like t^(−λ), beyond every horizon that ITAE
 # covers.
@@ -142,19 +135,17 @@ def tune_pid(
         derivative_order=derivative_order,
         filter_time=filter_time,
     )
-    candidates = searched(problem)
-    if not candidates.count:
-        raise _infeasible(problem)
     # One horizon for all candidates: with 40/ω_c of each candidate, a slow loop would
     # get more time to accumulate error, and its ITAE would not be comparable with that
     # of a fast loop.
-    length = (
-        HORIZON / float(np.max(candidates.crossover)) if horizon is None else horizon
-    )
-    best = best_of(problem, candidates, length)
+    fastest = best_of(problem, lambda found: found.crossover)
+    if fastest is None:
+        raise _infeasible(problem)
+    length = HORIZON / float(fastest.crossover[0]) if horizon is None else horizon
+    best = best_of(problem, lambda found: 1.0 / itae(problem, found, length)) or fastest
     tuning = PidTuning(
         plant=own,
-        controller=best.controller(0),
+        controller=best.controller,
         phase_margin=phase_margin,
         # Eight times as many samples as in the search, since this value is reported. It
         # agrees to 1e-5 with the exact response on the plants of the tests.
@@ -167,7 +158,7 @@ def tune_pid(
         period=period,
         output_limit=output_limit,
         measurement_limit=measurement_limit,
-        findings=_lasting(problem, best.controller(0)),
+        findings=_lasting(problem, best.controller),
     )
     return (
         tuning
@@ -208,7 +199,9 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "ask for a slower gain crossover, or take a shorter period",
             ),
         )
-    if made.phase_margin - margin <= LAW_LOSS:
+    # its own tolerance, and as much for the difference between the hold and a delay of
+    # 1.5 periods
+    if made.phase_margin - margin <= math.radians(2.0 * TOLERANCE_DEG):
         return ()
     return (
         Finding(
@@ -349,7 +342,6 @@ def _problem(
     free = integral and derivative and not flat_phase
     return PidProblem(
         plant=plant,
-        phase_margin=phase_margin,
         integral=integral,
         derivative=derivative,
         flat=flat_phase,
@@ -359,6 +351,7 @@ def _problem(
             *ends,
             _SLOPES if free else (0.0, 0.0),
             _crossovers(plant, gain_crossover),
+            (phase_margin, phase_margin),
         ),
         filter_time=filter_time,
     )
@@ -384,25 +377,22 @@ def _crossovers(
     # Above π/τ the delay alone costs 180°. Three decades below, it no longer matters
     # for any plant.
     high = math.log(math.pi / delay)
-    return high - math.log(1e3), high
+    return high - math.log(REACH), high
 
 
 def _infeasible(problem: PidProblem) -> InfeasibleError:
     """The error, with the nearest phase margin for which there is a controller."""
-    margin = problem.phase_margin
+    margin = problem.spans[4][0]
     more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
-    # Nearest first, so that the first feasible one is the offer. Steps of 2.5° and
-    # every fourth crossover, because each trial is a search of its own and people
-    # specify whole degrees.
-    steps = sorted(
-        np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - margin)
-    )
-    for angle in steps:
-        if searched(replace(problem, phase_margin=float(angle)), every=4).count:
-            explanation = f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}"
-            return InfeasibleError(
-                "phase_margin", explanation, {"phase_margin": float(angle)}
-            )
+    free = replace(problem, spans=(*problem.spans[:4], (OFFER, math.pi - OFFER)))
+    nearest = best_of(free, lambda found: math.pi - np.abs(found.places[:, 4] - margin))
+    if nearest is not None:
+        explanation = (
+            f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}"
+        )
+        return InfeasibleError(
+            "phase_margin", explanation, {"phase_margin": float(nearest.places[0, 4])}
+        )
     explanation = (
         f"no {_words(problem)} with gains >= 0 crosses there in a stable loop within "
         f"every bound; {more}"

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fraclink._arm.fractional_pid import FractionalPid
+from fraclink._design.pid_search import FLAT
 from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
 from fraclink._files import Saved, document
 from fraclink._law.fractional_pid import discretize_pid, pid_response
@@ -20,9 +21,9 @@ from fraclink._law.requirement import Requirement
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction
+from fracsys._loops import as_loop
 from fracsys._margins import Margins, margins
 from fracsys._response import discrete_modes, time_response
-from fracsys._stability import is_stable
 from fracsys.checks import Between, Complex, Real
 
 __all__ = ["PERIODS", "PidStep", "PidTuning"]
@@ -36,7 +37,6 @@ LAW_BAND = (200.0, 50.0)
 # span of the sampled plant's modes as a multiple of the horizon: exact from ω_c/1000
 # upwards
 SPAN = 25.0
-_FLAT = 1e-6  # [rad] change of phase over ln ω due to rounding and search
 
 
 class PidStep(NamedTuple):
@@ -116,30 +116,19 @@ class PidTuning(Saved):
     @cached_property
     def margins(self) -> Margins:
         """Every margin of the open loop, by root finding."""
-        return margins(self.open_loop)
+        # neither the controller nor a plant that `tune_pid` takes is unstable
+        return margins(self.open_loop, unstable_poles=0)
 
-    @cached_property
+    @property
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
-        # The Nyquist count returns None for a plant whose open-loop poles it cannot
-        # count; the closed-loop poles are computed instead.
-        verdict = self.margins.stable
-        return (
-            bool(is_stable(self.open_loop.feedback())) if verdict is None else verdict
-        )
+        return bool(self.margins.stable)
 
     @property
     def phase_slope(self) -> float:
         """d arg L/d ln ω at the gain crossover [rad]: 0 where the phase is flat."""
-        # A central difference, accurate to 1e-10: with delays and arbitrary orders a
-        # closed form would be needed for every kind of plant. It uses the ratio, so
-        # that no turn of 2π can occur.
-        w, step = self.margins.gain_crossover, 1e-5
-        loop = self.open_loop
-        return float(
-            np.angle(loop(1j * w * math.exp(step)) / loop(1j * w * math.exp(-step)))
-            / (2.0 * step)
-        )
+        x = np.log([self.margins.gain_crossover])
+        return float(as_loop(self.open_loop, None).slope(x).imag[0])
 
     @property
     def requirements(self) -> tuple[Requirement, ...]:
@@ -156,7 +145,7 @@ class PidTuning(Saved):
             # requirement is a factor in either direction.
             "gain margin": ("", self.gain_margin, max(gain, 1.0 / gain)),
         }
-        slope = _FLAT if self.flat_phase else None
+        slope = FLAT if self.flat_phase else None
         at_most = {
             "sensitivity peak": (
                 "",
@@ -189,18 +178,15 @@ class PidTuning(Saved):
     def overview(self) -> Overview:
         """The controller, what was asked of it and achieved, and its step."""
         loop_margins, c = self.margins, self.controller
-        figures = {
-            "gain_crossover": loop_margins.gain_crossover,
-            "phase_margin": loop_margins.phase_margin,
-            "gain_margin": loop_margins.gain_margin,
-            "sensitivity_peak": loop_margins.sensitivity_peak,
-        }
         rows = (
             Row("controller", "", c),
             Row("stable", "", self.stable),
-            *(Row(name, "", value) for name, value in figures.items()),
-            Row("", "gain margin", loop_margins.gain_margin),
-            Row("", "sensitivity peak Ms", loop_margins.sensitivity_peak),
+            Row("gain_crossover", "", loop_margins.gain_crossover),
+            Row("phase_margin", "", loop_margins.phase_margin),
+            Row("gain_margin", "gain margin", loop_margins.gain_margin),
+            Row(
+                "sensitivity_peak", "sensitivity peak Ms", loop_margins.sensitivity_peak
+            ),
             Row("itae", "ITAE", self.itae, "s²"),
             Row("horizon", "over", self.horizon, "s"),
         )
