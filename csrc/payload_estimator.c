@@ -25,6 +25,7 @@
 #define PAYLOAD_TWICE 2U /* consecutive samples: a single one may be a sensor fault */
 #define PAYLOAD_FADES 10U /* such samples that fade the evidence; with more, a wrong offset could never be learnt */
 #define PAYLOAD_DEVIATION ((law_real)1) /* largest relative standard deviation that is reported */
+#define PAYLOAD_NEAR 7U /* models whose costs give the estimate */
 #define PAYLOAD_NONE ((law_real)1e30F)  /* larger than any cost */
 
 /* Whether a value is a number within +-`limit`: NaN fails the comparison, and so does the square of infinity. */
@@ -107,19 +108,10 @@ static void know_nothing(payload_state *s)
     s->drift = zero;
     s->samples = zero;
     s->keep = zero;
-    s->before[0] = zero;
-    s->before[1] = zero;
-    /*@ loop unroll 5; */
-    for (i = 0U; i < 5U; i++) {
-        s->cost[i] = zero;
-    }
-    s->best_drift = zero;
+    s->best_cost = zero;
     s->best_told = zero;
     s->best_error = zero;
-    s->gain[0] = zero;
-    s->gain[1] = zero;
     s->before_left = zero;
-    s->before_gain = zero;
     for (i = 0U; i < 3U; i++) {
         s->left[i] = zero;
         s->carried[i] = zero;
@@ -195,44 +187,26 @@ static void sample(payload_state *s, const payload_params *p)
     s->models_found = (law_real)0;
     s->models_left = (law_real)0;
     s->next = 0U;
-    s->before[0] = PAYLOAD_NONE;
-    s->before[1] = PAYLOAD_NONE;
-    s->cost[2] = PAYLOAD_NONE;
+    s->best_cost = PAYLOAD_NONE;
     s->least = PAYLOAD_NONE;
 }
 
-/* Store the cost of model `i` if it is the smallest so far, or one of the two after the smallest. */
-static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift, law_real told, law_real error, law_real left,
-                    law_real gain)
+/* The gain and the offset of the gauge with which a model errs least, and that least: the minimum of sum (e - x v - y
+ * rest)^2 + gain_weight x^2 + offset_weight y^2. */
+static inline payload_fit fitted(const payload_state *s, const payload_params *p, uint32_t i, law_real offset_weight)
 {
-    if (cost < s->cost[2]) {
-        s->left[0] = s->before_left;
-        s->left[1] = left;
-        s->left[2] = left; /* until the next model */
-        s->gain[0] = s->before_gain;
-        s->gain[1] = gain;
-        s->cost[0] = s->before[1];
-        s->cost[1] = s->before[0];
-        s->cost[2] = cost;
-        s->cost[3] = PAYLOAD_NONE;
-        s->cost[4] = PAYLOAD_NONE;
-        s->best = i;
-        s->best_drift = drift;
-        s->best_told = told;
-        s->best_error = error;
-    } else if ((i - s->best) <= 2U) {
-        s->cost[(i - s->best) + 2U] = cost;
-    } else {
-        /* one of the others */
-    }
-    if ((i - s->best) == 1U) {
-        s->left[2] = left;
-        s->gain[1] = gain;
-    }
-    s->before_left = left;
-    s->before_gain = gain;
-    s->before[1] = s->before[0];
-    s->before[0] = cost;
+    const payload_memory *const m = &s->model[i];
+    const law_real share = p->model[i].rest;
+    const law_real gain = m->vv + p->gain_weight;
+    const law_real both = m->v * share;
+    const law_real rest = ((s->samples * share) * share) + offset_weight;
+    const law_real second = m->e * share;
+    const law_real scale = (law_real)1 / ((gain * rest) - (both * both));
+    payload_fit fit;
+    fit.gain = ((m->ev * rest) - (second * both)) * scale;
+    fit.offset = ((second * gain) - (m->ev * both)) * scale;
+    fit.cost = m->ee - ((fit.gain * m->ev) + (fit.offset * second));
+    return fit;
 }
 
 /* The filters of a model from one sample to the next, in the form that stores their contribution to it. */
@@ -246,11 +220,9 @@ static void pass_on(const payload_state *s, const payload_model *c, payload_memo
     m->angle[2] = -(c->c3 * told);
 }
 
-/* Errors of a model in this sample, and its cost with the best gain and offset: the minimum of sum (e - x v - y
- * rest)^2 + gain_weight x^2 + offset_weight y^2. */
+/* Errors of a model in this sample: whether it is the best so far, or the one after the best. */
 static void look(payload_state *s, const payload_params *p, uint32_t i, law_real e, law_real told, law_real offset_weight)
 {
-    const payload_model *const c = &p->model[i];
     payload_memory *const m = &s->model[i];
     const law_real swing = s->torque - s->drift;
     m->ee = (s->keep * m->ee) + (e * e);
@@ -258,21 +230,27 @@ static void look(payload_state *s, const payload_params *p, uint32_t i, law_real
     m->vv = (s->keep * m->vv) + (told * told);
     m->e = (s->keep * m->e) + e;
     m->v = (s->keep * m->v) + told;
-    const law_real gain = m->vv + p->gain_weight;
-    const law_real both = m->v * c->rest;
-    const law_real rest = ((s->samples * c->rest) * c->rest) + offset_weight;
-    const law_real second = m->e * c->rest;
-    const law_real scale = (law_real)1 / ((gain * rest) - (both * both));
-    const law_real x = ((m->ev * rest) - (second * both)) * scale;
-    const law_real y = ((second * gain) - (m->ev * both)) * scale;
-    const law_real cost = m->ee - ((x * m->ev) + (y * second));
-    const law_real left = e - ((x * told) + (y * c->rest));
+    const payload_fit fit = fitted(s, p, i, offset_weight);
+    const law_real left = e - ((fit.gain * told) + (fit.offset * p->model[i].rest));
     const law_real error = left * left;
     /* for a payload between two models of the bank, even the right model has an error proportional to the torque */
     const law_real size = (told * told) + (swing * swing);
     const law_real excess = error - (p->contact * size);
     s->least = (excess < s->least) ? excess : s->least;
-    compare(s, i, cost, y, told, error - (p->surprise * size), left, x);
+    if (fit.cost < s->best_cost) {
+        s->left[0] = s->before_left;
+        s->left[1] = left;
+        s->left[2] = left; /* until the next model */
+        s->best = i;
+        s->best_cost = fit.cost;
+        s->best_told = told;
+        s->best_error = error - (p->surprise * size);
+    } else if ((i - s->best) == 1U) {
+        s->left[2] = left;
+    } else {
+        /* one of the others */
+    }
+    s->before_left = left;
 }
 
 /* A model while nothing moves: its filter goes on, its sums remain those from before, relative to the new offset. */
@@ -313,11 +291,10 @@ static void judge(payload_state *s, const payload_params *p)
 /* The noise in the estimate, which is a sum of `slope` e over the samples, slope the change of the remaining error from
  * model to model: the noise of consecutive errors e is correlated by the filter of the model. Returns the variance of
  * that sum relative to one of independent errors, with the gauge's gain as one more of them. */
-static law_real spread(payload_state *s, const payload_params *p, uint32_t inside)
+static law_real spread(payload_state *s, const payload_params *p, uint32_t inside, law_real gain)
 {
     const payload_model *const c = &p->model[s->best];
     const law_real slope = (inside != 0U) ? ((law_real)0.5F * (s->left[2] - s->left[0])) : (law_real)0;
-    const law_real gain = (law_real)0.5F * (s->gain[1] - s->gain[0]);
     const law_real first = s->keep * s->carried[0];
     s->spread = ((s->keep * s->keep) * s->spread) + (slope * (((law_real)2 * first) + (slope * c->power)));
     s->white = (s->keep * s->white) + (slope * slope);
@@ -327,29 +304,43 @@ static law_real spread(payload_state *s, const payload_params *p, uint32_t insid
     return (s->spread + (p->gain_weight * (gain * gain))) / s->white;
 }
 
-/* The minimum of the curve through the costs of the best model and those on either side of it, in models from the
- * best one, and the curvature there. At the ends of the bank a parabola has to suffice. */
-static law_real lowest(const law_real *cost, uint32_t i, law_real *bend)
+/* The minimum of the curve through the costs of seven models, `start` from the one in their middle, in models from the one
+ * at `start`, and the curvature there. */
+static law_real lowest(const payload_fit fit[PAYLOAD_NEAR], law_real start, law_real *bend)
 {
-    const law_real tilt = cost[3] - cost[1];
-    const law_real bulge = (cost[3] - cost[2]) + (cost[1] - cost[2]);
-    law_real third = (law_real)0;
-    law_real fourth = (law_real)0;
-    if ((i > 1U) && (i < (PAYLOAD_MODELS - 2U))) {
-        third = ((cost[4] - cost[0]) - ((law_real)2 * tilt)) / (law_real)12;
-        fourth = (((cost[4] - cost[2]) + (cost[0] - cost[2])) - ((law_real)4 * bulge)) / (law_real)24;
+    law_real odd[3];
+    law_real even[3];
+    law_real at = start;
+    uint32_t i;
+    /*@ loop unroll 3; */
+    for (i = 0U; i < 3U; i++) {
+        const law_real above = fit[4U + i].cost - fit[3].cost;
+        const law_real below = fit[2U - i].cost - fit[3].cost;
+        odd[i] = (law_real)0.5F * (above - below);
+        even[i] = (law_real)0.5F * (above + below);
     }
-    const law_real first = ((law_real)0.5F * tilt) - third;
-    const law_real second = ((law_real)0.5F * bulge) - fourth;
-    law_real at = ((law_real)-0.5F * tilt) / bulge;
-    uint32_t round;
-    /*@ loop unroll 2; */
-    for (round = 0U; round < 2U; round++) { /* Newton's method, starting at the minimum of the parabola */
-        const law_real fall = first + (at * (((law_real)2 * second) + (at * (((law_real)3 * third) + (at * ((law_real)4 * fourth))))));
-        *bend = ((law_real)2 * second) + (at * (((law_real)6 * third) + (at * ((law_real)12 * fourth))));
+    /* coefficients of the slope, from the constant to that of the fifth power */
+    const law_real slope[6] = {
+        ((((law_real)45 * odd[0]) - ((law_real)9 * odd[1])) + odd[2]) / (law_real)30,
+        ((((law_real)270 * even[0]) - ((law_real)27 * even[1])) + ((law_real)2 * even[2])) / (law_real)90,
+        ((((law_real)8 * odd[1]) - ((law_real)13 * odd[0])) - odd[2]) / (law_real)8,
+        ((((law_real)12 * even[1]) - ((law_real)39 * even[0])) - even[2]) / (law_real)18,
+        ((((law_real)5 * odd[0]) - ((law_real)4 * odd[1])) + odd[2]) / (law_real)24,
+        ((((law_real)15 * even[0]) - ((law_real)6 * even[1])) + even[2]) / (law_real)60,
+    };
+    /*@ loop unroll 3; */
+    for (i = 0U; i < 3U; i++) { /* Newton's method, starting at the best model */
+        law_real fall = slope[5];
+        uint32_t k;
+        *bend = (law_real)0;
+        /*@ loop unroll 5; */
+        for (k = 5U; k > 0U; k--) { /* Horner's rule, for the slope and its derivative */
+            *bend = (*bend * at) + fall;
+            fall = (fall * at) + slope[k - 1U];
+        }
         at -= fall / *bend;
     }
-    return at;
+    return at - start;
 }
 
 /* The square of what this sample had left to explain, by the model `at` between those of the bank. The error that remains
@@ -378,16 +369,31 @@ static void conclude(payload_state *s, const payload_params *p)
 {
     const uint32_t i = s->best;
     const uint32_t inside = ((i > 0U) && (i < (PAYLOAD_MODELS - 1U))) ? 1U : 0U;
-    const law_real share = spread(s, p, inside);
+    const law_real weight = p->variance / s->offset_variance;
+    /* seven models, the best one in their middle or as near to it as the bank allows */
+    const uint32_t middle = (i < 3U) ? 3U : ((i > (PAYLOAD_MODELS - 4U)) ? (PAYLOAD_MODELS - 4U) : i);
+    const uint32_t place = (i + 3U) - middle;
+    payload_fit fit[PAYLOAD_NEAR];
+    uint32_t k;
+    /*@ loop unroll 7; */
+    for (k = 0U; k < PAYLOAD_NEAR; k++) {
+        fit[k] = fitted(s, p, (middle + k) - 3U, weight);
+    }
+    law_real gain = (law_real)0;
     law_real bend = (law_real)0;
-    law_real at = (inside != 0U) ? lowest(s->cost, i, &bend) : (law_real)0;
+    law_real at = (law_real)0;
     uint32_t found = inside;
+    if (inside != 0U) {
+        gain = (law_real)0.5F * (fit[place + 1U].gain - fit[place - 1U].gain);
+        at = lowest(fit, (law_real)i - (law_real)middle, &bend);
+    }
+    const law_real share = spread(s, p, inside, gain);
     if ((sound(at, (law_real)1) == 0U) || !(bend > (law_real)0)) {
         found = 0U;
         at = (law_real)0;
     }
     s->remaining = (s->keep * s->remaining) + unexplained(s, p, at, bend);
-    s->drift = s->best_drift;
+    s->drift = fit[place].offset;
     judge(s, p);
     if ((s->flags & PAYLOAD_CHANGED) == 0U) {
         const law_real before = s->deviation;

@@ -89,6 +89,13 @@ typedef struct {
     law_real v;
 } payload_memory;
 
+/* What a model makes of its sums: gain and offset of the gauge, and the cost with them. */
+typedef struct {
+    law_real gain;
+    law_real offset;
+    law_real cost;
+} payload_fit;
+
 typedef struct {
     uint32_t stamp; /* crc of the parameters with which it was started */
     uint32_t tick;
@@ -114,15 +121,11 @@ typedef struct {
     law_real drift;      /* further change of the offset according to the best model */
     law_real samples;    /* effective number of samples in the sums */
     law_real keep;       /* share of the sums that is kept in this sample */
-    law_real before[2];  /* costs of the two previous models, of the best one and of the two on either side of it */
-    law_real cost[5];
-    law_real best_drift; /* for the best model: offset, predicted torque, and error relative to that of a right model */
+    law_real best_cost;  /* of the best model so far: cost, predicted torque, and error relative to that of a right model */
     law_real best_told;
     law_real best_error;
-    law_real left[3];    /* remaining errors of the best model and those on either side, and the gauge's gains of the latter */
-    law_real gain[2];
-    law_real before_left; /* the same of the previous model */
-    law_real before_gain;
+    law_real left[3];    /* remaining errors of the best model and those on either side */
+    law_real before_left; /* that of the previous model */
     law_real carried[3]; /* noise in the estimate: covariance with the filter, variance, and that of white errors */
     law_real spread;
     law_real remaining; /* sum of the squares of the errors that remain [(N m)^2] */

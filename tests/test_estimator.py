@@ -131,12 +131,9 @@ def by_numpy(
         if not 0 < i < MODELS - 1:
             out.append((np.nan, np.nan))
             continue
-        # at the ends of the bank three costs must suffice
-        near = range(i - 2, i + 3) if 1 < i < MODELS - 2 else range(i - 1, i + 2)
-        steps = np.array(near) - i
-        curve = np.polynomial.Polynomial.fit(
-            steps, np.array(costs)[near], len(steps) - 1
-        ).convert()
+        near = np.arange(7) + min(max(i - 3, 0), MODELS - 7)
+        curve = np.polynomial.Polynomial.fit(near - i, np.array(costs)[near], 6)
+        curve = curve.convert()
         at = _bottom(curve)
         mass_at = np.polynomial.Polynomial.fit(
             [-1.0, 0.0, 1.0], masses[i - 1 : i + 2], 2

@@ -7,8 +7,8 @@ fractional Γ/θm over the frequencies that a move excites; its error is filtere
 A_k/C_k, whose C_k forgets within half a vibration. For a gauge of gain 1 + x and offset
 y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least
 squares over x and y, with the rig's uncertainty of the gain, gives the cost of the
-model. The curve through the costs of five neighbouring models gives the payload; a parabola
-through three errs by 3 % halfway between two models. Its variance is that of the same
+model. The curve through the costs of seven neighbouring models gives the payload,
+since the bank is too coarse for a parabola. Its variance is that of the same
 sum of errors for the gauge's noise, which A_k/C_k correlates, and for its gain.
 """
 
@@ -299,7 +299,7 @@ def payload_estimator(
     ...                    phase_margin=fl.deg(45))
     >>> bank = payload_estimator(rig.model, rig, design.law(), design.payloads)
     >>> len(bank.models), bank.together, bank.in_precision("single").state_size
-    (14, 5, 840)
+    (14, 5, 800)
     """
     if link.payload is None or law.limits.payload_limit <= 0.0:
         raise FieldError(
