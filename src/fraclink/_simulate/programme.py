@@ -25,7 +25,7 @@ from fracsys.checks import Real
 
 __all__ = ["Programme"]
 
-Bounds = list[tuple[float | None, float | None]]
+Bounds = list[tuple[float, float]]
 
 # periods after the end of the reference in which a limit may still be reached
 AFTER = 25
@@ -62,14 +62,14 @@ class Programme:
     """Responses of every arm to one smooth step, and the limits of a reference.
 
     answers: tip angle, then voltage, step of the motor reference and torque relative to
-    their limits, shape (arms, 4, N). knot: periods between two steps. velocity,
-    acceleration: of the reference [rad/s], [rad/s²].
+    limits, shape (arms, 4, N). knot: periods between two steps. largest: coefficient
+    [rad]; the velocity lies between the c_j/h. acceleration: of the reference [rad/s²].
     """
 
     answers: Real
     knot: int
     period: float
-    velocity: float
+    largest: float
     acceleration: float
 
     @staticmethod
@@ -105,7 +105,7 @@ class Programme:
             np.stack(answers),
             knot,
             period,
-            margin * own.reference_step / period,
+            margin * own.reference_step * knot,
             margin * own.acceleration_limit,
         )
 
@@ -135,7 +135,7 @@ class Programme:
         limits.
         """
         rows, sides = self._rows(count, end, first, last)
-        bounds: Bounds = [(None, None)] * count + [(0.0, None)]
+        bounds = [(-self.largest, self.largest)] * count + [(0.0, math.inf)]
         ends = np.append(np.ones(count), 0.0)
         # The last unknown is e, the distance, which is the only cost.
         solution = _least(1.0 - ends, rows, sides, ends, end, bounds)
@@ -164,8 +164,8 @@ class Programme:
         sides = np.append(sides, np.zeros(2 * more))
         cost = np.append(np.zeros(count + 1), np.ones(more))
         ends = np.append(np.ones(count), np.zeros(1 + more))
-        bounds: Bounds = [(None, None)] * count + [(0.0, within)]
-        bounds += [(0.0, None)] * more
+        bounds = [(-self.largest, self.largest)] * count + [(0.0, within)]
+        bounds += [(0.0, math.inf)] * more
         solution = _least(cost, rows, sides, ends, end, bounds)
         return None if solution is None else solution[:count]
 
@@ -175,11 +175,8 @@ class Programme:
         # before, or within a tenth of a second.
         until = min(count * self.knot + AFTER, self.length)
         step = self.knot * self.period
-        # velocity and acceleration at the knots, which bound them in between
-        limited = [
-            np.eye(count) / (step * self.velocity),
-            _differences(count) / (step**2 * self.acceleration),
-        ]
+        # acceleration at the knots, which bound it in between
+        limited = [_differences(count) / (step**2 * self.acceleration)]
         rows, sides = [], []
         for tip, *signals in self.answers:
             response = self._moved(tip, count)[first:last]
