@@ -83,6 +83,9 @@ class Moves:
         trips, and the motor is held. None: one of 0.05 rad is flagged.
     centre
         what the encoder reads in the middle of `angle` [rad].
+    rest_torque
+        what the gauge reads of an arm at rest [N·m]: its offset and the load of
+        gravity, which do not count as bending.
 
     Raises
     ------
@@ -101,6 +104,7 @@ class Moves:
     torque: Annotated[float, _limit("N·m")] = math.inf
     vibration: Annotated[float | None, positive("rad")] = None
     centre: Annotated[float, Between(-1e6, 1e6, "rad")] = 0.0
+    rest_torque: Annotated[float, Between(-_LARGEST, _LARGEST, "N·m")] = 0.0
 
 
 @checked(prefix="motor.")

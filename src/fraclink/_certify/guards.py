@@ -49,7 +49,7 @@ def check_guards(statement: Statement) -> None:
                 value,
                 "too small for the moves of the claim",
                 allowed=f">= {least:.6g}",
-                remedy="use the derived limits, or state the rig's [moves]",
+                remedy="use the limits of Design.law() for these payloads, or state the rig's [moves]",
             )
 
 
@@ -74,6 +74,7 @@ def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
         gauge_limit=push / TRIP_SHARE / CREDIBLE_SHARE,
         sticking=0.0,
         kick=abs(c["direct"]),
+        heaviest=s.payload_high / s.nominal_payload,
     )
     # A slightly different resonance may round to another number of periods. The moves
     # of the claim need no margin for a command three times as fast.

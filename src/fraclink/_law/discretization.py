@@ -34,7 +34,7 @@ from fracsys._discrete import (
     checked_band,
     fit_discrete,
 )
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Between, Payload, Real, checked
 
 if TYPE_CHECKING:
     from fraclink._law.design import Design
@@ -228,7 +228,13 @@ def discretize(
     law = discretize_controller(controller, step, order=order, precision=precision)
     if isinstance(design, Controller):
         return law
-    return equip(law, design.rig, design.model, motor_loop=design.motor_loop)
+    return equip(
+        law,
+        design.rig,
+        design.model,
+        motor_loop=design.motor_loop,
+        heaviest=design.payloads[1],
+    )
 
 
 @checked
@@ -239,12 +245,14 @@ def equip(
     *,
     moves: Moves | None = None,
     motor_loop: MotorLoop | None = None,
+    heaviest: Payload | None = None,
 ) -> Law:
     """Return the law with the rig's motor loop, compensations and sensor limits.
 
     The motor loop is the rig's with the pole the law was made for where it is left out;
     the guards are derived again from it, from the gauge's range, noise and quantum, the
-    encoder's resolution, and `moves`, which are the rig's where they are left out.
+    encoder's resolution, `moves` and the `heaviest` payload [kg], which are the rig's
+    where they are left out.
     Raises FieldError where the periods differ.
     """
     check_rigs_period(law, rig)
@@ -274,6 +282,8 @@ def equip(
             encoder_resolution=rig.encoder.resolution,
             sticking=STICTION * closed.coulomb_voltage / closed.pid.stiffness,
             kick=abs(law.correction.direct),
+            heaviest=(heaviest or rig.payloads.high)
+            / (link.payload or rig.payloads.nominal),
         ),
         tracking=tracking_for(link, law.feedforward, law.period, rig=rig),
     )

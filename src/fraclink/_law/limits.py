@@ -92,11 +92,13 @@ def derive_limits(
     encoder_resolution: float = 0.0,
     sticking: float = math.inf,
     kick: float = 3.0,
+    heaviest: float = 2.0,
 ) -> Limits:
     """Return the thresholds for moves up to `moves` at `period` [s].
 
     `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where it is unknown.
-    `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c a
+    `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. `heaviest`: the heaviest payload over
+    that of the link, which bends the link as much more where it does not swing back. Largest torque of a move: c a
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
     as it was placed, its delay included. Reasons stand beside each number in the source.
     """
@@ -106,24 +108,22 @@ def derive_limits(
     flexible = (
         abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
     )
-    # Doubled: payloads beyond the nominal one bend the link more, and no limit may trip
-    # on them.
+    # Doubled: no limit may trip on a payload beyond the nominal one.
     torque = 2 * link.stiffness * flexible
     # The law's own range is symmetric about the encoder's zero.
     reach = moves.angle + abs(moves.centre)
     # Reference, feed-forward and correction may each require the full speed at the same
     # time.
     motor_step = 3 * moves.velocity * period
-    torque_limit = min(4 * torque, CREDIBLE_SHARE * gauge_limit)
-    error = loop.lag * period * moves.velocity
+    # As the motor angle's, the range of the torque is symmetric about the gauge's zero.
+    resting = abs(moves.rest_torque)
+    torque_limit = min(4 * torque + resting, CREDIBLE_SHARE * gauge_limit)
     # A vibrating link swings back within half a period. A deflection that lasts longer
     # is due to an acceleration, which is limited by the change of the reference's speed
     # from one extreme to the other.
     hold = 1.5 * math.pi / resonance
     slow = abs(1 / link.tip()(1j * math.pi / hold) - 1) * (hold / math.pi) ** 2
-    block = (
-        2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / hold)
-    )
+    lasting = slow * min(moves.acceleration, 2 * moves.velocity / hold)
     # at the full speed and acceleration of the command: one missed period, and the part
     # of the loop that the model leaves out
     residual = (
@@ -138,20 +138,23 @@ def derive_limits(
         # the largest sudden demand of a new offset, in addition to the feed-forward
         sum_limit=4 * flexible
         + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
-        correction_limit=1.5
-        * (
-            error + 0.15
-        ),  # 0.15 rad: residual vibration and gauge offset in addition to the lag
-        forward_limit=3
-        * moves.velocity
-        / period,  # the states sum the acceleration up to the speed
+        # 0.15 rad: residual vibration and gauge offset in addition to the lag
+        correction_limit=1.5 * (loop.lag * period * moves.velocity + 0.15),
+        # the states sum the acceleration up to the speed
+        forward_limit=3 * moves.velocity / period,
         # The lead of the motor over the tip is the flexion, at both ends of a move.
         angle_limit=reach + 2 * flexible,
         angle_step=2 * motor_step + 2 * encoder_resolution,
         torque_limit=torque_limit,
         torque_step=torque_step,
-        torque_trip=min(1.5 * torque, TRIP_SHARE * torque_limit, moves.torque),
-        torque_block=min(block, TRIP_SHARE * torque_limit, moves.torque),
+        torque_trip=min(
+            1.5 * torque + resting, TRIP_SHARE * torque_limit, moves.torque
+        ),
+        torque_block=min(
+            heaviest * link.stiffness * lasting + resting,
+            TRIP_SHARE * torque_limit,
+            moves.torque,
+        ),
         reference_step=1.05 * moves.velocity * period,
         reference_rate=-math.expm1(-resonance * period / JUMP),
         acceleration_limit=1.2 * moves.acceleration,

@@ -317,6 +317,7 @@ class _Session:
             plan.payload,
             guard.period,
             centre=guard.origin,
+            rest_torque=guard.offset,
             stated=plan.rig,
             name=self.out.name[:100] or "arm",
         )

@@ -108,11 +108,13 @@ def measured_rig(
     period: float,
     *,
     centre: float,
+    rest_torque: float,
     stated: Rig | None,
     name: str,
 ) -> Rig:
     """The rig as measured, at the gear's output and in the gauge's units; `centre` is
-    the encoder's reading in the middle of the limits [rad].
+    the encoder's reading in the middle of the limits [rad], `rest_torque` the gauge's
+    at rest [N·m].
 
     The link's mass is that of a uniform beam with its second mode, or the stated one if
     no mode was seen, and the length satisfies ω₀² = c/(mL²) (5), with the link's share
@@ -144,7 +146,7 @@ def measured_rig(
         encoder=Encoder(counts_per_revolution=counts),
         gauge=Gauge(noise=wiring.gauge_noise),
         motor_loop=link.motor.loop,
-        moves=_moves(motor, limits, centre),
+        moves=replace(_moves(motor, limits), centre=centre, rest_torque=rest_torque),
         tolerances=_DRIFT,
         assumptions=(
             "measured by fraclink tune; torques and inertia are in the gauge's units",
@@ -157,7 +159,7 @@ def measured_rig(
     return replace(rig, name=stated.name, gauge=gauge, design=stated.design)
 
 
-def _moves(motor: MotorFit, limits: MotionLimits, centre: float) -> Moves:
+def _moves(motor: MotorFit, limits: MotionLimits) -> Moves:
     """The largest moves of the law: those of the limits, as far as the weakest motor of
     the box can make them.
 
@@ -175,7 +177,6 @@ def _moves(motor: MotorFit, limits: MotionLimits, centre: float) -> Moves:
         velocity=speed,
         acceleration=min(ratio * speed, 2.0 * half - motor.decay * speed),
         torque=limits.torque,
-        centre=centre,
     )
 
 
