@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import FAINT, SampledLoop, as_loop
 from fracsys._precision import BLUR, COINCIDENT, ROUNDS
-from fracsys.checks import Complex, Mask, Real
+from fracsys.checks import Complex, Real
 from fracsys.errors import FieldError
 
 # largest change of ln L between neighbours (radians, or nepers), so that no crossing is
@@ -27,13 +27,14 @@ POINT_LIMIT = 50_000
 _PATIENCE = ((FAINT, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
-def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Real, Complex, float]:
-    """Return (ln ω, L, quiet): neither ln L nor 1 + L changes much between neighbours
-    where |L| > quiet.
+def sweep(loop: SampledLoop, turn: float = TURN) -> tuple[Real, Complex, float]:
+    """Return (ln ω, L, quiet): neither ln L, by more than `turn`, nor 1 + L changes much
+    between neighbours where |L| > quiet.
 
     `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
     """
-    count = max(16, int((loop.high - loop.low) / math.log(10) * per_decade) + 1)
+    # twenty per decade
+    count = max(16, int((loop.high - loop.low) / math.log(10) * 20) + 1)
     x = np.linspace(loop.low, loop.high, count)
     if loop.seeds.size:
         inside = (loop.seeds > loop.low) & (loop.seeds < loop.high)
@@ -41,7 +42,7 @@ def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Real, Complex, fl
     values = loop(x)
     levels = _PATIENCE if loop.delayed else ((0.0, POINT_LIMIT),)
     for quiet, limit in levels:
-        refined = _refined(loop, x, values, quiet, limit)
+        refined = _refined(loop, x, values, quiet, limit, turn)
         if refined is not None:
             return *refined, quiet
     raise FieldError(
@@ -54,9 +55,9 @@ def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Real, Complex, fl
 
 
 def _refined(
-    loop: SampledLoop, x: Real, values: Complex, quiet: float, limit: int
+    loop: SampledLoop, x: Real, values: Complex, quiet: float, limit: int, turn: float
 ) -> tuple[Real, Complex] | None:
-    while (wide := _too_wide(loop, x, values, quiet)).size:
+    while (wide := _too_wide(loop, x, values, quiet, turn)).size:
         if x.size + wide.size > limit:
             return None
         middle = 0.5 * (x[wide] + x[wide + 1])
@@ -66,11 +67,11 @@ def _refined(
 
 
 def _too_wide(
-    loop: SampledLoop, x: Real, values: Complex, quiet: float
+    loop: SampledLoop, x: Real, values: Complex, quiet: float, turn: float
 ) -> NDArray[np.intp]:
     """Intervals to halve: ln L changes too much, or 1 + L by more than its modulus."""
     change = np.log(values[1:] / values[:-1])
-    fine = np.abs(change) <= TURN
+    fine = np.abs(change) <= turn
     # A chord shorter than the distance of its ends from −1 cannot hide an encirclement
     # of −1.
     away = np.abs(1 + values)
@@ -116,7 +117,9 @@ def frequency_grid(
             if limit is not None:
                 high = min(high, math.log(limit))
             sampled = replace(sampled, low=min(low, high - _DECADES), high=high)
-        x, values, _ = sweep(sampled)
+        # A chord over 0.2 rad leaves its arc by 0.5 % of the radius: less than the width
+        # of a line.
+        x, values, _ = sweep(sampled, 0.2)
         if sampled.system is None:
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)
@@ -131,62 +134,22 @@ def frequency_grid(
 
 def _bent(x: Real, values: Complex, *, keep_top: bool) -> tuple[Real, Complex]:
     """Cut the ends where d ln L/dx is constant, down to one decade each."""
+    slope = np.log(values[1:] / values[:-1]) / np.diff(x)
     # 0.02 is 0.4 dB per decade; a smaller change of slope is not visible in a Bode
     # plot.
-    slope = np.diff(np.log(np.abs(values))) / np.diff(x)
-    turn = np.abs(np.angle(values[1:] / values[:-1])) / np.diff(x)
-    still = (turn < 0.02) & np.isfinite(slope)
-    first = _leading(still & (np.abs(slope - slope[0]) < 0.02))
-    last = len(x) - 1 - _leading((still & (np.abs(slope - slope[-1]) < 0.02))[::-1])
+    first, last = (
+        np.flatnonzero(~(np.abs(slope - slope[end].real) < 0.02)) for end in (0, -1)
+    )
     # at higher frequencies the delay turns the phase without end
     loud = np.flatnonzero(np.abs(values) > FAINT)
-    last = min(last, int(loud[-1])) if loud.size else last
+    end = min(loud[-1:].tolist() + (last[-1:] + 1).tolist(), default=0)
     # a straight line from end to end: show four decades around 1 rad/s
-    if first >= last:
+    if not first.size or first[0] >= end:
         inside = np.abs(x) < _DECADES
     else:
         margin = 0.5 * _DECADES
-        inside = (x > x[first] - margin) & (keep_top | (x < x[last] + margin))
+        inside = (x > x[first[0]] - margin) & (keep_top | (x < x[end] + margin))
     return x[inside], values[inside]
-
-
-def _leading(flags: Mask) -> int:
-    """Number of flags set before the first that is not."""
-    return int(np.argmin(flags)) if not flags.all() else len(flags)
-
-
-def refined(
-    curve: Callable[[Real], tuple[Real, Real]],
-    x: Real,
-    *,
-    bend: float = 0.03,
-    limit: int = 4000,
-) -> Real:
-    """Return a grid on which the drawn curve looks smooth.
-
-    `curve` maps x to the two plotted coordinates, in units of the axes' sizes.
-    Intervals are halved while adjacent chords meet at more than `bend` [rad] and are
-    longer than the width of a line.
-    """
-    for _ in range(12):
-        across, up = curve(x)
-        run, rise = np.diff(across), np.diff(up)
-        length = np.hypot(run, rise)
-        angle = np.arctan2(rise, run)
-        turn = np.abs((np.diff(angle) + math.pi) % (2 * math.pi) - math.pi)
-        # 0.002 of the axes is the width of a line; shorter chords are invisible.
-        sharp = (turn > bend) & (np.minimum(length[1:], length[:-1]) > 0.002)
-        long = length > 0.1
-        halve = np.flatnonzero(
-            np.concatenate([sharp, [False]]) | np.concatenate([[False], sharp]) | long
-        )
-        # A jump, such as the phase at a pole on the axis, stays sharp at any
-        # resolution.
-        halve = halve[np.diff(x)[halve] > 1e-9 * np.abs(x[halve]) + 1e-12]
-        if not halve.size or x.size + halve.size > limit:
-            break
-        x = np.sort(np.concatenate([x, 0.5 * (x[halve] + x[halve + 1])]))
-    return x
 
 
 # --- Roots inside known brackets, many at once --------------------------------------------------------

@@ -119,7 +119,7 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     marks: list[Mark] = []
     for line, payload in zip(LINES, payloads, strict=False):
         w0 = design.natural_frequency(payload)
-        value = loop_response(design, payload, planar=True).values
+        value = loop_response(design, payload).values
         # The circle of an undamped resonance is many times larger than this detail: it
         # is cut off outside, since its chords would otherwise cross the picture.
         value = np.where(np.abs(value) > 6.0, np.nan, value)

@@ -26,7 +26,7 @@ from fraclink.view._pages import LINES
 from fraclink.view._scales import Scale
 from fracsys._loops import as_loop
 from fracsys._margins import margins as find_margins
-from fracsys._sweep import frequency_grid, refined
+from fracsys._sweep import frequency_grid
 from fracsys.checks import Complex, Real
 
 __all__ = ["bode", "line_of", "margin_plot", "named"]
@@ -53,11 +53,9 @@ class Response:
         frequency: ArrayLike | None,
         limit: float | None,
         name: str = "",
-        *,
-        planar: bool = False,
     ) -> Response:
-        """The response of a system on `frequency` [rad/s], or on its own grid that
-        looks smooth over frequency or, if `planar`, in the complex plane; a measured
+        """The response of a system on `frequency` [rad/s], or on its own grid on which
+        it looks smooth over frequency and in the complex plane; a measured
         response as measured; for a design its loop.
         """
         if isinstance(system, FrequencyResponse):
@@ -66,22 +64,17 @@ class Response:
             return loop_response(system, system.payloads[1], name, frequency)
         loop = as_loop(system, limit)
 
-        def at(x: Real) -> Response:
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                values = loop(x)
-            # No finite value next to a pole shows the course of the curve, and an
-            # infinite one would spoil the scale: a pole or zero hit exactly is a gap.
-            usual = np.isfinite(values) & (values != 0)
-            return Response(np.exp(x), np.where(usual, values, math.nan), name)
-
-        if frequency is not None:
-            return at(np.log(_checked_grid(frequency)))
-        x = np.log(frequency_grid(system, limit=limit))
-
-        def drawn(x: Real) -> tuple[Real, Real]:
-            return at(x).in_plane() if planar else at(x).over_frequency()
-
-        return at(refined(drawn, x))
+        x = np.log(
+            frequency_grid(system, limit=limit)
+            if frequency is None
+            else _checked_grid(frequency)
+        )
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = loop(x)
+        # No finite value next to a pole shows the course of the curve, and an infinite
+        # one would spoil the scale: a pole or zero hit exactly is a gap.
+        usual = np.isfinite(values) & (values != 0)
+        return Response(np.exp(x), np.where(usual, values, math.nan), name)
 
     @property
     def decibels(self) -> Real:
@@ -114,32 +107,11 @@ class Response:
             first += turn * round((0.5 * math.pi * slope - first) / turn)
         return np.asarray(np.degrees(np.append(first, first + np.cumsum(turns))))
 
-    def in_plane(self) -> tuple[Real, Real]:
-        """Coordinates in a Nyquist plot around −1; far from it the curve need not be
-        smooth.
-        """
-        near = np.nan_to_num(self.values)
-        across, up = np.clip([near.real, near.imag], -_FAR, _FAR) / _NEAR
-        return across, up
-
     def around(self, frequencies: Sequence[float]) -> Response:
         """The part within a factor of 30 of some frequencies [rad/s]."""
         low, high = min(frequencies) / _SPREAD, max(frequencies) * _SPREAD
         part = (self.frequency >= low) & (self.frequency <= high)
         return replace(self, frequency=self.frequency[part], values=self.values[part])
-
-    def over_frequency(self) -> tuple[Real, Real]:
-        """Coordinates in a Bode plot, gain and phase together, since both bend at the
-        same frequencies.
-        """
-        x, low_high = np.log(self.frequency), decibel_range(self)
-        decibels = np.clip(np.nan_to_num(self.decibels), *low_high)
-        degrees = np.nan_to_num(self.degrees)
-        # The rounding of a flat magnitude, as of a delay, must not be scaled up to a
-        # span that triggers refinement.
-        level = decibels / max(float(np.ptp(decibels)), 6.0)
-        turn = 0.5 * degrees / max(float(np.ptp(degrees)), 30.0)
-        return (x - x[0]) / (x[-1] - x[0]), level + turn
 
     def on_sheet(self, frequency: float, degrees: float) -> float:
         """A phase [°] known up to a whole turn, on the turn drawn at a frequency
@@ -155,8 +127,6 @@ def loop_response(
     payload: float,
     name: str = "",
     frequency: ArrayLike | None = None,
-    *,
-    planar: bool = False,
 ) -> Response:
     """Return the open loop of a design at a payload [kg], up to the Nyquist frequency."""
     w0, limit = design.natural_frequency(payload), math.pi / design.rig.period
@@ -164,7 +134,7 @@ def loop_response(
     def loop(s: Any) -> Complex:
         return np.asarray(design.loop(np.imag(s), w0))
 
-    return Response.of(loop, frequency, limit, name, planar=planar)
+    return Response.of(loop, frequency, limit, name)
 
 
 def decibel_range(response: Response) -> tuple[float, float]:
