@@ -140,28 +140,18 @@ class GaugedLink:
         bracket, _, angle = self.parts(w, frequency)
         phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
         turns = np.zeros(w.shape)
-        # The usual call evaluates one link at many frequencies; only a mixed one is
-        # split up.
-        single = (
-            frequency.flat[0]
-            if frequency.size and np.all(frequency == frequency.flat[0])
-            else None
-        )
-        for value in np.unique(frequency) if single is None else (single,):
-            row = np.True_ if single is not None else frequency == value
+        for value in np.unique(frequency):
+            row = frequency == value
             for place, whole, entry in _unit_gains(self._alone, float(value)):
                 past = row & (w > place)
                 outside[past] = entry
                 turns[past] += -whole if entry else whole
         with np.errstate(divide="ignore"):
             size = np.log(np.abs(bracket))
-            x = 1.0 - bracket
-            # arg(1 − 1/X) from −B·X̄, which needs no division by X near zero.
-            round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
-        value = size + 1j * (
-            np.where(outside, round_origin, phase) + 2.0 * math.pi * turns
-        )
-        return np.asarray(value, dtype=np.complex128)
+        # arg(1 − 1/X) from −B·X̄, which needs no division by X near zero.
+        beyond = angle - math.pi + np.angle(-bracket * np.conj(1.0 - bracket))
+        phase = np.where(outside, beyond, phase) + 2.0 * math.pi * turns
+        return np.asarray(size + 1j * phase, dtype=np.complex128)
 
     def turns(self, low: float, high: float, each: float) -> Real:
         """Return frequencies from `low` to `high` with `each` points per half turn of

@@ -200,9 +200,10 @@ class Loop(GaugedLink):
         """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments
         broadcast.
         """
-        w = np.asarray(frequency)
         return np.asarray(
-            self.outer_log(w) + self.link_log(w, natural_frequency) + self.motor_log(w)
+            self.outer_log(frequency)
+            + self.link_log(frequency, natural_frequency)
+            + self.motor_log(frequency)
         )
 
     def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
@@ -220,8 +221,17 @@ class Loop(GaugedLink):
         )
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
-        """Return ln|L(jω)|, the real part of `log`."""
-        return self.log(frequency, natural_frequency).real
+        """Return ln|L(jω)|, the real part of `log`, for which no phase is unwrapped."""
+        if self.exact_gauge:
+            return self.log(frequency, natural_frequency).real
+        # exp(log ω) as in `link_log`, so that both agree to the last bit.
+        link, _, _ = self.parts(np.exp(np.log(frequency)), natural_frequency)
+        with np.errstate(divide="ignore"):
+            return np.asarray(
+                self.outer_log(frequency).real
+                + np.log(np.abs(link))
+                + self.motor_log(frequency).real
+            )
 
     def slope(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that
@@ -241,9 +251,12 @@ class Loop(GaugedLink):
         w = self._grid(w0)
         level = self.level(w, w0[:, None])
         row, column = np.nonzero((level[:, :-1] > 0.0) != (level[:, 1:] > 0.0))
-        ends = np.log(w[row, column]), np.log(w[row, column + 1])
         frequency = np.exp(
-            bracketed_roots(lambda x: self.level(np.exp(x), w0[row]), *ends)
+            bracketed_roots(
+                lambda x: self.level(np.exp(x), w0[row]),
+                np.log(w[row, column]),
+                np.log(w[row, column + 1]),
+            )
         )
         value = self.log(frequency, w0[row])
         return Crossings(
