@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import Controller, LinkModel, MotorLoop, ParameterBox, SecondMode
 from fraclink._arm.box import Arm
-from fraclink._arm.loop import worst_margins
 from fraclink.errors import FieldError
 from fraclink.extend import Loop
 
@@ -223,21 +222,6 @@ def test_peak_and_noise_are_those_of_a_dense_grid(
         )
         noise = math.sqrt(np.mean((outer / distance) ** 2))
         assert loop.noise_gain(w0, 0.004)[0] == pytest.approx(noise, rel=error)
-
-
-def test_the_worst_margin_inside_a_range_is_closed_in_on() -> None:
-    loop = Loop.of(
-        replace(CONTROLLER, derivative_gain=0.02), replace(PLAIN, gauge_delay=0.03), RIG
-    )
-    low, high = 8.0, 30.0
-    w0 = np.geomspace(low, high, 4000)
-    parts = [loop.margins(part) for part in np.array_split(w0, 10)]
-    crossover, margin = (np.concatenate(part) for part in zip(*parts, strict=True))
-    (slow, at_slow), (least, at_least) = worst_margins(loop, low, high)
-    assert least == pytest.approx(margin.min(), abs=1e-4)
-    assert loop.margins(at_least)[1][0] == pytest.approx(least, abs=1e-9)
-    assert slow == pytest.approx(crossover[np.argmin(np.abs(w0 - at_slow))], rel=1e-2)
-    assert slow <= crossover.min() * 1.02
 
 
 # --- sampled ------------------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,13 +40,9 @@ __all__ = [
     "Loop",
     "noise_points",
     "with_payload",
-    "worst_margins",
 ]
 
 
-# links evaluated at a time; a minimum inside the range is refined between its
-# neighbours
-_PAYLOADS = 17
 _STEP = 1e-5  # step in ln ω of a central difference: the cube root of the precision
 
 
@@ -438,27 +433,3 @@ def noise_points(
     return (edges[:-1, None] + half * (1.0 + points)).ravel(), (
         half * weights
     ).ravel() / nyquist
-
-
-# a design needs the same value when it checks a solution and when it reports it
-@lru_cache(maxsize=64)
-def worst_margins(
-    loop: Loop, low: float, high: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """((smallest crossover, its ω₀), (smallest signed phase margin, its ω₀)) over ω₀ in
-    [low, high].
-    """
-    start = w0 = np.geomspace(low, high, _PAYLOADS)
-    crossover, margin = loop.margins(w0)
-    first, place = int(np.argmin(crossover)), int(np.argmin(margin))
-    value, at = float(margin[place]), float(w0[place])
-    # Each round reduces the interval to an eighth: after four, the margin is that of a
-    # link within 1e-4 of the worst one.
-    for _ in range(4):
-        if place in (0, w0.size - 1):
-            break
-        w0 = np.geomspace(w0[place - 1], w0[place + 1], _PAYLOADS)
-        margin = loop.margins(w0)[1]
-        place = int(np.argmin(margin))
-        value, at = float(margin[place]), float(w0[place])
-    return (float(crossover[first]), float(start[first])), (value, at)

@@ -285,9 +285,9 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
     The nearest controller eases every requested row, so its figure is the best one only
     in combination with the eased values of the other rows.
     """
-    worst = max(
-        made.missed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3)
-    )
+    implied = [item for row, item in solution.measured if row.implied]
+    missed = [item for item in made.missed if item not in implied] or made.missed
+    worst = max(missed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3))
     goal, achieved = worst.shown
     resonance = solution.search.request.arms.resonance
     more, most = "more", "at most"
@@ -300,8 +300,8 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
         sentence = f"no controller was found with {more} than {achieved}"
     others = [
         f"{item.name} of {item.shown[1]} instead of {item.shown[0]}"
-        for item in made.missed
-        if item is not worst and item.name != "gain margin" and not solution.missed
+        for item in missed
+        if item is not worst and not solution.missed
     ]
     even = f", even with a {' and a '.join(others)}" if others else ""
     late, crossing = made.model.gauge_delay, made.gain_crossover_upper or resonance

@@ -19,11 +19,12 @@ from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import Loop, with_payload, worst_margins
+from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design.request import Request
 from fraclink._design.search import Search, Solution
 from fraclink._law.design import Design, Requirement
+from fraclink._law.requirement import PAYLOADS
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
 from fracsys._sweep import bracketed_roots
@@ -101,7 +102,6 @@ def published(
     ideal = {"motor_loop": "ideal", "placement": "tustin", **spec}
     request = Request.of(with_payload(model, rig), rig, ideal, None)
     solution, order = _admissible(request)
-    low, high = request.natural_frequencies
     loop = replace(Loop.ideal(request.model), gain=solution.gain, order=solution.order)
     time = spec.get("filter_time")
     if time is None:
@@ -115,29 +115,33 @@ def published(
         motor_loop=request.motor_loop,
         period=rig.period,
     )
-    (crossover, slow), (margin, close) = worst_margins(loop, low, high)
-    payload_at = request.model.payload_at
     goals = spec["gain_crossover"], spec["phase_margin"]
+    links = _links(request)
+    rows = zip(
+        ("gain crossover", "phase margin"),
+        ("rad/s", "rad"),
+        goals,
+        loop.margins(links),
+        strict=True,
+    )
     return Design(
         model=model,
         rig=rig,
         controller=controller,
-        requirements=(
+        requirements=tuple(
             Requirement(
-                "gain crossover",
-                goals[0],
-                crossover,
-                "rad/s",
-                payload_at(slow),
+                name,
+                goal,
+                float(achieved.min()),
+                unit,
+                request.model.payload_at(float(links[np.argmin(achieved)])),
                 "at least",
-            ),
-            Requirement(
-                "phase margin", goals[1], margin, "rad", payload_at(close), "at least"
-            ),
+            )
+            for name, unit, goal, achieved in rows
         ),
         margins_kind="ideal",
         payloads=request.payloads,
-        natural_frequencies=(low, high),
+        natural_frequencies=request.natural_frequencies,
         gain_crossover=goals[0],
         phase_margin=goals[1],
         chi=solution.chi,
@@ -147,6 +151,11 @@ def published(
             *_not_looked_at(request, controller),
         ),
     )
+
+
+def _links(request: Request) -> Real:
+    """ω₀ of the payloads that are looked at, as the solver does."""
+    return np.geomspace(*request.natural_frequencies, PAYLOADS)
 
 
 def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding]:
@@ -208,7 +217,7 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
 
 def _admissible(request: Request) -> tuple[ClosedForm, int]:
     """The admissible solution and its n; InfeasibleError if there is none."""
-    low, high = request.natural_frequencies
+    low, _ = request.natural_frequencies
     goals = request.spec["gain_crossover"], request.spec["phase_margin"]
     own, candidates = request.spec.get("filter_order"), []
     for order in (own,) if own else (1, 2):
@@ -222,7 +231,7 @@ def _admissible(request: Request) -> tuple[ClosedForm, int]:
             loop = replace(
                 Loop.ideal(request.model), gain=solution.gain, order=solution.order
             )
-            reached = [value for value, _ in worst_margins(loop, low, high)]
+            reached = [part.min() for part in loop.margins(_links(request))]
             # A solution meets its own equations up to rounding.
             if all(x >= y * (1.0 - 1e-9) for x, y in zip(reached, goals, strict=True)):
                 return solution, order

@@ -52,7 +52,8 @@ class Row:
     ``figure`` is the logarithm of what is judged unless ``signed``. ``empty`` says
     whether it is asked of the empty gripper, or of the payloads. ``bound`` takes the place of
     the figure in a search: a value that must not be negative. ``absent`` is achieved
-    where a loop has no such figure, as one that never crosses.
+    where a loop has no such figure, as one that never crosses. What is ``implied`` by
+    another row is no row of a search.
     """
 
     key: str
@@ -66,6 +67,7 @@ class Row:
     bound: Callable[[Trial, float], Figure] | None = None
     absent: float = math.inf
     reserve: float = RESERVE
+    implied: bool = False
 
     def kept(
         self, trial: Trial, request: Request, wanted: float, reserve: float = 0.0
@@ -186,6 +188,7 @@ ROWS = (
         "at least",
         _gain_margin,
         lambda trial, request: trial.gain_margin,
+        implied=True,
     ),
     # A single sample delayed by a period must not make the loop unstable.
     Row(

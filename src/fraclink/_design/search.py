@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -112,9 +112,9 @@ def lowest(
         near = np.maximum(low, x - _REACH), np.minimum(high, x + _REACH)
         with np.errstate(all="ignore"), suppress(_Stalled):
             ended = minimize(
-                lambda z: (z[-1], direction),
+                lambda z: z[-1],
                 np.append(x, bounded.largest),
-                jac=True,
+                jac=lambda z: direction,
                 method="SLSQP",
                 bounds=[*zip(*near, strict=True), (None, None)],
                 constraints={"type": "ineq", "fun": kept, "jac": slopes},
@@ -177,7 +177,7 @@ class Search:
 
     def trial(self, x: Real) -> Trial:
         """Return these links under Ĉ of some parameters."""
-        return Trial(self.table, self.outer(x), self.request.arms.loops)
+        return _trial(self, tuple(x))
 
     def kept(self, trial: Trial, only: str | None = None) -> dict[str, Figure]:
         """Return the slack of each row, or of `only` one, at the links to which it
@@ -185,9 +185,8 @@ class Search:
         """
         figures = {}
         for row, goal in self.request.wanted:
-            if only not in (None, row.key) or (
-                row.key == "damping" and not self.ringing
-            ):
+            skipped = row.implied or (row.key == "damping" and not self.ringing)
+            if skipped or only not in (None, row.key):
                 continue
             reserve = self.reserves.get(row.key, 0.0)
             figures[row.key] = row.kept(trial, self.request, goal, reserve)
@@ -277,6 +276,14 @@ class Search:
         return Solution(self, lowest(self.noise, x, *self.bounds)[0], 0.0, 0.0)
 
 
+# the noise is lowered from where the easing ended
+@lru_cache(maxsize=1)
+def _trial(search: Search, x: tuple[float, ...]) -> Trial:
+    """The links of a search under Ĉ of some parameters."""
+    outer = search.outer(np.array(x))
+    return Trial(search.table, outer, search.request.arms.loops)
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Where a search ended."""
@@ -355,15 +362,11 @@ class Solution:
         return replace(self.search, links=tuple(sorted(links)), ringing=True)
 
     @cached_property
-    def _ringing_trial(self) -> Trial:
-        """The trial at these links."""
-        return self._ringing.trial(self.x)
-
-    @cached_property
     def _damping(self) -> dict[str, tuple[float, int]]:
         """The same of the damping; empty where no vibration is left."""
         ringing = self._ringing
-        figure = ringing.kept(self._ringing_trial, only="damping")["damping"]
+        trial = ringing.trial(self.x)
+        figure = ringing.kept(trial, only="damping")["damping"]
         if not figure.value.size:
             return {}
         value, link = figure.least
@@ -393,7 +396,7 @@ class Solution:
         for row, goal in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
             if row.key == "damping":
-                trial = self._ringing_trial
+                trial = self._ringing.trial(self.x)
                 payloads = payloads[list(self._ringing.links)]
             items = row.measured(trial, request, goal, payloads)
             pairs += [(row, item) for item in items]

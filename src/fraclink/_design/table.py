@@ -107,9 +107,8 @@ def tabulated(
             [1.0],
         ]
     )
-    more = [bare.about_mode(49), np.array([highest])]
-    if bare.gauge_delay:
-        more.append(bare.turns(0.25 * float(mode.min()), top, 6.0))
+    turns = bare.turns(0.25 * float(mode.min()), top, 6.0)
+    more = [bare.about_mode(49), np.array([highest]), turns]
     points = np.broadcast_to(np.concatenate(more), (w0.size, sum(map(len, more))))
     w = np.sort(np.concatenate([mode[:, None] * shape, points], axis=1), axis=1)
     # equal neighbours at the end make empty intervals without crossings
@@ -524,7 +523,7 @@ class Trial:
     @cached_property
     def damping(self) -> Figure:
         """The damping ratio of every vibration near the resonance of its link, i.e. of
-        the roots of 1 + 1/L near the axis, by Newton's method from each local minimum
+        the roots of 1 + 1/L near the axis, by Halley's method from each local minimum
         of |1 + L|.
         """
         distance, w = np.abs(1.0 + self._loop), self.table.w
@@ -549,28 +548,31 @@ class Trial:
     def _roots(
         self, loop: Loop, link: Index, column: Index, mode: Real
     ) -> tuple[Real, Real, Index]:
-        """(damping ratio, its gradient, link) of the roots that Newton's method finds
+        """(damping ratio, its gradient, link) of the roots that Halley's method finds
         from columns of the table: ω = s/j, so that the decay rate is Im ω.
         """
         # first-order step from the table
         back = np.exp(-self.log[link, column])
         beside = (1.0 + back) / (back * self.slope[link, column])
         root = self.table.w[link, column] * (1.0 + _limited(beside, 0.2))
-        w0 = self.table.natural_frequency[link]
-        change = rate = np.full(root.shape, np.inf + 0j)
+        frequency = self.table.natural_frequency[link]
         for _ in range(8):
-            step = 1e-6 * np.abs(root)
+            step = 1e-4 * np.abs(root)
             points = np.stack([root, root + step, root - step])
             outer = np.exp(self.outer.log(points))
-            here, above, below = 1.0 / (outer * loop(points, w0))
+            here, above, below = 1.0 / (outer * loop(points, frequency))
+            # Halley's step: the two points of the slope give the bend as well
+            bend = (above - 2.0 * here + below) / step**2
             rate = (above - below) / (2.0 * step)
-            change = (1.0 + here) / rate / np.abs(root)
+            newton = (1.0 + here) / rate
+            change = newton / (1.0 - 0.5 * newton * bend / rate) / np.abs(root)
             root = root - _limited(change, 0.1) * np.abs(root)
-            if np.all(np.abs(change) < 1e-7):
+            # the next step would be of the order of the cube of this one
+            if np.all(np.abs(change) < 1e-3):
                 break
         size = np.abs(root)
         # a well damped loop has no root near its resonance
-        valid = (np.abs(change) < 1e-6) & (size > 0.3 * mode) & (size < 4.0 * mode)
+        valid = (np.abs(change) < 1e-3) & (size > 0.3 * mode) & (size < 4.0 * mode)
         root, rate, size, link = root[valid], rate[valid], size[valid], link[valid]
         # 1 + 1/L = 0: dω = -∂(1/L)/∂x / (d(1/L)/dω), and 1/L = -1
         shift = -self.outer.gradient(root) / rate
@@ -594,7 +596,5 @@ def _steep(slope: Real) -> Real:
 
 
 def _limited(step: Complex, most: float) -> Complex:
-    """A complex step of at most `most`, so that ω stays where the principal powers are
-    those of L.
-    """
+    """A step of at most `most`, which keeps ω on the principal branch of its powers."""
     return np.asarray(step * np.minimum(1.0, most / np.maximum(np.abs(step), 1e-300)))
