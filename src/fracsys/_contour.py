@@ -30,8 +30,9 @@ from fracsys.errors import FieldError
 
 _BESIDE_ZERO = 0.02  # |p| t
 _AROUND = np.array([[0.3], [1.0], [3.0]])  # |s| t
-# a node at u = 0, or one on either side of it
-_GRIDS = np.array([0.0, 0.5])
+# Of the nodes, in steps: one at u = 0, or one on either side of it. Only these grids
+# are symmetric, so that conjugate poles have conjugate weights.
+GRIDS = np.array([0.0, 0.5])
 _MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared with
 
 
@@ -102,8 +103,7 @@ def _on_parabola(quotient: Quotient, times: Real, nodes: int) -> Real:
     clusters = [c for c in clusters if c.centre.imag < math.pi - COINCIDENT]
     step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
     poles = np.array([*simple, *(c.centre for c in clusters)], np.complex128)
-    # Only these two grids are symmetric, so that conjugate poles have conjugate weights.
-    offset = best_offset(place(poles[:, None], scale) / step, _GRIDS)
+    offset = best_offset(place(poles[:, None], scale) / step)
     u = (np.arange(nodes + 2)[:, None] + offset) * step
     root = 1.0 + 1j * u
     z = 2.0 * np.log(root) + scale
@@ -162,14 +162,14 @@ def pole_weight(u: Complex, offset: Real | float, step: float) -> Complex:
     return np.asarray(1.0 / (1.0 - np.exp(-2j * np.pi * (u / step - offset))))
 
 
-def best_offset(places: Complex, offsets: Real) -> Real:
-    """Of some offsets of the nodes that one for each column of `places`, in steps, which
-    keeps a node farthest from all of its poles; NaN stands for no pole.
+def best_offset(places: Complex) -> Real:
+    """Of `GRIDS` that one for each column of `places`, in steps, which keeps a node
+    farthest from all of its poles; NaN stands for no pole.
     """
-    gaps = places - offsets[:, None, None]
+    gaps = places - GRIDS[:, None, None]
     gaps = np.abs(gaps - np.round(gaps.real))
     nearest = np.where(np.isnan(gaps), np.inf, gaps).min(axis=1, initial=np.inf)
-    return np.asarray(offsets[np.argmax(nearest, axis=0)])
+    return np.asarray(GRIDS[np.argmax(nearest, axis=0)])
 
 
 def _cluster(
@@ -218,13 +218,6 @@ def convolve(weights: Real, u: Real) -> Real:
 
 _WINDOW = 4
 _OVERSAMPLING = 8
-# tried in turn, in units of 1/span, for responses that grow
-_SHIFTS = (
-    0.0,
-    4.0,
-    8.0,
-    16.0,
-)
 
 
 def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction:
@@ -269,9 +262,9 @@ def invert(
     and its error.
     """
     best, smallest = np.zeros(count), math.inf
-    for shift in _SHIFTS:
-        # What wraps around is lost in rounding, which e^(σt) raises by e^(36/4).
-        sigma = FOLDS / (_WINDOW * count * period) + shift / (count * period)
+    # What wraps around is lost in rounding, which e^(σt) raises by e^(36/4).
+    sigma = FOLDS / (_WINDOW * count * period)
+    while True:
         # The wrap-around error depends on σ, the truncation error on the highest
         # frequency. The second inversion changes both, so neither error can be the same
         # in it.
@@ -280,11 +273,12 @@ def invert(
             G, exact, count, period, degree, 1.3 * sigma, _OVERSAMPLING // 2
         )
         error = float(np.max(np.abs(fine - coarse), initial=0.0))
-        if error < smallest:
-            best, smallest = fine, error
+        if not error < smallest:
+            return best, smallest
+        best, smallest = fine, error
         if error <= 1e-7 * float(np.max(np.abs(fine), initial=0.0)):
-            break
-    return best, smallest
+            return best, smallest
+        sigma *= 2.0  # for a response that grows
 
 
 def _series(

@@ -27,9 +27,6 @@ _ADDED = 4.0
 # Fraction of the peak: above this the modes cancel, and one contour per lag is used
 # instead.
 _ENOUGH = 3e-11
-# Beyond this number of samples (about 2 s) the modes are used in any case; the error
-# estimate then shows what they lose.
-_MOST_WEIGHTS = 200_000
 
 
 @dataclass(frozen=True)
@@ -184,23 +181,34 @@ class HeldQuotient:
     ) -> Part:
         """Response to the samples u; those of a linear hold begin with 0."""
         span = max(len(u), 1) * period
-        if self.has_modes:
-            parts = self.expansion(period, span, tolerance)
-            # Each response is compared with the contour integral, since cancellation
-            # among the modes depends on the span as well as on G.
-            error, peak, step = self.error(parts, period, span)
-            if _will_do(error, peak, len(u)):
-                modes = self._recursion(
-                    parts, period, hold, span, tolerance, delay, step
-                )
-                output = modes.respond(u)
-                error = _SWING * error + self._unseen(parts, span, len(u))
-                changes = float(np.abs(np.diff(u, prepend=0.0)).sum())
-                # Each jump of the input contributes this error.
-                error *= min(changes, _ADDED * largest(u))
-                error += ROUNDING * largest(output)
-                return Part(output, error, modes.count, "modes")
-        return self._by_weights(u, period, hold, delay)
+        checked = self._checked(period, span, tolerance, len(u))
+        if checked is None:
+            return self._by_weights(u, period, hold, delay)
+        parts, error, step = checked
+        modes = self._recursion(parts, period, hold, span, tolerance, delay, step)
+        output = modes.respond(u)
+        changes = float(np.abs(np.diff(u, prepend=0.0)).sum())
+        # Each jump of the input contributes this error.
+        error *= min(changes, _ADDED * largest(u))
+        error += ROUNDING * largest(output)
+        return Part(output, error, modes.count, "modes")
+
+    def _checked(
+        self, shortest: float, longest: float, tolerance: float, steps: int
+    ) -> tuple[Expansion, float, float] | None:
+        """The modes, the error of their step response after so many steps, and its
+        first exact value without the integrator; None where they cancel.
+        """
+        if not self.has_modes:
+            return None
+        parts = self.expansion(shortest, longest, tolerance)
+        # Each response is compared with the contour integral, since cancellation among
+        # the modes depends on the span as well as on G.
+        error, peak, first = self.error(parts, shortest, longest)
+        # Modes that overflow give NaN, which must not pass for a small error.
+        if not error <= _ENOUGH * peak:
+            return None
+        return parts, _SWING * error + self._unseen(parts, longest, steps), first
 
     def _by_weights(self, u: Real, period: float, hold: str, delay: float) -> Part:
         """The response by one contour per lag, where modes would cancel.
@@ -235,17 +243,15 @@ class HeldQuotient:
         if not later.any():
             return Part(output, 0.0, 0, "modes")
         t = times[later]
-        shortest, longest = float(t.min()), float(t.max())
-        if self.has_modes:
-            parts = self.expansion(shortest, longest, TOLERANCE)
-            error, peak, first = self.error(parts, shortest, longest)
-            if _will_do(error, peak, len(t)):
-                output[later] = self._by_modes(parts, t, first)
-                error = _SWING * error + self._unseen(parts, longest, 0)
-                error += ROUNDING * largest(output)
-                return Part(output, error, parts.count, "modes")
-        output[later], error = _sampled(self.whole, t, self.direct)
-        return Part(output, error + ROUNDING * largest(output), 0, "contour")
+        checked = self._checked(float(t.min()), float(t.max()), TOLERANCE, 0)
+        if checked is None:
+            output[later], error = _sampled(self.whole, t, self.direct)
+            count, method = 0, "contour"
+        else:
+            parts, error, first = checked
+            output[later] = self._by_modes(parts, t, first)
+            count, method = parts.count, "modes"
+        return Part(output, error + ROUNDING * largest(output), count, method)
 
     def _by_modes(self, parts: Expansion, t: Real, first: float) -> Real:
         value = np.empty(len(t))
@@ -315,12 +321,6 @@ class HeldQuotient:
         value = parts.increments(times)
         value += first - value[0] + self.integrator * times
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
-
-
-def _will_do(error: float, peak: float, count: int) -> bool:
-    """Whether modes with this error are used."""
-    # Modes that overflow give NaN, which must not pass for a small error.
-    return error <= _ENOUGH * peak or count > _MOST_WEIGHTS
 
 
 def _sampled(quotient: Quotient, times: Real, start: float) -> tuple[Real, float]:

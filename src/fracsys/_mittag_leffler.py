@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import rgamma
 
-from fracsys._contour import best_offset, place, pole_weight
+from fracsys._contour import GRIDS, best_offset, place, pole_weight
 from fracsys._precision import EPSILON, FOLDS
 from fracsys._terms import TOGETHER
 from fracsys.checks import Between, Complex, Real, checked
@@ -22,7 +22,6 @@ from fracsys.errors import FieldError, value_text
 # The parabola s = μ(1 + iu)² crosses the real axis at μ. Rounding grows by e^μ; a
 # smaller μ takes more nodes for the same truncation.
 _VERTEX = 2.0
-_OFFSETS = np.array([0.0, 0.25, 0.5, 0.75])
 
 
 @checked
@@ -120,9 +119,9 @@ def _values(z: Complex, alpha: float, beta: float) -> Complex:
     logs, places = _poles(z, alpha)
     # A pole close to a node causes two large terms that cancel; take the offset
     # farthest from all poles.
-    offset = best_offset(places / step, _OFFSETS)
+    offset = best_offset(places / step)
     total = np.empty(z.shape, np.complex128)
-    for o in _OFFSETS:
+    for o in GRIDS:
         at = offset == o
         u = (np.arange(-count - 1, count + 2) + o) * step
         log_s = math.log(_VERTEX) + 2.0 * np.log(1.0 + 1j * u)

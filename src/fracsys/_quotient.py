@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fracsys._precision import BLUR, EPSILON
+from fracsys._precision import BLUR, EPSILON, ROUNDS
 from fracsys._roots import zeros_of_terms
 from fracsys._terms import Term, collect, same
 from fracsys.checks import Complex, Real
@@ -27,9 +27,6 @@ from fracsys.errors import FieldError
 SHEET = 1.5 * math.pi
 # limit of |ln |s||: squares of poles and of spans stay within doubles
 _RANGE = math.log(math.sqrt(sys.float_info.max))
-# points on a circle of half the distance to the next obstacle: error 2^-96, at worst
-# 1.5^-96
-_CIRCLE = 96
 _VAGUE = 1e3  # units of rounding
 _NEAR = 0.02  # kept apart, zeros closer than this in ln s would lose two digits or more
 
@@ -181,14 +178,15 @@ class Quotient:
             if abs(z - cluster.centre) > cluster.radius
         ]
         # At least 1.5 radii of the cluster: the points must enclose every zero, and at
-        # 1.5^-96 the rule still converges to rounding.
+        # 1.5^-106 the rule still converges to rounding.
         size = max(
             min(radius, 0.5 * clearance, *(0.5 * o for o in others)),
             1.5 * cluster.radius,
         )
-        turn = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
+        # each point gains a bit where the next obstacle is at twice the distance
+        turn = np.exp(2j * np.pi * (np.arange(ROUNDS) + 0.5) / ROUNDS)
         points = cluster.centre + size * turn
-        return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
+        return points, self.value(points) * kernel(points) * size * turn / ROUNDS
 
 
 def _sum(terms: Sequence[Term], z: Complex | Real, derivative: int = 0) -> Complex:
