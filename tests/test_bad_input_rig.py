@@ -150,6 +150,23 @@ def test_b46_an_unknown_key_is_answered_by_the_nearest(
     assert caught.value.remedy == f"did you mean '{meant}'?"
 
 
+@pytest.mark.parametrize(
+    ("table", "line", "remedy"),
+    [
+        ("link", "length_mm = 650", "give it in m: length_m = 0.65"),
+        ("payloads", "low_g = 20", "give it in kg: low_kg = 0.02"),
+        ("motor_loop", "pole_Hz = 12.5", "rad/s: pole_rad_per_s = 78.53981634"),
+    ],
+)
+def test_a_value_in_another_unit_is_converted(
+    table: str, line: str, remedy: str, tmp_path: Path
+) -> None:
+    text = PAPER.read_text(encoding="utf-8").replace(f"[{table}]", f"[{table}]\n{line}")
+    with pytest.raises(FieldError) as caught:
+        load(text, tmp_path)
+    assert caught.value.remedy.endswith(remedy)
+
+
 def test_b46_an_unknown_table_is_answered_by_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="Did you mean 'motor_loop'"):
         load(

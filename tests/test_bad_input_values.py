@@ -224,3 +224,10 @@ def test_b44_a_whole_number_that_no_float_holds(
 ) -> None:
     # the 400 digits of the number are not printed either
     assert "0" * 30 not in str(refused(call, field))
+
+
+def test_a_word_beside_other_kinds_names_them_all() -> None:
+    move = fl.smooth_step(1.0, duration=0.5)
+    error = refused(lambda: fl.simulate(default_law(), move, told="yes"), "told")
+    assert error.value == "yes" and error.problem == "unknown"
+    assert all(each in error.allowed for each in ("kg", "True", "estimated"))

@@ -49,6 +49,8 @@ _UNITS: dict[str, tuple[str, float, int | None]] = {
     "rad": ("°", math.pi / 180.0, 1),
     "kg": ("g", 1e-3, None),
     "g": ("g", 1e-3, None),
+    "mm": ("mm", 1e-3, None),
+    "cm": ("cm", 1e-2, None),
     "ms": ("ms", 1e-3, None),
     "µs": ("µs", 1e-6, 1),
     "mrad": ("mrad", 1e-3, 2),

@@ -274,7 +274,7 @@ def _transfer_function(
             input = output
         channels = named_channels(input, output)
         period = in_seconds(period_ms)
-        measured = read_recording(data[0], *channels, period=period)
+        measured = read_recording(log_path(data[0]), *channels, period=period)
         if ring_down:
             swing = (measured.period, measured.output)
             measured = Recording.ring_down(

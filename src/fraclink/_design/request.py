@@ -378,4 +378,9 @@ class Request:
         )
         # a notch above the mode turns its phase away from -1
         low = mode if self.loud else mode / apart
-        return (None,) if mode >= top else (None, (low, min(mode * apart, top)))
+        # a mode below the resonance is that of a log with another payload
+        return (
+            (None, (low, min(mode * apart, top)))
+            if self.arms.resonance < mode < top
+            else (None,)
+        )

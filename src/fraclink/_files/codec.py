@@ -31,6 +31,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._display import size_of
 from fraclink.errors import FieldError, FileFormatError
 from fracsys.checks import Between, Parameter, parameters, rule
 from fracsys.checks.ranges import Form, Refused, Rule, number
@@ -59,19 +60,7 @@ def _stored(kind: Any) -> dict[str, Parameter]:
     return {name: by_name[name] for name in by_name if name not in left_out}
 
 
-class _Plain(Form):
-    """A form with its own functions of (rule, value) for some kinds of values, since a
-    file cannot express an array or an infinite number directly.
-    """
-
-    own: Mapping[Any, Callable[[Rule, Any], Any]]
-
-    def __call__(self, rule: Rule, value: Any) -> Any:
-        own = self.own.get(rule.kind)
-        return rule.convert(value, self) if own is None else own(rule, value)
-
-
-class _Encoder(_Plain):
+class _Encoder(Form):
     """Values in the form of JSON; with `arrays`, arrays become members of an archive."""
 
     def __init__(self, *, hex_floats: bool = False, arrays: bool = False) -> None:
@@ -134,7 +123,7 @@ class _Encoder(_Plain):
         return content
 
 
-class Decoder(_Plain):
+class Decoder(Form):
     """Values from JSON, or from an archive with `arrays`."""
 
     def __init__(
@@ -209,8 +198,14 @@ class Decoder(_Plain):
         return _made(lambda: kind(**values))
 
 
-def _unknown(key: str, value: object, known: Iterable[str]) -> Refused:
+def _unknown(key: str, value: Any, known: Mapping[str, Parameter]) -> Refused:
     remedy = suggestion(key, known) or "remove it"
+    for own, field in known.items():
+        unit = key.removeprefix(f"{field.name}_")
+        size = size_of(unit) if field.rule.unit else 1.0
+        if size != 1.0 and type(value) in (int, float):
+            # The same number under the right key would be another value.
+            remedy = f"give it in {field.rule.unit}: {own} = {value * size:.10g}"
     return Refused(value, "an unknown key", ", ".join(known), remedy)
 
 

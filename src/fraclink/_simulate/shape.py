@@ -237,7 +237,7 @@ def shape(
         raise FieldError(
             "payloads",
             payload,
-            f"one with which the loop is not stable on the arm “{words}”",
+            f"one with which the loop is not stable on the {on} of the link “{words}”",
             allowed="a payload that the law holds on every arm of the set",
             remedy="narrow the range, or design for it",
         )

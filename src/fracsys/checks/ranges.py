@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sized
+from collections.abc import Callable, Mapping, Sized
 from dataclasses import KW_ONLY, dataclass
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -47,11 +48,16 @@ class Refused(Exception):
 
 
 class Form:
-    """The form of values: arguments of a call, or another form in a subclass."""
+    """The form of values: arguments of a call, or that of a file in a subclass, with
+    functions of its `own` of (rule, value) for kinds that a file cannot express.
+    """
+
+    own: Mapping[Any, Callable[[Rule, Any], Any]] = MappingProxyType({})
 
     def __call__(self, rule: Rule, value: Any) -> Any:
         """Return `value` converted; raises Refused if `rule` does not admit it."""
-        return rule.convert(value, self)
+        own = self.own.get(rule.kind)
+        return rule.convert(value, self) if own is None else own(rule, value)
 
     def entry(self, rule: Rule, value: Any, key: object) -> Any:
         """Return the value at `key` of a container, converted."""

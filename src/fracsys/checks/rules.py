@@ -276,7 +276,7 @@ def choice(choices: tuple[Any, ...]) -> Rule:
         typed, remedy = isinstance(plain, kinds), "choose one of these"
         raise Refused(value, "unknown", expected, remedy, is_type=not typed)
 
-    return Rule(expected, convert)
+    return Rule(expected, convert, Literal)
 
 
 def _union(members: tuple[Any, ...]) -> Rule:
@@ -316,8 +316,10 @@ def _any_of(members: Sequence[Rule]) -> Rule:
                 refusals.append(refused.with_traceback(None))
         # If the kind of a member fits, its message gives the reason; otherwise no
         # member accepts the value.
-        for refusal in refusals:
+        for item, refusal in zip(members, refusals, strict=True):
             if not refusal.is_type:
+                # Beside words there are numbers or objects, which are expected as much.
+                refusal.expected = expected if item.kind is Literal else item.expected
                 raise refusal
         raise Refused(
             brief(value),
