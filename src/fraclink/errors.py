@@ -68,18 +68,11 @@ class InfeasibleError(FraclinkError, ValueError):
     request as keyword arguments of the same call (empty where none was found).
     """
 
-    condition: str
-    explanation: str
-    nearest: dict[str, float]
-
     def __init__(
         self, condition: str, explanation: str, nearest: dict[str, float] | None = None
     ) -> None:
-        self.condition, self.explanation, self.nearest = (
-            condition,
-            explanation,
-            dict(nearest or {}),
-        )
+        self.condition, self.explanation = condition, explanation
+        self.nearest = dict(nearest or {})
         hint = ", ".join(_argument(*item) for item in self.nearest.items())
         super().__init__(
             f"{condition}: {explanation}"
@@ -99,10 +92,6 @@ class NotCertifiedError(FraclinkError, ValueError):
     known.
     """
 
-    reason: str
-    payload: float | None
-    frequency: float | None
-
     def __init__(
         self,
         reason: str,
@@ -118,9 +107,6 @@ class FraclinkWarning(UserWarning):
     """A finding that does not stop the work; ``code`` (``W101`` ...) is stable across
     releases.
     """
-
-    code: str
-    message: str
 
     def __init__(self, code: str, message: str) -> None:
         self.code, self.message = code, message

@@ -10,6 +10,7 @@ FracsysError
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TypeVar
 
 __all__ = [
@@ -102,12 +103,6 @@ class FieldError(FracsysError, ValueError):
     fracsys.errors.FieldError: rig is required; expected a Rig. Use Rig.named or Rig.load.
     """
 
-    field: str
-    value: object
-    problem: str
-    allowed: str
-    remedy: str
-
     def __init__(
         self, field: str, value: object, problem: str, *, allowed: str, remedy: str
     ) -> None:
@@ -127,25 +122,8 @@ class FieldError(FracsysError, ValueError):
     def __reduce__(self) -> tuple[object, ...]:
         # The default pickle protocol loses keyword-only arguments, and errors cross
         # process borders (file readers run in a child process that may be killed).
-        return _rebuild, (
-            type(self),
-            self.field,
-            self.value,
-            self.problem,
-            self.allowed,
-            self.remedy,
-        )
-
-
-def _rebuild(
-    kind: type[FieldError],
-    field: str,
-    value: object,
-    problem: str,
-    allowed: str,
-    remedy: str,
-) -> FieldError:
-    return kind(field, value, problem, allowed=allowed, remedy=remedy)
+        rebuilt = partial(type(self), allowed=self.allowed, remedy=self.remedy)
+        return rebuilt, (self.field, self.value, self.problem)
 
 
 def required(field: str, value: Value | None, *, allowed: str, remedy: str) -> Value:
@@ -170,20 +148,11 @@ class NotConvergedError(FracsysError, RuntimeError):
     at.
     """
 
-    what: str
-    reached: float
-    wanted: float
-    remedy: str
-
     def __init__(
         self, what: str, *, reached: float, wanted: float, remedy: str
     ) -> None:
-        self.what, self.reached, self.wanted, self.remedy = (
-            what,
-            reached,
-            wanted,
-            remedy,
-        )
+        self.what, self.remedy = what, remedy
+        self.reached, self.wanted = reached, wanted
         super().__init__(
             f"{what}: reached {reached:.3g}, wanted {wanted:.3g}; {remedy}"
         )
@@ -195,9 +164,6 @@ class MissingExtraError(FracsysError, ImportError):
     `install` is the requirement for pip where the package is not one that the extra
     brings.
     """
-
-    package: str
-    extra: str
 
     def __init__(self, package: str, extra: str, *, install: str | None = None) -> None:
         self.package, self.extra = package, extra
