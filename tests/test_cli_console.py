@@ -1,4 +1,4 @@
-"""What a terminal shows and a pipe does not: links, colours, progress, folded remarks,
+"""What a terminal shows and a pipe does not: progress, folded remarks,
 questions.
 """
 
@@ -34,8 +34,6 @@ class Terminal(io.StringIO):
 
 def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     """Standard error of this test, on a terminal of 60 columns."""
-    for name in ("NO_COLOR", "FORCE_COLOR"):
-        monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "60")
     stream = Terminal()

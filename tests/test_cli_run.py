@@ -337,9 +337,8 @@ def test_an_error_about_an_option_has_its_name_and_its_unit(
         ),
         (
             "campaign faults --design {design} --only F01 --out F",
-            ("run.npz", "faults.txt"),
+            ("run.npz", "faults.json"),
         ),
-        ("compare {design} --out F", ("comparison.txt", "comparison.json")),
     ],
 )
 def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(

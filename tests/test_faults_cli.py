@@ -12,7 +12,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import main as run
-from fraclink.trials import Case, FaultTable, Outcome
+from fraclink.trials import FaultTable
 
 ONE = ["--severity", "2", "--payload", "0.03", "--phase", "mid", "--seed", "1"]
 
@@ -82,19 +82,8 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     assert (
         tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg"
     ).read_bytes() == first
-    # Also under its name, and never over existing files.
-    capsys.readouterr()
-    named = ["replay", "first", "--run", "F07-3-30g-mid-3"]
-    assert run(named) == 1
-    said = capsys.readouterr()
-    assert (
-        "0 of 1 faults" in said.out
-        and said.err == "written: run.npz\nwritten: run.svg\n"
-    )
-    assert (tmp_path / "run.svg").read_bytes() == first
-    assert fl.load(tmp_path / "run.npz").about["case"] == "F07-3-30g-mid-3"
-    (tmp_path / "run.npz").unlink()
-    assert run(named) == 2 and "run.svg" in capsys.readouterr().err
+    kept = fl.load(tmp_path / "F07-3-30g-mid-3" / "run.npz")
+    assert kept.about["case"] == "F07-3-30g-mid-3"
 
 
 @pytest.mark.parametrize(
@@ -116,38 +105,3 @@ def test_bad_requests_exit_with_2(
     assert run([*arm, *words, "--out", str(tmp_path / "none")]) == 2
     assert field in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
-
-
-def test_a_replay_names_what_it_misses(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table = FaultTable(
-        (
-            Outcome(
-                Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1
-            ),
-        ),
-        {},
-    )
-    fl.save(table, tmp_path / "faults.json")
-    words = ["replay", str(tmp_path), "--out", str(tmp_path / "run.npz")]
-    assert run(words) == 2 and "'--run'" in capsys.readouterr().err
-    assert run([*words, "--run", "F03-2-30g-mid-1"]) == 2
-    assert "such as F02-2-30g-mid-1" in capsys.readouterr().err
-    # The table of the studio has no command: the design of its folder was tested, and
-    # here there is none.
-    assert run([*words, "--run", "F02-2-30g-mid-1"]) == 2
-    assert "design.json" in capsys.readouterr().err
-
-
-def test_a_replay_refuses_another_law(
-    arm: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    about = {"design": arm[-1]}
-    case = Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1)
-    table = FaultTable((case,), about | {"law_sha256": "0" * 64})
-    fl.save(table, tmp_path / "faults.json")
-    words = ["replay", str(tmp_path), "--run", "F02-2-30g-mid-1"]
-    assert run([*words, "--out", str(tmp_path / "run.npz")]) == 2
-    assert "not the law that was tested" in capsys.readouterr().err
-    assert not (tmp_path / "run.npz").exists()

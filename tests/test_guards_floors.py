@@ -184,10 +184,10 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2701,
+    "fracsys": 2693,
     "_arm": 1526,
     "_certify": 863,
-    "_cli": 914,
+    "_cli": 881,
     "_design": 1489,
     "_export": 432,
     "_files": 566,

@@ -28,19 +28,17 @@ from fraclink._design.assess import (
 )
 from fraclink._design.pid import tune_pid as pid_for
 from fraclink._display import Overview, Row, Table, quantity
-from fraclink._files import save, write_text
+from fraclink._files import save
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
-from fraclink.view._text import plain_text, view
 from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import Between, PhaseMarginDeg
 
 app = group()
 
 _KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
-_COMPARISON = ("comparison.txt", "comparison.json")
 
 
 @dataclass(frozen=True)
@@ -136,9 +134,9 @@ def assess(
 @command(app)
 def compare(
     design_file: DesignFile,
-    out: Annotated[
-        Path, "Folder for the table, and its figures as JSON", Writes(_COMPARISON)
-    ] = Path("comparison"),
+    out: Annotated[Path, "File to write the comparison to", Writes()] = Path(
+        "comparison.json"
+    ),
     only: Annotated[
         list[str] | None,
         typer.Option(metavar="TEXT"),
@@ -155,12 +153,8 @@ def compare(
             names=only or None,
             progress=begin,
         )
-    table = out / "comparison.txt"
-    write_text(table, plain_text(view(result)))
-    save(result, out / "comparison.json", force=True)
-    return Answer(
-        result, result.standings[0].passed, values={"out": str(out)}, written=(table,)
-    )
+    save(result, out, force=True)
+    return Answer(result, result.standings[0].passed, written=(out,))
 
 
 # --- a fractional PID for any plant -----------------------------------------------------------------------

@@ -16,22 +16,16 @@ from fraclink._cli.options import (
     refuse_beside,
 )
 from fraclink._design import Design
-from fraclink._files import load, output_path, save, write_text
+from fraclink._files import save
 from fraclink._reading.responses import read_reference
 from fraclink.errors import FieldError
 from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign, is_campaign, load_campaign
 from fraclink.trials._fault_trial import PHASES, Bench, Phase
-from fraclink.trials._faults import (
-    FaultTable,
-    cases,
-    observe,
-    run_faults,
-)
+from fraclink.trials._faults import cases, observe, run_faults
 from fraclink.trials._run import Progress, run_campaign
 from fraclink.trials._summary import Summary, summarise
 from fraclink.view._runs import draw_outcome
-from fraclink.view._text import plain_text, view
 
 app = group()
 campaign = group("Many runs: Monte Carlo and faults.")
@@ -100,34 +94,25 @@ def summary_answer(
 @command(app)
 def replay(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of a campaign"],
-    run: Annotated[
-        str,
-        "Run to repeat: its number, or the name of a fault's, e.g. F07-3-30g-mid-3",
-    ],
-    out: Annotated[Path, "File for the signals of that run (.npz)"] = Path("run.npz"),
-    force: bool = False,
+    run: Annotated[int, "Number of the run, as the campaign lists it"],
+    out: Annotated[Path, "File for the signals of that run (.npz)", Writes()] = Path(
+        "run.npz"
+    ),
 ) -> Answer:
-    """Repeat one run of a campaign with all its signals: a run on varied arms by its
-    number, the run of a fault by its name. A fault is drawn, too.
+    """Repeat one run of a campaign on varied arms, with all its signals.
 
     $ fraclink replay mc --run 65
     """
-    place = output_path(out, force=force)
-    if is_campaign(folder):
-        if not run.isdigit():
-            raise FieldError(
-                "run",
-                run,
-                "no number",
-                allowed="the number of a run",
-                remedy="take one that the campaign lists",
-            )
-        move = replay_run(load_campaign(folder), int(run))
-        return Answer(
-            move, move.verdict.passed, values={"run": int(run)}, saved={place: move}
+    if not is_campaign(folder):
+        raise FieldError(
+            "folder",
+            str(folder),
+            "without a campaign",
+            allowed="a folder that `fraclink campaign montecarlo` has written",
+            remedy="give its --out",
         )
-    figure = output_path(out.with_suffix(".svg"), force=force)
-    return _repeat_fault(folder, run, place, figure)
+    move = replay_run(load_campaign(folder), run)
+    return Answer(move, move.verdict.passed, values={"run": run}, saved={out: move})
 
 
 # --- faults -----------------------------------------------------------------------------------------------
@@ -138,8 +123,8 @@ def faults(
     design: DesignOption,
     out: Annotated[
         Path,
-        "Folder for the table, its page and figures",
-        Writes(("faults.json", "faults.txt", "run.npz")),
+        "Folder for the table and figures",
+        Writes(("faults.json", "run.npz")),
     ] = Path("faults"),
     only: Annotated[
         list[str] | None, typer.Option(metavar="FAULT"), "A fault, e.g. F07"
@@ -166,7 +151,7 @@ def faults(
 
     Every fault at three severities, three payloads and several phases of a move of 1
     rad. A run that does not meet its requirement gets a figure and a command that
-    repeats it.
+    repeats it; of a single run all signals are kept.
 
     $ fraclink campaign faults --design design.json --only F07 --out faults
     """
@@ -187,70 +172,19 @@ def faults(
     with steps(len({case.fault for case in plan})) as begin:
         result = run_faults(bench, plan, progress=begin, about=about)
     save(result, out / "faults.json", force=True)
-    write_text(out / "faults.txt", plain_text(view(result)))
     with steps(len(result.failures)) as begin:
         for outcome in result.failures:
             begin(outcome.case.name)
             draw_outcome(bench, outcome, out / "figures" / f"{outcome.case.name}.svg")
     # A single run is meant to be inspected closely.
-    if len(plan) == 1:
-        observe(bench, plan[0]).faulty.save(out / "run.npz")
-    worst = next((row.worst[1].case.name for row in result.rows() if row.worst), None)
-    again = f"fraclink replay {out} --run {worst}"
+    single = len(plan) == 1
+    worst = next((row.worst[1] for row in result.rows() if row.worst), None)
     return Answer(
         result,
         result.passed,
         values={"out": str(out)},
         remarks=tuple(map(str, bench.twin.findings)),
-        written=(out / "faults.txt",),
-        following=again if worst and len(plan) > 1 else "",
-    )
-
-
-def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
-    """Run one case of a finished fault campaign again, on the same arm and with the
-    same law.
-    """
-    if not (folder / "faults.json").is_file():
-        raise FieldError(
-            "folder",
-            str(folder),
-            "without a campaign",
-            allowed="a folder that `fraclink campaign` has written",
-            remedy="give its --out",
-        )
-    table = load(folder / "faults.json", FaultTable)
-    runs = {outcome.case.name: outcome.case for outcome in table.outcomes}
-    if name not in runs:
-        raise FieldError(
-            "run",
-            name,
-            "no run of this campaign",
-            allowed=f"a run that {folder / 'faults.json'} lists, such as {next(iter(runs))}",
-            remedy="copy its name",
-        )
-    case = runs[name]
-    # The table of the studio states no design: that of its folder was tested.
-    bench = Bench.of(
-        load_design(Path(table.about.get("design", folder / "design.json")))
-    )
-    # By its digest: a new design under the same name would show the behaviour of
-    # another law as that of the fault.
-    digest = table.about.get("law_sha256", bench.law.digest)
-    if bench.law.digest != digest:
-        raise FieldError(
-            "law",
-            bench.law.digest[:16],
-            "not the law that was tested",
-            allowed=f"the campaign's law, {digest[:16]}",
-            remedy="run the campaign again",
-        )
-    result = run_faults(bench, [case], about=dict(table.about))
-    draw_outcome(bench, result.outcomes[0], figure)
-    return Answer(
-        result,
-        result.passed,
-        values={"case": case.name},
-        saved={out: observe(bench, case).faulty},
-        written=(figure,),
+        saved={out / "run.npz": observe(bench, plan[0]).faulty} if single else {},
+        written=(out / "faults.json",),
+        following=result.repeated(worst) if worst and not single else "",
     )

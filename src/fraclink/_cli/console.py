@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, TextIO, TypeVar
+from typing import Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -67,18 +66,6 @@ _NO_ROOM = "failed to map segment from shared object"  # message of the dynamic 
 # through a public name.
 _USAGE: Any = typer.BadParameter.__mro__[2]
 
-# Words carry signs as well, for outputs without colours: pipes, NO_COLOR, screen
-# readers.
-_COLOURS = (
-    ("✓ passed|✓", "32"),
-    ("✗ (?:failed|missed)|^error|✗", "31"),
-    ("! (?:not shown|missing)|^warning", "33"),
-    (
-        r"(?<=\(got ).+?(?=\)(?:;|\. |\.?$))",
-        "1",
-    ),  # the value about which an error complains
-)
-
 
 def clean(text: object) -> str:
     """Return `text` with everything a terminal would obey written out.
@@ -94,20 +81,9 @@ def width() -> int:
     return shutil.get_terminal_size().columns
 
 
-def _coloured(text: str, stream: TextIO) -> str:
-    # no-color.org: the variable counts if it is set to any value, and takes precedence
-    # over FORCE_COLOR.
-    forced = stream.isatty() or "FORCE_COLOR" in os.environ
-    if "NO_COLOR" in os.environ or not forced:
-        return text
-    for words, code in _COLOURS:
-        text = re.sub(words, f"\x1b[{code}m\\g<0>\x1b[0m", text, flags=re.MULTILINE)
-    return text
-
-
 def emit(text: str) -> None:
     """Print a result on standard output."""
-    sys.stdout.write(_coloured(clean(text), sys.stdout) + "\n")
+    sys.stdout.write(clean(text) + "\n")
 
 
 def emit_json(value: Mapping[str, object]) -> None:
@@ -122,7 +98,7 @@ def tell(text: str) -> None:
     if sys.stderr.isatty():
         # Only for a terminal: a log file or `grep` needs one line per remark.
         text = folded(text, width())
-    sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
+    sys.stderr.write(clean(text) + "\n")
 
 
 # --- questions ---------------------------------------------------------------------------

@@ -322,7 +322,9 @@ class FaultTable:
     def repeated(self, outcome: Outcome) -> str:
         """The command that runs one case again."""
         case = outcome.case
-        command = self.about.get("command", "fraclink campaign faults")
+        command = self.about.get(
+            "command", "fraclink campaign faults --design design.json"
+        )
         return (
             f"{command} --only {case.fault} --severity {case.severity} --payload {case.payload!r} "
             f"--phase {case.phase} --seed {case.seed} --out {case.name}"
@@ -330,7 +332,7 @@ class FaultTable:
 
     def overview(self) -> Overview:
         """One line a fault, those that miss their requirement first; for each of these
-        its worst run by name, which `replay` repeats.
+        its worst run by name.
         """
         summaries = self.rows()
         counts = {f.number: {"runs": f.runs, "failed": f.failed} for f in summaries}
