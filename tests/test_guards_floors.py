@@ -197,9 +197,9 @@ CEILINGS = {
     "_simulate": 1184,
     "lab": 1937,
     "logs": 728,
-    "studio": 1105,
+    "studio": 1096,
     "trials": 1381,
-    "view": 1495,
+    "view": 1447,
 }
 
 

@@ -111,10 +111,9 @@ NAMED = {
         "remedy": "excite the arm: a pulse, a PRBS or a square wave / check the gauge and its amplifier",
     },
     "W501": {
-        "message": "the arm settles later, or the tip is farther from the path, than the "
-        "linear loop promises; noise and friction take the voltage beyond its limit; a "
-        "guard of the law acts during the move",
-        "remedy": "keep a larger reserve, allow less voltage, make the path larger or slower, or filter more",
+        "message": "the arm settles later than the linear loop promises; noise and "
+        "friction take the voltage beyond its limit; a guard of the law acts in some runs",
+        "remedy": "keep a larger reserve, allow less voltage, filter more, or derive the law's limits for faster moves",
     },
 }
 NONE: Mapping[str, ast.expr] = {}

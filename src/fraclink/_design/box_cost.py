@@ -69,7 +69,7 @@ def cost_of_box(design: Design) -> Finding:
         "W407",
         "info",
         f"the box costs {math.degrees(nominal - worst):.1f}° of phase margin, most of it {word} from "
-        f"{low:.4g} to {high:.4g}: exactly known it would give back {math.degrees(gains[top]):.1f}°",
+        f"{low:.4g} to {high:.4g}: known exactly, it would give back {math.degrees(gains[top]):.1f}°",
         evidence,
         f"{remedy} narrows the interval",
     )

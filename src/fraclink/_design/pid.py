@@ -174,7 +174,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
             Finding(
                 "W423",
                 "warning",
-                "the shipped law was not looked at: a plant with a delay inside its own loop has no modes",
+                "the shipped law was not checked: a plant with a delay inside its own loop has no modes",
                 {"delay, s": max(term.delay for term in made.plant.denominator)},
                 "keep a larger margin, or simulate the law on the arm's own software",
             ),

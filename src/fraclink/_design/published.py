@@ -170,7 +170,7 @@ def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding
         yield Finding(
             "W405",
             "warning",
-            f"the loop that runs misses what the published procedure does not look at: {misses}",
+            f"the loop that runs misses requirements that the published procedure ignores: {misses}",
             {},
             'leave out procedure="published"',
         )

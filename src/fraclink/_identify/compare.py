@@ -219,7 +219,7 @@ def _of_the_choice(choice: Choice, best: Fit) -> Iterator[Finding]:
         yield Finding(
             "W327",
             "info",
-            f"{' and '.join(choice.vetoed)} would do for the fitted part, but "
+            f"{' and '.join(choice.vetoed)} fits the fitted part as well, but "
             f"{best.structure} predicts the held-out part better",
             {"heldout_nmse": best.heldout_nmse or 0.0},
             "nothing; record a longer log if the structure matters",

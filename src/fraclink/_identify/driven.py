@@ -259,7 +259,7 @@ def _of_the_rest(part: Limits, band: Limits) -> Finding:
     return Finding(
         "W349",
         "warning",
-        f"fitted from {low:.4g} to {high:.4g} rad/s: over all lines no link of one mode on a motor passes",
+        f"fitted from {low:.4g} to {high:.4g} rad/s: over all lines a motor with a link of one mode does not fit",
         {
             "low": low,
             "high": high,

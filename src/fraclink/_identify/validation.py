@@ -333,7 +333,7 @@ def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
         yield Finding(
             "W362",
             "warning",
-            f"{name} shows another {', '.join(apart).replace('_', ' ')}: the 95 % intervals have nothing in common",
+            f"{name} shows another {', '.join(apart).replace('_', ' ')}: the 95 % intervals do not overlap",
             evidence,
             "give the models of both logs to the design: ParameterBox.of(model, rig, others=validation.models)",
         )

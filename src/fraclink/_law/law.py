@@ -196,8 +196,14 @@ class Law(Saved):
             Row("period", "period", self.period, "ms"),
             Row("precision", "precision", self.precision),
             Row("band", "band of the fit", self.band, "rad/s", digits=3),
-            Row("correction_error_db", "largest error of C", decibel, "dB", digits=2),
-            Row("correction_error", "and", math.radians(degree), "rad", digits=2),
+            Row("correction_error_db", "error of C, gain", decibel, "dB", digits=2),
+            Row(
+                "correction_error",
+                "error of C, phase",
+                math.radians(degree),
+                "rad",
+                digits=2,
+            ),
             Row("sha256", "", self.digest),
             Row("", "SHA-256", f"{self.digest[:16]}…"),
         )

@@ -278,7 +278,7 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
             if connection.key is not None
             else without,
             "127.0.0.1, ::1 or localhost",
-            "on a network of its own give --unsafe-remote (unsafe_remote=True), and a key",
+            "on a dedicated network give --unsafe-remote (unsafe_remote=True), and a key",
         )
     with socket.socket(family, kind, protocol) as plug:
         yield plug, address

@@ -24,9 +24,9 @@ from fraclink.errors import FieldError, FraclinkError, required
 from fraclink.studio._logs import fit_answer
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
+from fraclink.studio._worker import cell_of
 from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign, load_campaign
-from fraclink.trials._faults import FaultTable
 from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view._loops import payloads_about
 from fraclink.view._text import grams, grid_of, sentence
@@ -35,13 +35,12 @@ from fracsys.checks import Between, Real
 __all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
 
 
-# Verb -> (part of the study it needs, its options: name, range, default).
-_Option = tuple[str, Between, float | None]
-JOBS: dict[str, tuple[str, tuple[_Option, ...]]] = {
-    "identify": ("experiment", (("heldout", Between(0.05, 0.9), None),)),
-    "prove": ("law", ()),
-    "arms": ("law", (("runs", Between(1, 20_000), 1000),)),
-    "faults": ("law", ()),
+# Verb -> part of the study it needs.
+JOBS = {"identify": "experiment", "prove": "law", "arms": "law", "faults": "law"}
+# Option of a job -> its range, and what it is where the page leaves it out.
+_OPTIONS: dict[str, tuple[Between, float | None]] = {
+    "heldout": (Between(0.05, 0.9), None),
+    "runs": (Between(1, 20_000), 1000),
 }
 _NEEDS = {
     "experiment": "read a log first (steps 1 and 2)",
@@ -69,7 +68,7 @@ class Job:
         """Run to the end, passing all progress to `tell`, and return the answer about
         the study.
         """
-        part, options = JOBS[self.verb]
+        part = JOBS[self.verb]
         required(
             part,
             getattr(self.study, part),
@@ -77,8 +76,10 @@ class Job:
             remedy=_NEEDS[part],
         )
         values = {
-            name: _checked(name, bounds, self.given.get(name, usual))
-            for name, bounds, usual in options
+            name: usual
+            if self.given.get(name) is None
+            else bounds.check(name, self.given[name])
+            for name, (bounds, usual) in _OPTIONS.items()
         }
         place = Path(tempfile.mkdtemp(dir=self.session.draft))
         try:
@@ -172,10 +173,6 @@ class Job:
         if self.verb == "identify":
             return fit_answer(session)
         return Reply({"ok": True, **session.overview(), **proof_of(session.study)})
-
-
-def _checked(name: str, bounds: Between, value: object) -> Any:
-    return None if value is None else bounds.check(name, value)
 
 
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
@@ -295,26 +292,8 @@ def proof_of(study: Study) -> dict[str, Any]:
     if study.faults is not None:
         content["faults"] = grid_of(study.faults.overview().tables[0])
         content["faults_said"] = study.faults.sentence
-        content["cells"] = _cells(study.faults)
+        content["cells"] = [cell_of(outcome) for outcome in study.faults.outcomes]
     return content
-
-
-def _cells(table: FaultTable) -> list[dict[str, Any]]:
-    """One cell for each fault, severity and payload, with its first failed run, or a
-    passed one.
-    """
-    cells: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for outcome in table.outcomes:
-        case = outcome.case
-        key = (case.fault, case.severity, case.payload)
-        # A red cell links to a run that shows the failure.
-        if key not in cells or (cells[key]["passed"] and not outcome.passed):
-            names = ("fault", "severity", "payload")
-            cells[key] = dict(zip(names, key, strict=True)) | {
-                "phase": case.phase,
-                "passed": outcome.passed,
-            }
-    return list(cells.values())
 
 
 def _proof(session: Session, given: Mapping[str, Any]) -> Reply:

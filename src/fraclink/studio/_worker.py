@@ -21,7 +21,7 @@ from fraclink.trials._faults import Outcome, cases, run_faults
 from fraclink.trials._stages import identified, proved, tried
 from fraclink.trials._study import Study, load_study, save_study
 
-__all__ = ["main"]
+__all__ = ["cell_of", "main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,6 +51,18 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
     return _with_faults(study)
 
 
+def cell_of(outcome: Outcome) -> dict[str, Any]:
+    """Return the run of a fault as the page marks it: a cell is as bad as its worst."""
+    case = outcome.case
+    return {
+        "fault": case.fault,
+        "severity": case.severity,
+        "payload": case.payload,
+        "phase": case.phase,
+        "passed": outcome.passed,
+    }
+
+
 def _with_faults(study: Study) -> Study:
     """Every fault at three severities and three payloads, in every phase of a move,
     with one seed.
@@ -65,10 +77,8 @@ def _with_faults(study: Study) -> Study:
     def watch(outcome: Outcome) -> None:
         nonlocal done
         done += 1
-        case = outcome.case
-        text = f"{done} of {len(plan)} runs, {case.fault}"
-        _tell({"said": text, "done": done, "all": len(plan), "passed": outcome.passed, "fault": case.fault,
-               "severity": case.severity, "payload": case.payload, "phase": case.phase})  # fmt: skip
+        text = f"{done} of {len(plan)} runs, {outcome.case.fault}"
+        _tell({"said": text, "done": done, "all": len(plan), **cell_of(outcome)})
 
     text = f"0 of {len(plan)} runs"
     _tell({"said": text, "done": 0, "all": len(plan), "payloads": bench.payloads})

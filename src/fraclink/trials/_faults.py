@@ -462,7 +462,7 @@ def _check_clean(run: Run, payload: float) -> None:
             f"{mode} ({reason}) at {time:.3f} s",
             f"trips with {1e3 * payload:g} g before anything is broken",
             allowed="a healthy arm that stays in mode run",
-            remedy="mend the rig or the design first; the paper's arm needs a gear (--gear 50)",
+            remedy="mend the rig or the design first; the paper's arm needs a gear: --rig paper-2023-geared",
         )
 
 

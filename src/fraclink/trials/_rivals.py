@@ -246,7 +246,7 @@ def _tuned(
             "tuning",
             reached=math.inf,
             wanted=1.0,
-            remedy="no knob of the range stabilises the nominal arm",
+            remedy="no tuning value in the range stabilises the nominal arm",
         )
     good = np.append(peaks <= target, False)
     index, remark = int(np.argmin(peaks)), " (that Ms is out of reach: the least)"

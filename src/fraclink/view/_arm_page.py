@@ -17,7 +17,7 @@ from fraclink.trials._study import Study
 from fraclink.view._arm_box import MOST_PAYLOADS, arm_box, assumed_mass, page_hash
 from fraclink.view._pages import rendered, squeezed
 from fraclink.view._tables import margins_table
-from fraclink.view._text import grams
+from fraclink.view._text import grams, grams_between
 
 __all__ = ["render_arm_page", "write_arm_page"]
 
@@ -75,10 +75,9 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
             remedy="make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
         )
     design, payloads, twin = study.design, MOST_PAYLOADS, True
-    low, high = design.payloads
     texts: dict[str, Any] = {
         "title": title or design.rig.name,
-        "zone": f"{number(1e3 * low)} to {number(1e3 * high)} g",
+        "zone": grams_between(*design.payloads),
         "verdict": study.verdict,
         "headline": study.sentence,
         "certificate": study.certificate,
@@ -92,7 +91,13 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
     while True:
         arm = arm_box(study, design, payloads=payloads, twin=twin)
         if arm is None:
-            raise _too_fast(design)
+            raise FieldError(
+                "rig.period",
+                design.rig.period,
+                "too long: the model vibrates too fast for it with every payload of the page",
+                allowed="a few samples in a period of the vibration",
+                remedy="shorten period in the rig file and design again, or identify the model again: see its ω₀",
+            )
         style = squeezed("palette.css") + arm.style + squeezed("arm.css")
         page = rendered(
             "arm.html",
@@ -112,16 +117,6 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         # short period: rather than with few payloads, the page is made without the twin.
         if twin and payloads < MOST_PAYLOADS // 2:
             payloads, twin = MOST_PAYLOADS, False
-
-
-def _too_fast(design: Design) -> FieldError:
-    return FieldError(
-        "rig.period",
-        design.rig.period,
-        "too long: the model vibrates too fast for it with every payload of the page",
-        allowed="a few samples in a period of the vibration",
-        remedy="shorten period in the rig file and design again, or identify the model again: see its ω₀",
-    )
 
 
 def _simulated(design: Design) -> list[str]:

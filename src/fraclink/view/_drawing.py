@@ -27,7 +27,6 @@ from fraclink.view._marks import (
     DOWN,
     Band,
     Curve,
-    Dots,
     Frame,
     Layers,
     Mark,
@@ -74,11 +73,11 @@ class Panel:
         lines: list[tuple[str, str, ArrayLike, ArrayLike]] = []
         for mark in self.marks:
             match mark:
-                case Dots():
-                    lines.append((mark.name or "log", "measured", mark.x, mark.y))
                 case Curve():
-                    role = "measured" if mark.weight == "wide" else "predicted"
-                    lines.append((mark.name or self.label, role, mark.x, mark.y))
+                    measured = mark.weight in ("wide", "dots")
+                    role = "measured" if measured else "predicted"
+                    name = mark.name or ("log" if measured else self.label)
+                    lines.append((name, role, mark.x, mark.y))
                 case Band():
                     lines.append(("band, low", "reference", mark.x, mark.low))
                     lines.append(("band, high", "reference", mark.x, mark.high))

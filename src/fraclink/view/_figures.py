@@ -15,7 +15,7 @@ from fraclink._identify import Comparison, Fit, StructureFit, Validation
 from fraclink._identify.welch import segments, welch_response
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
-from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
+from fraclink.view._marks import Across, Band, Curve, Mark, Upright
 from fraclink.view._scales import POINTS, Scale, envelope
 from fracsys.checks import Complex, Real
 
@@ -108,9 +108,9 @@ def validation_figure(validation: Validation) -> Figure:
         bias = Across(each.bias, "bias", limit=False)
         panels.append(Panel(label, output))
         marks: list[Mark] = [_record(log.time, rest, 1), bias]
-        panels.append(Panel("what the prediction leaves", marks, 60.0))
+        panels.append(Panel("prediction error", marks, 60.0))
     description = (
-        "Logs that the fit has not seen under its prediction, and what it leaves"
+        "Logs that the fit has not seen, their predictions and the prediction errors"
     )
     return Figure("validation", description, panels, "time [s]", "log")
 
@@ -129,9 +129,11 @@ def _over_time(fit: StructureFit) -> Figure:
     leaves = _rest(place, rest, float(place[fit.fitted - 1]))
     panels = (
         Panel("output", output, 180.0),
-        Panel("what the structure leaves", leaves),
+        Panel("residual", leaves),
     )
-    description = f"The recorded output under {fit.expression}, and what it leaves"
+    description = (
+        f"The recorded output, its prediction by {fit.expression}, and the residual"
+    )
     return Figure("structure", description, panels, "time [s]", "log")
 
 
@@ -145,8 +147,11 @@ def _over_frequency(fit: StructureFit) -> Figure:
     sheets = _same_sheet(_turned(h), _turned(model))
     error = 100 * np.abs(h / model - 1)
     panels = [
-        Panel(label, [Dots(fit.place, dots), Curve(fit.place, line, 1)])
-        for label, (dots, line) in (
+        Panel(
+            label,
+            [Curve(fit.place, points, 0, weight="dots"), Curve(fit.place, line, 1)],
+        )
+        for label, (points, line) in (
             ("gain [dB]", (_decibel(h), _decibel(model))),
             ("phase [°]", sheets),
         )
@@ -155,7 +160,7 @@ def _over_frequency(fit: StructureFit) -> Figure:
     up = Scale(0.0, 1.05 * float(error.max()))
     panels.append(Panel("error [%]", share, 70.0, up))
     description = (
-        f"The measured response (dots) under {fit.expression}, and what it leaves"
+        f"The measured response (dots), that of {fit.expression}, and their difference"
     )
     over = "frequency ω [rad/s]"
     return Figure("structure", description, panels, over, "response", log=True)
@@ -216,7 +221,7 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
             time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0
         )
         panels.append(Panel(label, marks, 70.0, Scale(-common, common)))
-    description = "What each model leaves of the log, all on one scale"
+    description = "The residual of each model, all on one scale"
     return Figure("models", description, panels, "time [s]", "log")
 
 
@@ -306,14 +311,18 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
             [
                 Band(w, level + _decibel(1 - spread), level + _decibel(1 + spread), 2),
                 Curve(w, level, 1, "model"),
-                Dots(w, gain, 0, "log"),
+                Curve(w, gain, 0, "log", "dots"),
             ],
             200.0,
             Scale.around(gain, level),
         ),
         Panel(
             "phase [°]",
-            [Band(w, at - arc, at + arc, 2), Curve(w, at, 1), Dots(w, turn)],
+            [
+                Band(w, at - arc, at + arc, 2),
+                Curve(w, at, 1),
+                Curve(w, turn, 0, weight="dots"),
+            ],
             scale=Scale.around(at, turn),
         ),
         Panel(
@@ -323,7 +332,7 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
             halves,
         ),
     )
-    description = "Gain and phase of log (dots) and model (line), with the band that 95 % of the noise stays in"
+    description = "Gain and phase of log (dots) and model (line), with the band that contains 95 % of the noise"
     over = "frequency ω [rad/s]"
     return Figure("response", description, panels, over, "response", log=True)
 
@@ -351,7 +360,7 @@ def residual_figure(fit: Fit) -> Figure | None:
         marks.append(Upright(mode.frequency, "second mode, part of the model"))
     panel = Panel("density of the residual over that of white noise", marks, 180.0, y)
     description = (
-        "Spectrum of the residual against the band that 99 % of white noise stays in"
+        "Spectrum of the residual against the band that contains 99 % of white noise"
     )
     over = "frequency ω [rad/s]"
     return Figure("residual", description, (panel,), over, "response", log=True)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from fraclink._display import Row, Table, number, size_of
+from fraclink._display import Row, Table, size_of
 from fraclink.trials._faults import GROUPS, FaultTable
 from fraclink.trials._summary import WEAK, Summary
 from fraclink.view._drawing import Figure, Panel
 from fraclink.view._marks import Bars, Cells, Mark, Upright
 from fraclink.view._scales import Scale
-from fraclink.view._text import grams
+from fraclink.view._text import grams, ranges_of
 from fracsys.checks import Mask, Real
 
 __all__ = ["SHOWN", "drivers_table", "failures_figure", "fault_columns"]
@@ -107,14 +107,7 @@ def failures_figure(
     levels = np.where(
         np.isfinite(share), np.digitize(np.nan_to_num(share), _SHARES), -1
     ).T
-    first, second, third = (number(limit) for limit in _SHARES)
-    key = (
-        "runs that fail [%]",
-        f"below {first}",
-        f"{first} to {second}",
-        f"{second} to {third}",
-        f"above {third}",
-    )
+    key = ("runs that fail [%]", *ranges_of(_SHARES))
     sides = Scale(float(x[0]), float(x[-1])), Scale(float(y[0]), float(y[-1]))
     panel = Panel(names[1], [Cells(x, y, levels)], 260.0, sides[1])
     description = f"Share of failing runs over two parameters; cells of fewer than {_FEWEST} runs are empty"

@@ -37,8 +37,8 @@ from fraclink.view._marks import (
 from fraclink.view._pages import LINES
 from fraclink.view._responses import Response, line_of, loop_figure, loop_response
 from fraclink.view._scales import Scale
-from fraclink.view._text import grams
-from fracsys.checks import Mask, Real
+from fraclink.view._text import grams, ranges_of
+from fracsys.checks import Real
 
 __all__ = [
     "bode_figure",
@@ -230,10 +230,10 @@ def _or_nan(value: float | None) -> float:
 
 # Kinds of loop, the most real one first: their places are those of their lines.
 _KINDS = {
-    "sampled": "as it runs",
+    "sampled": "sampled law",
     "loop": "with delay",
     "motor": "with motor loop",
-    "ideal": "on paper",
+    "ideal": "ideal loop",
 }
 
 
@@ -254,7 +254,7 @@ def margin_curves_figure(
     if wanted is not None:
         marks.append(Across(math.degrees(wanted), "requested"))
     panel = Panel("phase margin [°]", marks, 280.0)
-    description = "Phase margin over the payload, with more and more of the real loop"
+    description = "Phase margin over the payload, for loops from ideal to sampled"
     name = "payload [g]; shaded: design range"
     return Figure("margins", description, (panel,), name)
 
@@ -297,68 +297,26 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
 
 
 @figure_of.register
-def map_figure(
-    region: FeasibilityMap,
-    request: tuple[float, float] | None = None,
-    nearest: tuple[float, float] | None = None,
-) -> Figure:
+def map_figure(region: FeasibilityMap) -> Figure:
     """Draw the feasible crossovers and margins, darker where the gauge's noise is
     amplified more.
-
-    `request` and `nearest` (ω_c [rad/s], φ_m [rad]): the request, and the nearest
-    feasible one.
     """
-    across, up = region.gain_crossover, np.degrees(region.phase_margin)
-    x, y = (_edges(values) for values in (across, up))
-    levels = _levels(region.noise_gain)
-    places = [place for place in (request, nearest) if place is not None]
-    # Both the rejected request and the nearest feasible one must be visible with some
-    # space around them, wherever the map ends.
-    sx = Scale(
-        min(x[0], *(p[0] for p in places)) if places else x[0],
-        max([x[-1], *(1.05 * p[0] for p in places)]),
-    )
-    sy = Scale(
-        min([y[0], *(math.degrees(p[1]) - 5 for p in places)]),
-        max([y[-1], *(math.degrees(p[1]) + 5 for p in places)]),
-    )
-    marks: list[Mark] = []
-    if request is not None:
-        marks.append(
-            Point(request[0], math.degrees(request[1]), "requested", sign="cross")
-        )
-    if nearest is not None:
-        near = (
-            f"nearest: {number(nearest[0], 3)} rad/s, {math.degrees(nearest[1]):.1f}°"
-        )
-        marks.append(Point(nearest[0], math.degrees(nearest[1]), near, sign="ring"))
+    x, y = _edges(region.gain_crossover), _edges(np.degrees(region.phase_margin))
+    limits = _levels(region.noise_gain)
     with np.errstate(invalid="ignore"):
-        table = np.digitize(np.nan_to_num(region.noise_gain, nan=0.0), levels)
+        table = np.digitize(np.nan_to_num(region.noise_gain, nan=0.0), limits)
     table = np.where(np.isfinite(region.noise_gain), table, -1)
-    edge = _outline(x, y, region.feasible)
-    marks = [Cells(x, y, table), *edge, *marks]
-    panel = Panel("phase margin at the lightest payload [°]", marks, 330.0, sy)
-    key = ("noise gain", *_ranges(levels))
+    up = Scale(float(y[0]), float(y[-1]))
+    panel = Panel(
+        "phase margin at the lightest payload [°]", [Cells(x, y, table)], 330.0, up
+    )
+    key = ("noise gain", *ranges_of(limits))
     description = (
         f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}"
     )
     name = "gain crossover at the heaviest payload [rad/s]"
-    return Figure("map", description, (panel,), name, "map", sx, key=key)
-
-
-def _outline(x: Real, y: Real, feasible: Mask) -> list[Mark]:
-    """The upper and lower edge of the feasible region, column by column."""
-    some = feasible.any(axis=0)
-    # Steps along the computed cells: a smooth curve would suggest values that were not
-    # computed.
-    top = np.where(
-        some, y[feasible.shape[0] - np.argmax(feasible[::-1], axis=0)], np.nan
-    )
-    bottom = np.where(some, y[np.argmax(feasible, axis=0)], np.nan)
-    across = np.repeat(x, 2)[1:-1]
-    return [
-        Curve(across, np.repeat(edge, 2), 0, weight="thin") for edge in (top, bottom)
-    ]
+    across = Scale(float(x[0]), float(x[-1]))
+    return Figure("map", description, (panel,), name, "map", across, key=key)
 
 
 def _edges(middles: Real) -> Real:
@@ -377,8 +335,3 @@ def _levels(values: Real) -> Real:
     # the lowest would take nearly all of it, since the noise gain rises steeply at the
     # edge.
     return np.array([float(f"{q:.2g}") for q in np.quantile(finite, (0.25, 0.5, 0.75))])
-
-
-def _ranges(limits: Real) -> tuple[str, ...]:
-    low, middle, high = (number(float(limit), 2) for limit in limits)
-    return (f"up to {low}", f"to {middle}", f"to {high}", f"above {high}")

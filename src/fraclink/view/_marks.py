@@ -24,7 +24,6 @@ __all__ = [
     "Box",
     "Cells",
     "Curve",
-    "Dots",
     "Frame",
     "Layers",
     "Mark",
@@ -120,18 +119,22 @@ class Layers:
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of the palette through points, with its name at its right end."""
+    """A line of the palette through points, or a dot at each, with its name at its
+    right end.
+    """
 
     x: ArrayLike
     y: ArrayLike
     line: int = 1
     name: str = ""
-    weight: Literal["", "thin", "wide", "fill"] = ""
+    weight: Literal["", "thin", "wide", "fill", "dots"] = ""
     dashed: bool | None = None  # None: according to its line
 
     def drawn(self, frame: Frame) -> Layers:
         """The line, and the position of its name."""
-        dash = "" if self.dashed is False else " w" if self.dashed else f" d{self.line}"
+        dots = self.weight == "dots"
+        plain = dots or self.dashed is False
+        dash = "" if plain else " w" if self.dashed else f" d{self.line}"
         style = f"c{self.line}{dash} {self.weight}".strip()
         if self.weight == "fill":
             # A disk or a corridor has no end for a name and must not cover the curves:
@@ -152,32 +155,11 @@ class Curve:
             if self.name and visible.size
             else ()
         )
+        # Strokes of zero length with round ends stay round in a stretched box.
+        path = frame.path(self.x, self.y, dots=dots)
         return Layers(
-            curves=f'<path class="{style}"{attribute} d="{frame.path(self.x, self.y)}"/>',
-            ends=ends,
+            curves=f'<path class="{style}"{attribute} d="{path}"/>', ends=ends
         )
-
-
-@dataclass(frozen=True)
-class Dots:
-    """A dot at each point."""
-
-    x: ArrayLike
-    y: ArrayLike
-    line: int = 0
-    name: str = ""
-
-    def drawn(self, frame: Frame) -> Layers:
-        """Strokes of zero length with round ends stay round in a stretched box."""
-        text = f'<path class="c{self.line} dots" d="{frame.path(self.x, self.y, dots=True)}"/>'
-        values = np.asarray(self.y, dtype=float).ravel()
-        visible = values[np.isfinite(values)]
-        ends = (
-            ((frame.down(float(visible[-1])), self.name, f"c{self.line} dots"),)
-            if self.name and visible.size
-            else ()
-        )
-        return Layers(curves=text, ends=ends)
 
 
 @dataclass(frozen=True)
@@ -375,13 +357,13 @@ class Point:
         )
 
 
-Mark = Curve | Dots | Band | Bars | Box | Cells | Zone | Across | Upright | Point
+Mark = Curve | Band | Bars | Box | Cells | Zone | Across | Upright | Point
 
 
 def reach(mark: Mark) -> tuple[tuple[ArrayLike, ...], tuple[ArrayLike, ...]]:
     """Return the values that a mark must show on the horizontal and the vertical scale."""
     match mark:
-        case Curve() | Dots() | Point():
+        case Curve() | Point():
             return (mark.x,), (mark.y,)
         case Band():
             return (mark.x,), (mark.low, mark.high)

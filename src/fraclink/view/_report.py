@@ -13,7 +13,7 @@ import numpy as np
 
 from fraclink._design import Design
 from fraclink._design.assess import phase_budget
-from fraclink._display import Row, Table, number, source_name, state_of
+from fraclink._display import Row, Table, source_name, state_of
 from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import Campaign
@@ -29,6 +29,7 @@ from fraclink.view._arm_box import arm_box, page_hash
 from fraclink.view._drawing import Figure
 from fraclink.view._pages import rendered, squeezed
 from fraclink.view._sketches import arm_sketch
+from fraclink.view._text import grams_between
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]
 
@@ -84,7 +85,7 @@ def render_report(
         study=study,
         arm=arm_box(study, design) if script and design and moves else None,
         pointer=_pointer(script=script),
-        zone=_zone(design),
+        zone=grams_between(*design.payloads) if design else "",
         source=source,
         verdict=verdict,
         headline=study.sentence,
@@ -138,11 +139,6 @@ def _copy(drawing: str) -> str:
     elements refer to the clip path of the original by its name.
     """
     return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
-
-
-def _zone(design: Design | None) -> str:
-    low, high = design.payloads if design else (0.0, 0.0)
-    return f"{number(1e3 * low)} to {number(1e3 * high)} g"
 
 
 def _faults(study: Study) -> Mapping[str, Any] | None:

@@ -29,7 +29,7 @@ from fracsys._margins import margins as find_margins
 from fracsys._sweep import frequency_grid
 from fracsys.checks import Complex, Real
 
-__all__ = ["bode", "line_of", "margin_plot", "named"]
+__all__ = ["bode", "line_of", "margin_plot"]
 
 
 _HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut off
@@ -165,20 +165,7 @@ def _checked_grid(frequency: ArrayLike) -> Real:
     return w
 
 
-def _responses(
-    systems: Sequence[Any],
-    labels: Sequence[str] | None,
-    frequency: ArrayLike | None = None,
-    limit: float | None = None,
-) -> list[Response]:
-    names = named(systems, labels)
-    return [
-        Response.of(system, frequency, limit, name)
-        for system, name in zip(systems, names, strict=True)
-    ]
-
-
-def named(systems: Sequence[Any], labels: Sequence[str] | None) -> Sequence[str]:
+def _named(systems: Sequence[Any], labels: Sequence[str] | None) -> Sequence[str]:
     """A name for each system; FieldError without a system, or without enough names."""
     if not systems:
         raise FieldError(
@@ -239,7 +226,10 @@ def bode(
     >>> axes[1].get_ylabel()
     'phase [°]'
     """
-    responses = _responses(systems, labels, frequency, limit)
+    responses = [
+        Response.of(system, frequency, limit, name)
+        for system, name in zip(systems, _named(systems, labels), strict=True)
+    ]
     return on_axes(_bode_figure(responses), ax, **style)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from fraclink._law import MODES
 from fraclink._simulate import Run
+from fraclink._simulate.metrics import BAND
 from fraclink._simulate.shape import ShapedMove
 from fraclink.trials._fault_checks import Evidence
 from fraclink.trials._fault_trial import Bench
@@ -25,8 +26,6 @@ from fraclink.view._text import grams
 
 __all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
 
-_BAND = 0.02  # share of the move that counts as settled
-
 
 def moves_figure(runs: Sequence[Run]) -> Figure:
     """Draw the tip's tracking with its 2 % band, its error, the gauge's torque and the
@@ -36,12 +35,12 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
     end = float(first.reference[-1])
     size = abs(end - float(first.reference[0]))
     tip: list[Mark] = (
-        [Zone(end - _BAND * size, end + _BAND * size, lying=True)] if size else []
+        [Zone(end - BAND * size, end + BAND * size, lying=True)] if size else []
     )
     tip.append(
         Curve(*envelope(first.time, first.reference), 0, "reference", dashed=True)
     )
-    milli = 1e3 * _BAND * size
+    milli = 1e3 * BAND * size
     error: list[Mark] = [Zone(-milli, milli, lying=True)] if size else []
     torque: list[Mark] = []
     voltage: list[Mark] = []
@@ -80,7 +79,7 @@ def shaped_figure(move: ShapedMove) -> Figure:
     end = min(float(time[-1]), 2.0 * reference.duration)
     part = time <= end * (1 + 1e-9)
     time = time[part]
-    low, high = (1 - _BAND) * move.amplitude, (1 + _BAND) * move.amplitude
+    low, high = (1 - BAND) * move.amplitude, (1 + BAND) * move.amplitude
     tip: list[Mark] = [Zone(low, high, lying=True)]
     if math.isfinite(move.settling_time) and move.settling_time < end:
         tip.append(Upright(move.settling_time, "all settled"))

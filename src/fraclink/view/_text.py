@@ -7,6 +7,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,13 @@ __all__ = [
     "finding_line",
     "folded",
     "grams",
+    "grams_between",
     "grid_of",
     "option",
     "page_part",
     "plain",
     "plain_text",
+    "ranges_of",
     "sentence",
     "to_json",
     "view",
@@ -42,6 +45,15 @@ def grams(payload: float | None) -> str:
     return "–" if payload is None else f"{number(1e3 * payload)} g"
 
 
+def grams_between(low: float, high: float) -> str:
+    """A range of payloads in grams.
+
+    >>> grams_between(0.02, 0.0405)
+    '20 to 40.5 g'
+    """
+    return f"{number(1e3 * low)} to {grams(high)}"
+
+
 def option(name: str, value: float) -> str:
     """A keyword argument as its command-line option, with all significant digits.
 
@@ -56,6 +68,17 @@ def option(name: str, value: float) -> str:
     )
     # Eight digits: with fewer, a request at its bound would be infeasible.
     return f"{word} {amount:.8g}"
+
+
+def ranges_of(limits: Iterable[float]) -> tuple[str, ...]:
+    """The ranges into which limits divide a figure, in words.
+
+    >>> ranges_of((1.0, 10.0))
+    ('below 1', '1 to 10', 'above 10')
+    """
+    texts = [number(float(limit), 2) for limit in limits]
+    between = (f"{low} to {high}" for low, high in pairwise(texts))
+    return (f"below {texts[0]}", *between, f"above {texts[-1]}")
 
 
 def sentence(text: str) -> str:

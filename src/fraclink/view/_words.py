@@ -10,7 +10,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._display import number, quantity, source_name
 from fraclink.trials._study import Study
-from fraclink.view._text import grams, option
+from fraclink.view._text import grams, grams_between, option
 
 __all__ = [
     "arm_sentences",
@@ -23,10 +23,8 @@ __all__ = [
 
 def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
     """The numbers of the arm in words."""
-    low, high = rig.payloads.low, rig.payloads.high
-    sentences = [
-        f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."
-    ]
+    carried = grams_between(rig.payloads.low, rig.payloads.high)
+    sentences = [f"It carries {carried} on a link of {number(rig.link.length)} m."]
     if model is not None:
         sentences.append(f"With the motor held, the tip {model.sentence}.")
     # [ms] (1 + 4) e⁻⁴: a double pole is within 9 % after four time constants, a
@@ -41,7 +39,7 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
     """The labels of motor, gauge and payload in the drawing of the arm."""
     late = model.gauge_delay if model is not None else 0.0
-    payload = f"{number(1e3 * rig.payloads.low)} to {grams(rig.payloads.high)}"
+    payload = grams_between(rig.payloads.low, rig.payloads.high)
     gauge = f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else ""
     return f"follows within {number(4.0e3 / rig.motor_loop.pole, 2)} ms", gauge, payload
 
