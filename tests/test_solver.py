@@ -154,6 +154,14 @@ def test_figures_of_a_refusal_are_the_best_together() -> None:
             fl.design(MODEL, RIG, payloads=RANGE, **more, law=False, nearest=False)
 
 
+def test_a_request_is_met_where_a_faster_one_is() -> None:
+    # two valleys: a steep Ĉ with a long filter, and a flat one with hardly any
+    late, rig = replace(MODEL, gauge_delay=0.002), replace(RIG, period=0.001)
+    asked = {"phase_margin": fl.deg(35), "motor_loop": "ideal", "law": False}
+    for crossover in (14.0, 14.5, 16.0):
+        assert fl.design(late, rig, gain_crossover=crossover, **asked).passed
+
+
 @pytest.mark.slow
 def test_a_loop_that_controls_nothing_is_no_answer_where_nothing_is_asked() -> None:
     late = replace(MODEL, gauge_delay=0.057)
