@@ -18,24 +18,6 @@ from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar
 
-__all__ = [
-    "Finding",
-    "Listed",
-    "Overview",
-    "Row",
-    "Severity",
-    "Table",
-    "displayed",
-    "marked",
-    "number",
-    "quantity",
-    "size_of",
-    "source_name",
-    "span",
-    "state_of",
-    "uncertain",
-]
-
 Kind = TypeVar("Kind", bound=type)
 Item = TypeVar("Item")
 
@@ -281,7 +263,7 @@ class Finding:
     code: str
     severity: Severity
     message: str
-    evidence: Mapping[str, float] = field(default_factory=dict)
+    evidence: Mapping[str, float] = field(default_factory=dict, hash=False)
     remedy: str = ""
 
     def __post_init__(self) -> None:
@@ -309,17 +291,6 @@ class Finding:
             Row("message", "what", self.message),
             Row("evidence", "", self.evidence),
             Row("remedy", "remedy", self.remedy),
-        )
-
-    def __hash__(self) -> int:
-        return hash(
-            (
-                self.code,
-                self.severity,
-                self.message,
-                tuple(self.evidence.items()),
-                self.remedy,
-            )
         )
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -378,17 +349,6 @@ def state_of(passed: bool) -> str:
 # --- results in a prompt and in a notebook -----------------------------------------------
 
 
-def _template(name: str) -> Callable[[Any], Any] | None:
-    # Imported by name at call time: this module lies layers below `view`, which a copy
-    # of the core does not have.
-    if find_spec("fraclink.view") is None:
-        return None
-    template: Callable[[Any], Any] = getattr(
-        import_module("fraclink.view._notebook"), name
-    )
-    return template
-
-
 _MARKS = {
     "passed": "✓",
     "failed": "✗",
@@ -419,19 +379,17 @@ def _repr(result: Any) -> str:
     return f"{type(result).__name__}({line})"
 
 
-def _str(result: Any) -> str:
-    text = _template("text")
-    return _repr(result) if text is None else str(text(result))
+def _by_view(name: str, otherwise: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A method that `fraclink.view` renders, and `otherwise` in a copy of the core,
+    which lies layers below it and does not have it.
+    """
 
+    def rendered(result: Any) -> Any:
+        if find_spec("fraclink.view") is None:
+            return otherwise(result)
+        return getattr(import_module("fraclink.view._notebook"), name)(result)
 
-def _repr_html(result: Any) -> str | None:
-    page_part = _template("page_part")
-    return None if page_part is None else str(page_part(result))
-
-
-def _repr_svg(result: Any) -> str | None:
-    drawing = _template("drawing")
-    return None if drawing is None else drawing(result)
+    return rendered
 
 
 def displayed(kind: Kind) -> Kind:
@@ -443,9 +401,9 @@ def displayed(kind: Kind) -> Kind:
     Rig(paper-2023)
     """
     kind.__repr__ = _repr  # type: ignore[assignment]
-    kind.__str__ = _str  # type: ignore[assignment]
-    kind._repr_html_ = _repr_html  # type: ignore[attr-defined]
-    kind._repr_svg_ = _repr_svg  # type: ignore[attr-defined]
+    kind.__str__ = _by_view("text", _repr)  # type: ignore[assignment]
+    kind._repr_html_ = _by_view("page_part", lambda result: None)  # type: ignore[attr-defined]
+    kind._repr_svg_ = _by_view("drawing", lambda result: None)  # type: ignore[attr-defined]
     return kind
 
 

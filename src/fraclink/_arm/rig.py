@@ -28,11 +28,11 @@ from fraclink._arm.rig_parts import (
 )
 from fraclink._display import Overview, Row, displayed
 from fraclink._files import document, write_text
+from fraclink._files.codec import suggestion
 from fraclink._files.toml import (
     parse_toml,
     read_table,
     read_toml,
-    suggestion,
     table_of,
     toml_text,
 )

@@ -13,8 +13,6 @@ from typer.core import TyperGroup
 from fraclink import __version__
 from fraclink._cli.console import INTERRUPTED, emit, guarded
 
-__all__ = ["application", "run"]
-
 # Command -> its module and a one-line description, in the order of a usual session. A
 # module of commands imports the library; the list does not load it.
 _COMMANDS = {

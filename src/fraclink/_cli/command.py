@@ -41,8 +41,6 @@ from fraclink.findings import Finding
 from fraclink.view._text import doubted, plain, plain_text, to_json, view
 from fracsys.checks import Parameter, parameters, rule
 
-__all__ = ["Answer", "Keywords", "Writes", "command", "declared"]
-
 
 @dataclass(frozen=True)
 class Answer:

@@ -38,19 +38,6 @@ from fraclink.errors import (
 from fraclink.view._text import folded, option
 from fracsys.errors import printable
 
-__all__ = [
-    "ask",
-    "clean",
-    "emit",
-    "emit_json",
-    "guarded",
-    "interactive",
-    "steps",
-    "tell",
-    "unread_allowed",
-    "width",
-]
-
 Answer = TypeVar("Answer")
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2

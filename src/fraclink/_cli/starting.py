@@ -21,8 +21,6 @@ from fraclink.logs._start import START_FILES
 from fraclink.view._figures import fit_figure
 from fracsys.checks import Between, Payload
 
-__all__ = ["start"]
-
 app = group()
 
 _PICTURE = "fit.svg"

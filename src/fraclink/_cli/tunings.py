@@ -25,8 +25,6 @@ from fraclink.lab._tuning import FILES, Tuning, TuningPlan
 from fraclink.lab._watch import watch as watch_arm
 from fracsys.checks import Between, Payload
 
-__all__ = ["tune", "watch"]
-
 app = group()
 
 # The question for each limit, in the unit of its option.

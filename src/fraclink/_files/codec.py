@@ -37,8 +37,6 @@ from fracsys.checks import Between, Parameter, parameters, rule
 from fracsys.checks.ranges import Form, Refused, Rule, number
 from fracsys.checks.rules import REQUIRED
 
-__all__ = ["Decoder", "faults_of", "from_plain", "plain", "suggestion"]
-
 T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
 

@@ -24,23 +24,6 @@ from numpy.typing import NDArray
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fracsys.checks import rule
 
-__all__ = [
-    "JSON_LIMIT",
-    "atomic_write",
-    "broken",
-    "checked_path",
-    "first_bytes",
-    "header_of",
-    "json_text",
-    "output_path",
-    "parse_json",
-    "read_archive",
-    "read_text",
-    "sha256_of",
-    "write_archive",
-    "write_text",
-]
-
 # bytes; a saved fit with its residuals of 100 000 samples takes about 2 MB
 JSON_LIMIT = 16_000_000
 # bytes of all members together: 8 signals of 6 million samples

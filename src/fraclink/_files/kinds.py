@@ -19,8 +19,6 @@ from typing import Any, Literal, TypeVar
 
 from fraclink.errors import FieldError
 
-__all__ = ["class_of", "document", "document_of"]
-
 T = TypeVar("T")
 Container = Literal["json", "npz", "toml", "either"]
 # Importing the public names of these packages loads all classes of results.

@@ -18,24 +18,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fraclink._files.codec import Decoder, faults_of, suggestion
+from fraclink._files.codec import Decoder, faults_of
 from fraclink._files.containers import read_text
 from fraclink.errors import FieldError, FileFormatError
 from fracsys.checks import Parameter, parameters
 from fracsys.checks.ranges import Refused
 from fracsys.checks.rules import rule
-
-__all__ = [
-    "FileFaults",
-    "keys_of",
-    "parse_toml",
-    "read_table",
-    "read_toml",
-    "suggestion",
-    "table_of",
-    "toml_text",
-    "toml_value",
-]
 
 # A dotted key of 20 000 parts takes tomllib 6.8 s (its time is quadratic in the parts),
 # so sizes are checked first. A rig file has 2 kB, its longest line is a sentence.

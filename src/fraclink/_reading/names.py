@@ -12,17 +12,6 @@ from collections.abc import Collection, Sequence
 
 from fraclink._arm.log_columns import UNITS
 
-__all__ = [
-    "UNITS_OF_LENGTH",
-    "length_of_name",
-    "names_time",
-    "role_of_name",
-    "roles_of",
-    "stated_unit",
-    "unit_of_name",
-    "words_of",
-]
-
 # Words used in logs, English and German. A word of at least three letters also matches
 # at the beginning of a longer one, a word of at least five letters anywhere in it.
 _ROLES = {

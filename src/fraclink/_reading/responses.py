@@ -23,9 +23,6 @@ from fraclink._reading.table import LogTable
 from fraclink.errors import FieldError, FileFormatError, LogError
 from fracsys.checks import Real, checked, checked_choice
 
-__all__ = ["COLUMNS", "read_frequency_response", "read_recording", "read_reference"]
-
-
 # Words in the name of a column, by quantity; the first match applies.
 _ROLES = {
     "coherence": ("coherence", "coh", "gamma"),

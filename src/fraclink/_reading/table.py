@@ -22,18 +22,6 @@ from fraclink.errors import FileFormatError, LogError, SizeError
 from fraclink.findings import Finding
 from fracsys.checks import Real
 
-__all__ = [
-    "DECIMAL_COMMA",
-    "NUMBER",
-    "CellFaults",
-    "LogTable",
-    "check_bytes",
-    "check_file",
-    "check_size",
-    "clock_step",
-    "moves",
-]
-
 FILE_LIMIT = 256_000_000  # bytes
 SAMPLE_LIMIT = 4_000_000
 COLUMN_LIMIT = 1_000

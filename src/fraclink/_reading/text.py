@@ -45,8 +45,6 @@ from fraclink._reading.table import (
 from fraclink.errors import FileFormatError, LogError, SizeError
 from fracsys.checks import Real
 
-__all__ = ["read_text_table"]
-
 _CLOCK = re.compile(
     r"(?:([0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4})[T ] *)?"
     r"([0-9]{1,2}):([0-9]{2}):([0-9]{2}(?:[.,][0-9]+)?)(Z|[+-][0-9]{2}:?[0-9]{2})?"

@@ -15,8 +15,6 @@ from fraclink.errors import LogError
 if TYPE_CHECKING:
     from fraclink.logs._match import _Matching
 
-__all__ = ["check_signals_in", "dead_end"]
-
 _FREQUENCY = frozenset(("freq", "frequency", "frequenz", "omega", "hz", "f", "w"))
 _RESPONSE = frozenset(("gain", "mag", "magnitude", "amplitude", "phase", "real"))
 _RESPONSE |= {"imag", "coherence", "db"}

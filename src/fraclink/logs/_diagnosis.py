@@ -20,8 +20,6 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding, Findings, worst_first
 from fracsys.checks import Real, checked
 
-__all__ = ["CLEARER", "PERIODS", "SHOWN", "diagnose", "share_of", "vibration_of"]
-
 # Findings of a one-mode fit that concern the columns and not the model.
 _OF_COLUMNS = ("W209", "W211", "W324")
 _CLIPPED = 0.005  # share of samples at the extreme value

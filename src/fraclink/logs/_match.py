@@ -52,8 +52,6 @@ from fraclink.logs._questions import (
 )
 from fracsys.checks import Period, Real, checked
 
-__all__ = ["Match", "match", "match_table"]
-
 # A vibrating arm is sampled every 0.2 ms to 0.1 s. This window spans less than a factor
 # of 1000, so at most one of s, ms, us and ns puts the step of a clock into it.
 _FASTEST, _SLOWEST = 2e-4, 0.1

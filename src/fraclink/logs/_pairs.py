@@ -18,8 +18,6 @@ from fraclink.errors import FieldError, LogError
 from fraclink.logs._diagnosis import CLEARER, PERIODS, share_of, vibration_of
 from fracsys.checks import Real
 
-__all__ = ["LATE", "Candidate", "Pairs", "phase"]
-
 # An output may be delayed by half a period of the vibration before it looks like an
 # early one of the other sign. With unknown sign the limit is a quarter in either
 # direction; half of that is allowed.

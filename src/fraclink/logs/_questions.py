@@ -12,8 +12,6 @@ from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, ColumnStat
 from fraclink._reading.names import unit_of_name
 from fraclink.errors import FieldError
 
-__all__ = ["ABSENT", "Certainty", "Guess", "Question", "statements"]
-
 Certainty = Literal["stated", "certain", "likely", "assumed"]
 # The answer if the log does not contain the requested signal.
 ABSENT = "none"

@@ -25,8 +25,6 @@ from fraclink.logs._match import match_table
 from fraclink.logs._questions import Guess, Question, statements
 from fracsys.checks import Payload, Period, checked
 
-__all__ = ["START_FILES", "Start", "start"]
-
 START_FILES = ("rig.toml", "model.json")
 Ask = Callable[[Question], str]
 

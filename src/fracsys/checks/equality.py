@@ -8,8 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-__all__ = ["compared"]
-
 Kind = TypeVar("Kind", bound=type)
 
 

@@ -43,8 +43,6 @@ from fracsys.checks.ranges import (
     whole_number,
 )
 
-__all__ = ["Parameter", "parameters", "rule"]
-
 REQUIRED: Any = inspect.Parameter.empty
 
 
