@@ -116,10 +116,8 @@ REALS: tuple[tuple[str, int], ...] = (
 )
 _NAMES = [name for name, _ in REALS]
 # The fields of the motor loop; the first nine are the PID.
-MOTOR_LOOP = tuple(
-    _NAMES[_NAMES.index("inner_direct") : _NAMES.index("coulomb_slope") + 1]
-)
-PID = MOTOR_LOOP[: MOTOR_LOOP.index("filter_decay") + 1]
+MOTOR_LOOP = tuple(_NAMES[_NAMES.index("inner_direct") : _NAMES.index("link_scale")])
+PID = MOTOR_LOOP[: MOTOR_LOOP.index("wanted_limit")]
 
 
 def real_type(precision: Precision) -> Literal["f", "d"]:

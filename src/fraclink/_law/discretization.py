@@ -72,7 +72,6 @@ REACH = 2.5
 # is enough there
 _NOTCHED = 0.1
 STATES = 6  # largest number spent on the margin; more only where C itself needs them
-MOST_STATES = 8  # capacity of law.c
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
 
 
@@ -436,7 +435,7 @@ def fit_correction(
     first = emphasised(EMPHASES[0], STATES) if inside else None
     if first is not None and _is_met(first):
         return first
-    plain = fit(None, MOST_STATES)
+    plain = fit(None, REAL_MODES)
     # An emphasis is a weight of at least one, so it cannot succeed where C alone fails
     # clearly. "Clearly", because the search is not global: on the paper's link at 16
     # rad/s and 50° it finds 0.11 dB with 6 states and an emphasis of 1, and 0.14 dB
@@ -452,7 +451,7 @@ def fit_correction(
     near = (
         first
         if first is not None and order is not None
-        else emphasised(EMPHASES[0], MOST_STATES)
+        else emphasised(EMPHASES[0], REAL_MODES)
     )
     return near if near.error_db <= 2.0 * plain.error_db else plain
 

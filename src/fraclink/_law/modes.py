@@ -39,9 +39,6 @@ __all__ = [
 # of the loop gain towards -1: the rest of the distance to it is one over the customary
 # sensitivity peak of 2
 MODE_LIMIT = 0.5
-# The phase at a mode that was not identified may be off by what such a loop stands
-# elsewhere: its phase margin of 29°.
-_TURN = 2.0 * math.asin(0.5 * MODE_LIMIT)
 # so that the points of a strongly damped mode do not extend down to the first mode
 _WIDEST = 0.035
 # points in ln ω as multiples of the damping ratio, densest at the peak
@@ -87,8 +84,11 @@ def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
     """
     radius = 0.5 * np.exp(peak.real)
     angle = np.remainder(peak.imag + math.pi, 2.0 * math.pi) - math.pi
-    known = np.abs(angle) + _TURN < math.pi
-    turned = np.where(known, np.abs(angle) + _TURN, math.pi)
+    # The phase at a mode that was not identified may be off by what such a loop stands
+    # elsewhere: its phase margin of 29°.
+    turned = np.abs(angle) + 2.0 * math.asin(0.5 * MODE_LIMIT)
+    known = turned < math.pi
+    turned = np.where(known, turned, math.pi)
     apart = np.maximum(np.abs(1.0 + radius * np.exp(1j * turned)), np.finfo(float).eps)
     by_gain = radius * (1.0 - (np.cos(turned) + radius) / apart)
     by_phase = np.where(known, radius * np.sin(turned) / apart * np.sign(angle), 0.0)
