@@ -197,9 +197,9 @@ CEILINGS = {
     "_simulate": 1184,
     "lab": 1937,
     "logs": 722,
-    "studio": 1096,
+    "studio": 1095,
     "trials": 1381,
-    "view": 1447,
+    "view": 1445,
 }
 
 

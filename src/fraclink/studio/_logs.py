@@ -36,7 +36,7 @@ from fraclink.trials._study import Study
 from fraclink.view._figures import fit_panels
 from fraclink.view._scales import envelope
 from fraclink.view._text import grid_of
-from fracsys.checks import Real, rule
+from fracsys.checks import Real, checked_choice, rule
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
@@ -55,16 +55,10 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     name = given.get("name")
     if name == "upload" and session.upload is not None:
         session.source = session.upload
-    elif name in bundled_logs():
-        session.source = bundled_log(str(name))
     elif name is not None:
-        raise FieldError(
-            "log",
-            name,
-            "unknown",
-            allowed=", ".join(bundled_logs()),
-            remedy="drop a file, or choose one of these",
-        )
+        remedy = "drop a file, or choose one of these"
+        known = checked_choice("log", name, bundled_logs(), remedy=remedy)
+        session.source = bundled_log(known)
     head: dict[str, Any] = {
         "ok": True,
         "bundled": bundled_logs(),

@@ -15,12 +15,12 @@ from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
 from fraclink._files import output_path
 from fraclink._law import Law
-from fraclink.errors import FieldError
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
 from fraclink.view._arm_page import write_arm_page
 from fraclink.view._report import write_report
 from fraclink.view._words import power_on
+from fracsys.checks import checked_choice
 
 __all__ = ["OUTPUT_VERBS"]
 
@@ -84,15 +84,8 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     unless allowed.
     """
     target, precision = str(given.get("target")), given.get("precision", "single")
-    if target not in _TARGETS or precision not in _PRECISIONS:
-        allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
-        raise FieldError(
-            "target",
-            f"{target}, {precision}",
-            "unknown",
-            allowed=allowed,
-            remedy="choose one of these",
-        )
+    checked_choice("target", target, _TARGETS)
+    checked_choice("precision", precision, _PRECISIONS)
     design, law = session.shippable()
     session.folder.mkdir(parents=True, exist_ok=True)
     paths, command = _TARGETS[target](

@@ -19,7 +19,7 @@ from fraclink.view._pages import rendered, squeezed
 from fraclink.view._tables import margins_table
 from fraclink.view._text import grams, grams_between
 
-__all__ = ["render_arm_page", "write_arm_page"]
+__all__ = ["write_arm_page"]
 
 _LARGEST = 160_000  # bytes of a page
 
@@ -60,12 +60,6 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
     >>> page.name, page.stat().st_size < 160_000
     ('arm.html', True)
     """
-    write_text(path, render_arm_page(study, title=title))
-    return Path(path)
-
-
-def render_arm_page(study: Study, *, title: str | None = None) -> str:
-    """Return the page as HTML; the same study gives the same bytes."""
     if study.design is None:
         raise FieldError(
             "design",
@@ -109,7 +103,8 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         )
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:
-            return page
+            write_text(path, page)
+            return Path(path)
         # At least one less in every round, so that the loop ends; a link counts as a
         # large one, so that not too many are dropped.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
