@@ -26,9 +26,9 @@ from fracsys.checks import Between, Real, checked
 __all__ = ["arm_of", "replay_run", "simulate_part"]
 
 
-# runs simulated before they are measured: 50 × 1000 periods × 6 signals fit into the
-# cache
-BLOCK = 50
+# Periods that the kernel simulates in one call, without the interpreter's lock: 2 MB a
+# signal, whatever the length of a run.
+BATCH = 250_000
 
 
 # --- parts ----------------------------------------------------------------------------
@@ -45,7 +45,7 @@ def simulate_part(
     runs = campaign.part_runs(part)
     values = draw(campaign.draws, campaign.seed, part, runs)
     blocks = []
-    for at in range(0, runs, BLOCK):
+    for at in range(0, runs, batch_runs(campaign)):
         block = block_of(campaign, values, part, at)
         rows, metrics = _measured(campaign, block)
         blocks.append(metrics | judge_many(_judged(campaign, block, rows), metrics))
@@ -64,16 +64,9 @@ def simulate_part(
     )
 
 
-def unit_paths(campaign: Campaign, times: int = 1) -> Real:
-    """Return angle and acceleration of each of the campaign's references, (shapes, 2,
-    N).
-    """
-    length = times * campaign.duration
-    rows = [
-        sampled(each, campaign.law.period, length)[[0, 2]]
-        for each in campaign.references
-    ]
-    return np.ascontiguousarray(np.stack(rows))
+def batch_runs(campaign: Campaign) -> int:
+    """Number of runs of a campaign that are simulated together."""
+    return max(1, round(BATCH * campaign.law.period / campaign.duration))
 
 
 @dataclass(frozen=True)
@@ -94,7 +87,8 @@ class Block:
 def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) -> Block:
     """Return the block of arms from the draws of a part that begins with run `at`."""
     rig, period = campaign.rig, campaign.law.period
-    own = {name: column[at : at + BLOCK] for name, column in values.items()}
+    batch = slice(at, at + batch_runs(campaign))
+    own = {name: column[batch] for name, column in values.items()}
     # Equation (5) for each arm: the link is massless, so stiffness and payload
     # determine its frequency. η = μ/ω₀² is the same for every payload, as in
     # `LinkModel.at_payload`.
@@ -140,7 +134,14 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
 
 def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
     """The signals of a block's runs, `times` as long as a run of the campaign."""
-    path = unit_paths(campaign, times)
+    length = times * campaign.duration
+    # angle and acceleration of each of the campaign's references, (shapes, 2, N)
+    path = np.ascontiguousarray(
+        [
+            sampled(each, campaign.law.period, length)[[0, 2]]
+            for each in campaign.references
+        ]
+    )
     rows = run_lumped(
         campaign.law,
         shared_rig(campaign.rig, campaign.law, "sampled"),
@@ -253,7 +254,7 @@ def replay_run(campaign: Campaign, run: int) -> Run:
     _, link, own = arm_of(campaign, run)
     values, at = _drawn(campaign, run)
     # The grid of a block's links depends on all of its arms.
-    first = at - at % BLOCK
+    first = at - at % batch_runs(campaign)
     whole = block_of(campaign, values, run // PART_RUNS, first)
     block = whole.rows(np.array([at - first]))
     rows, metrics = _measured(campaign, block)
