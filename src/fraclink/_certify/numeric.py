@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +18,14 @@ from fracsys.checks import Complex, Mask, Real
 if TYPE_CHECKING:
     from fraclink._law import Law
 
-__all__ = ["loop_values", "motor_loop", "windings", "worst_distance"]
-
-_ROWS = 32
-# corners of the box; with more than nine uncertain parameters, a random selection of
-# this size
-_CORNERS = 512
+__all__ = [
+    "CornerLoops",
+    "corner_loops",
+    "loop_values",
+    "motor_loop",
+    "unstable_corner",
+    "worst_distance",
+]
 
 
 def loop_values(
@@ -54,11 +57,13 @@ def loop_values(
         outer = outer * motor_loop(statement, w, at["delay"], at["motor"])[0]
     # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the
     # periodic factors outside.
-    aliases = sum(_continuous(statement, w + n * turn, at) for n in ALIASES)
-    with_aliases = w >= 0.5 * ALIASES_FROM * turn if held is None else held
-    return np.asarray(
-        outer * (_continuous(statement, w, at) + np.where(with_aliases, aliases, 0.0))
-    )
+    spectrum = _continuous(statement, w, at)
+    held = w >= 0.5 * ALIASES_FROM * turn if held is None else held
+    fast = np.broadcast_to(held, spectrum.shape)
+    w = np.broadcast_to(w, spectrum.shape)[fast]
+    at = {k: np.broadcast_to(v, spectrum.shape)[fast] for k, v in at.items()}
+    spectrum[fast] += sum(_continuous(statement, w + n * turn, at) for n in ALIASES)
+    return np.asarray(outer * spectrum)
 
 
 def _continuous(
@@ -122,8 +127,40 @@ def motor_loop(
     return voltage, np.asarray(voltage * motor)
 
 
-def _grid(statement: Statement, law: Law, points: int) -> Real:
-    """Frequencies up to the Nyquist frequency, dense near the modes of the payloads."""
+@dataclass(frozen=True)
+class CornerLoops:
+    """1 + L over frequencies [rad/s], a row for each corner of the box, its middle, and
+    corners with a payload inside the range; `place` holds their parameters.
+    """
+
+    frequency: Real
+    place: dict[str, Real]
+    value: Complex
+
+    def row(self, row: int, at: int) -> dict[str, float]:
+        """The parameters of a row and a frequency of the grid, by name."""
+        place = {name: float(column[row]) for name, column in self.place.items()}
+        return place | {"frequency": float(self.frequency[at])}
+
+
+def corner_loops(statement: Statement, law: Law) -> CornerLoops:
+    """Return the loop of a statement at the corners of its box."""
+    w, place = _grid(statement, law), _corners(statement)
+    # One row at a time: with many uncertain parameters all rows at once would take 200
+    # MB and more time.
+    rows = [
+        loop_values(
+            statement, law, w, {name: column[k] for name, column in place.items()}
+        )
+        for k in range(len(place["softness"]))
+    ]
+    return CornerLoops(w, place, 1.0 + np.array(rows))
+
+
+def _grid(statement: Statement, law: Law) -> Real:
+    """Frequencies up to the Nyquist frequency, dense near the modes of the payloads: if
+    1 + L turned by more than π between two of them, a turn would be lost.
+    """
     low, high = statement.box
     modes = [
         end["softness"] ** (-1.0 / order["order"])
@@ -132,8 +169,8 @@ def _grid(statement: Statement, law: Law, points: int) -> Real:
     nyquist = np.pi / law.period
     # |1 + L| is smallest near the falling crossing, which lies between the mode and
     # four times its frequency.
-    near = np.geomspace(0.5 * min(modes), min(4.0 * max(modes), nyquist), points)
-    parts = [near, np.geomspace(0.05, nyquist, points // 2)]
+    near = np.geomspace(0.5 * min(modes), min(4.0 * max(modes), nyquist), 1200)
+    parts = [near, np.geomspace(0.05, nyquist, 600)]
     # the second mode is narrow and may lie anywhere in its interval
     if high["mode_gain"]:
         spread = np.linspace(-6, 6, 49) * statement.mode_damping
@@ -143,48 +180,34 @@ def _grid(statement: Statement, law: Law, points: int) -> Real:
 
 
 def _corners(statement: Statement) -> dict[str, Real]:
-    """Corners of the box, each with its lightest, heaviest and middle payload, as
-    columns for broadcasting.
-    """
+    """Parameters of the corners of the box and of its middle, by name."""
     low, high = statement.box
     names = [name for name in PARAMETERS if low[name] < high[name]]
-    ends = np.array(list(itertools.product((0.0, 1.0), repeat=len(names))))
-    if len(ends) > _CORNERS:
-        ends = ends[np.random.default_rng(0).choice(len(ends), _CORNERS, replace=False)]
-    if "softness" in names:
-        # The payload has by far the widest interval: a loop may come closest to -1
-        # inside it, where no corner lies.
-        middle = np.unique(ends, axis=0)[:: max(1, len(ends) // 64)].copy()
-        middle[:, names.index("softness")] = 0.4
-        ends = np.concatenate([ends, middle])
-    ends = (
-        np.concatenate([ends, 0.5 * np.ones((1, len(names)))])
-        if names
-        else np.zeros((1, 0))
-    )
-    place = {name: np.full((len(ends), 1), low[name]) for name in PARAMETERS}
+    # The payload has by far the widest interval: a loop may come closest to -1 inside
+    # it, where no corner lies.
+    levels = [(0.0, 0.4, 1.0) if name == "softness" else (0.0, 1.0) for name in names]
+    ends = np.array([*itertools.product(*levels), [0.5] * len(names)])
+    place = {name: np.full(len(ends), low[name]) for name in PARAMETERS}
     for k, name in enumerate(names):
-        place[name] = (low[name] + (high[name] - low[name]) * ends[:, k])[:, None]
+        place[name] = low[name] + (high[name] - low[name]) * ends[:, k]
     return place
 
 
-def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, float]]:
+def worst_distance(
+    statement: Statement, law: Law, loops: CornerLoops
+) -> tuple[float, dict[str, float]]:
     """Return (|1 + L|, place) at which a search, over corners and then by descent,
     finds the loop closest to -1.
     """
-    w, place = _grid(statement, law, 240), _corners(statement)
-    distance = np.abs(1.0 + _over_corners(statement, law, w, place))
-    closest = np.min(distance, axis=1)
-    best = (math.inf, {name: float(column[0, 0]) for name, column in place.items()})
+    distance = np.abs(loops.value)
     # The descent starts at the three closest corners, since the closest one on the grid
     # need not lead to the global minimum.
-    for row in np.argsort(closest)[:3]:
-        at = {name: float(column[row, 0]) for name, column in place.items()}
-        at["frequency"] = float(w[int(np.argmin(distance[row]))])
-        best = min(
-            best, _downhill(statement, law, at), key=lambda candidate: candidate[0]
-        )
-    return best
+    starts = [
+        loops.row(row, int(np.argmin(distance[row])))
+        for row in np.argsort(np.min(distance, axis=1))[:3]
+    ]
+    found = [_downhill(statement, law, start) for start in starts]
+    return min(found, key=lambda candidate: candidate[0])
 
 
 def _downhill(
@@ -215,36 +238,13 @@ def _downhill(
     return float(minimum.fun), place(minimum.x)
 
 
-def _over_corners(
-    statement: Statement, law: Law, w: Real, place: dict[str, Real]
-) -> Complex:
-    """L, one row per corner, a few rows at a time: with many uncertain parameters all
-    rows at once would take 200 MB and more time.
-    """
-    count = len(place["softness"])
-    return np.concatenate(
-        [
-            loop_values(
-                statement,
-                law,
-                w,
-                {name: column[k : k + _ROWS] for name, column in place.items()},
-            )
-            for k in range(0, count, _ROWS)
-        ]
-    )
-
-
-def windings(statement: Statement, law: Law) -> dict[str, float] | None:
+def unstable_corner(loops: CornerLoops) -> dict[str, float] | None:
     """Return an unstable corner with the ω of the crossing left of -1, or None.
 
     The final phase of 1 + L counts the encirclements of -1; L itself is open-loop
     stable.
     """
-    # Five times as fine as for the distance: if 1 + L turned by more than π between two
-    # points, a turn would be lost.
-    w, place = _grid(statement, law, 1200), _corners(statement)
-    value = 1.0 + _over_corners(statement, law, w, place)
+    value = loops.value
     # From 0 to the Nyquist frequency 1 + L runs from 1 to a real number: half the
     # encirclements of the whole unit circle.
     phase = np.unwrap(np.angle(value), axis=-1)
@@ -252,10 +252,8 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     if not np.any(encircling):
         return None
     rows = np.flatnonzero(encircling)
-    row = int(rows[np.argmax(place["softness"][rows, 0])])
+    row = int(rows[np.argmax(loops.place["softness"][rows])])
     crossing = np.nonzero((value[row, :-1].imag > 0) != (value[row, 1:].imag > 0))[0]
     beyond = [i for i in crossing if value[row, i].real < 0.0]
     at = beyond[0] if beyond else int(np.argmin(np.abs(value[row])))
-    return {name: float(column[row, 0]) for name, column in place.items()} | {
-        "frequency": float(w[at])
-    }
+    return loops.row(row, int(at))

@@ -18,7 +18,7 @@ from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.guards import check_guards
-from fraclink._certify.numeric import windings, worst_distance
+from fraclink._certify.numeric import corner_loops, unstable_corner, worst_distance
 from fraclink._certify.search import MarginFailure, MarginProof, prove
 from fraclink._certify.statement import PARAMETERS, Certificate, Statement, state
 from fraclink._law import Law, discretize_controller
@@ -115,10 +115,11 @@ def certify(
         claim = replace(claim, modulus=modulus_margin)
     # In plain floating point first: this detects an unstable loop, or one too close to
     # -1, in milliseconds, while branch and bound would only run out of nodes.
-    unstable = windings(claim, proper)
+    loops = corner_loops(claim, proper)
+    unstable = unstable_corner(loops)
     if unstable is not None:
         return _refused(claim, "unstable, as L passes left of -1", unstable)
-    distance, place = worst_distance(claim, proper)
+    distance, place = worst_distance(claim, proper, loops)
     if modulus_margin is None:
         return _largest_claim(claim, distance, place)
     if distance <= claim.modulus:
