@@ -15,7 +15,7 @@ import fraclink as fl
 from fraclink.lab import Wiring
 from fraclink.lab._tune_causes import causes, unexplained
 from fraclink.lab._tune_guard import Record
-from fraclink.lab._tune_motor import closed_motor
+from fraclink.lab._tune_motor import breakaway_voltage, closed_motor
 
 PERIOD, NOISE = 0.004, 0.004
 WIRING = Wiring(11.0, 0.0015, 1.7, 12.0, 0.002, NOISE, 0.0, 3.8e-4, ())
@@ -134,6 +134,34 @@ def test_what_slows_the_motor_loop_is_named() -> None:
         named = said(vibration(), motor=motor(0.0, wiring), wiring=wiring)
         assert "encoder is coarse" in named and "late" not in named
     assert "the voltage acts" in said(vibration(), motor=motor(4 * PERIOD))
+
+
+def test_the_voltage_that_a_motor_at_rest_withstands_is_measured() -> None:
+    """A motor with K/J = 11 that slides at 0.5 V and breaks away at 0.9 V, under a voltage
+    that rises and falls with noise.
+    """
+    rng, step = np.random.default_rng(3), PERIOD / 8
+    time = PERIOD * np.arange(3000)
+    voltage = 1.2 * np.sin(3.0 * time) + 0.1 * rng.standard_normal(time.size)
+    speed, angle, angles = 0.0, 0.0, []
+    for value in voltage:
+        angles.append(angle)
+        for _ in range(8):
+            driven = speed + step * (11.0 * value - 15.0 * speed)
+            held = 11.0 * step * (0.9 if speed == 0.0 else 0.5)
+            if abs(driven) <= held or driven * speed < 0.0:
+                speed = 0.0
+            else:
+                speed = driven - np.sign(driven) * 11.0 * step * 0.5
+            angle += step * speed
+    found = motor(0.0)
+    fit = replace(found.fit, coulomb_voltage=0.5, dead_zone=0.0, inertia=0.02)
+    slides = replace(found, fit=fit)
+    count = 2.0 * np.pi / 16384.0
+    reading = count * np.floor(np.array(angles) / count)
+    record = Record(PERIOD, voltage, reading, np.zeros(time.size))
+    shown = breakaway_voltage(record, slides, count, 0.0)
+    assert shown == pytest.approx(0.9, rel=0.1)
 
 
 @pytest.mark.slow

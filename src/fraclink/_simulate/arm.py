@@ -118,6 +118,9 @@ class Twin:
         number of modes; default as many of the first three as the step resolves
     step
         longest exact step [s]
+    stiction
+        ratio of static to sliding friction; the paper gives none, 1.2 is that of a greased
+        harmonic drive
 
     >>> from fraclink._arm.rig import Rig
     >>> twin = Twin.from_rig(Rig.named("paper-2023"), link_mass=0.00735)
@@ -135,6 +138,7 @@ class Twin:
     voltage_delay: Annotated[int, Between(0, 100, "periods")] = 1
     modes: int | None = None
     step: float = LONGEST_STEP
+    stiction: Annotated[float, Between(1.0, 100.0)] = 1.2
 
     @staticmethod
     @checked
@@ -201,9 +205,7 @@ class Twin:
     @property
     def breakaway(self) -> float:
         """Stiction at the gear's output [N·m]."""
-        # 1.2: ratio of static to sliding friction of greased harmonic drives; the paper
-        # gives none.
-        return 1.2 * self.coulomb
+        return self.stiction * self.coulomb
 
     @property
     def hub_inertia(self) -> float:

@@ -189,7 +189,21 @@ def simulate(
         )
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
-    own, link = _rig_and_link(law, rig, model, payload)
+    own = required(
+        "rig",
+        rig,
+        allowed="the rig of the arm",
+        remedy="give rig= (and model=), arm=, or a design in place of the law",
+    )
+    link = required(
+        "model",
+        model or own.model,
+        allowed="the model of the link",
+        remedy="give model=fit.model, or a rig with a model",
+    )
+    check_rigs_period(law, own)
+    if payload is not None:
+        link = link_at(link, own, payload)
     # A law without a motor loop outputs a motor angle: it is run with the M(s) for
     # which it was designed.
     kind = motor_loop or ("ideal" if law.motor_loop is None else "sampled")
@@ -233,25 +247,6 @@ def _not_here(option: str, allowed: str, remedy: str) -> FieldError:
 
 
 # --- the model ------------------------------------------------------------------------
-
-
-def _rig_and_link(
-    law: Law, rig: Rig | None, model: LinkModel | None, payload: float | None
-) -> tuple[Rig, LinkModel]:
-    rig = required(
-        "rig",
-        rig,
-        allowed="the rig of the arm",
-        remedy="give rig= (and model=), arm=, or a design in place of the law",
-    )
-    link = required(
-        "model",
-        model or rig.model,
-        allowed="the model of the link",
-        remedy="give model=fit.model, or a rig with a model",
-    )
-    check_rigs_period(law, rig)
-    return rig, link if payload is None else link_at(link, rig, payload)
 
 
 def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:

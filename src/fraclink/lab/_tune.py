@@ -216,7 +216,7 @@ class _Session:
         law = load(self.out / LAW_FILES[1], Law)
         assert self.state.motor is not None  # a law exists  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        move, why = planned_move(design, law, self.plan.limits)
+        move, why = planned_move(design, law, self.plan.limits, self.state.motor)
         built = Built(design.rig, design, law, None, (), move=move)
         if why := why or self._refusal(guard, built):
             self._withhold(guard, why)
@@ -234,10 +234,6 @@ class _Session:
             if not why:
                 return
             self._withhold(guard, why)
-            # The hunting comes from the motor in its loop, which is the same for every
-            # law.
-            if self._hunts:
-                return
 
     def _refusal(self, guard: Guard, built: Built) -> str:
         """Make the first moves, and return the reason why the law fails on the arm, ""
@@ -336,7 +332,7 @@ class _Session:
             state.motor,
             None if state.link is None else state.link.fit,
             self.plan.limits.voltage,
-            self._hunts,
+            any(move.hunts for move in state.moves),
         )
 
     def _unexplained(
@@ -346,10 +342,6 @@ class _Session:
         return unexplained(
             link.residual, link.fit.model, guard.record(), self.state.wiring, least
         )
-
-    @property
-    def _hunts(self) -> bool:
-        return any(move.hunts for move in self.state.moves)
 
     def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
         """Save the results based on the model, each part to its own file."""

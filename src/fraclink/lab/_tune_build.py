@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,6 +39,7 @@ from fraclink.errors import FieldError, InfeasibleError
 from fraclink.lab._tune_guard import PLANNED, MotionLimits
 from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_link import LinkResult
+from fraclink.lab._tune_motor import MotorResult
 from fraclink.lab._tune_wiring import Wiring
 from fracsys.checks import Real
 
@@ -51,9 +52,6 @@ __all__ = [
     "twins_of",
 ]
 
-# Loop gain at the higher modes: below it the loop stays farther than 0.25 from −1, as a
-# proof requires, whatever the phase.
-_QUIET = 0.75
 # Relative uncertainty of a second mode measured with a burst a minute ago; the payload
 # shifts it by 3 %. The 5 and 20 % assumed for an unmeasured arm would leave a heavy
 # link without a law.
@@ -71,6 +69,10 @@ _DRIFT = StatedTolerances(
 # share of the settling time, or [s]: the effect of the noise of a sample
 _AGREEMENT, _LEAST = 0.10, 0.05
 _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoot
+# [s] of rest in which slips of a motor that sticks show, and the peak of the vibration
+# that they keep alive over its standard deviation: of a narrow-band noise, one peak in
+# e⁸ is higher
+_RESTED, _CREST = 20.0, 4.0
 # Mass of the link relative to the payload: a lighter link has no effect, a much heavier
 # one has hardly any tip motion; without a visible second mode it is at most as heavy as
 # its payload.
@@ -202,7 +204,9 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
     any_passed, reasons = False, list[str]()
     for each in _rigs(rig, model):
         for candidate, words in _designs(each, model, reasons):
-            result = _proved(each, candidate.doubted(fit.findings), words, limits)
+            result = _proved(
+                each, candidate.doubted(fit.findings), words, limits, link.motor
+            )
             any_passed |= result.passed
             if result.passed:
                 yield result
@@ -260,20 +264,16 @@ def _designs(
             preamble = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             preamble = (f"what the rig asks for is not feasible ({error}); instead:",)
-    # A gain-stabilised second mode, or else a phase-stabilised one.
-    for bound in (None,) if mode is None else (_QUIET, None):
-        try:
-            fastest = design(model, rig, mode_gain=bound, **options)
-        except InfeasibleError as error:
-            reason = f"requirements over the box: {error}"
-            continue
-        yield fastest, (*preamble, *_words(fastest))
-        options |= {"gain_crossover": fastest.gain_crossover, "goal": "margin"}
-        with contextlib.suppress(InfeasibleError):
-            candidate = design(model, rig, mode_gain=bound, **options)
-            yield candidate, (*preamble, *_words(candidate))
+    try:
+        fastest = design(model, rig, **options)
+    except InfeasibleError as error:
+        reasons.append(f"requirements over the box: {error}")
         return
-    reasons.append(reason)
+    yield fastest, (*preamble, *_words(fastest))
+    options |= {"gain_crossover": fastest.gain_crossover, "goal": "margin"}
+    with contextlib.suppress(InfeasibleError):
+        candidate = design(model, rig, **options)
+        yield candidate, (*preamble, *_words(candidate))
 
 
 def _words(made: Design) -> tuple[str, ...]:
@@ -298,7 +298,11 @@ def _words(made: Design) -> tuple[str, ...]:
 
 
 def _proved(
-    rig: Rig, design: Design, words: tuple[str, ...], limits: MotionLimits
+    rig: Rig,
+    design: Design,
+    words: tuple[str, ...],
+    limits: MotionLimits,
+    motor: MotorResult,
 ) -> Built:
     """The law of a design, its proof, and its moves on the model and on heavier links."""
     reasons = tuple(str(item) for item in design.missed)
@@ -306,7 +310,7 @@ def _proved(
     if reasons:
         return Built(rig, design, None, None, reasons)
     law = design.law()
-    move, reason = planned_move(design, law, limits)
+    move, reason = planned_move(design, law, limits, motor)
     if reason:
         return Built(rig, design, law, None, (reason,))
     try:
@@ -322,7 +326,7 @@ def _proved(
 
 
 def planned_move(
-    design: Design, law: Law, limits: MotionLimits
+    design: Design, law: Law, limits: MotionLimits, motor: MotorResult
 ) -> tuple[tuple[float, float] | None, str]:
     """Amplitude [rad] and duration [s] of the quintic move within the limits that
     settles first with the payload that takes longest; None and a reason if none passes.
@@ -333,14 +337,15 @@ def planned_move(
     """
     best, least, reason = None, math.inf, ""
     amplitude, longer = PLANNED * _LONGEST * limits.angle, 1.0 / PLANNED
+    twins = twins_of(design, motor)
     # A vibration larger than the model's by as much as a promise may be wrong must not
     # change when the move has settled.
     band = (1.0 - _AGREEMENT) * settling_band(amplitude, design)
     # The reference alone takes four fifths of the planned speed of the first one.
     shortest = 1.875 * amplitude / (0.8 * PLANNED * limits.speed)
     for duration in (shortest * 1.15 ** np.arange(20)).tolist():
-        runs = _simulated(design, law, amplitude, duration)
-        far = _simulated(design, law, longer * amplitude, longer * duration)
+        runs = _simulated(law, design, twins, amplitude, duration)
+        far = _simulated(law, design, twins, longer * amplitude, longer * duration)
         settling = max(
             judged(
                 run.motor_angle_measured, run.torque_measured, band, duration, design
@@ -354,18 +359,37 @@ def planned_move(
         # leaves a vibration behind; but not sooner than its reference.
         if duration >= least:
             break
-    return best, "" if best else f"no move passes in the simulation: {reason}"
+    if best is None:
+        return None, f"no move passes in the simulation: {reason}"
+    swing = max(
+        float(np.std(run.tip_angle[run.time > least]))
+        for run in _simulated(law, design, twins, *best, until=best[1] + _RESTED)
+    )
+    if _CREST * swing > band:
+        return None, (
+            f"the motor hunts in the simulation: it slides at {motor.friction:.2g} V and breaks away at "
+            f"{motor.breakaway:.2g} V, which keeps the tip swinging by {math.degrees(swing):.2g}° in the mean, "
+            f"where {math.degrees(band / _CREST):.2g}° is allowed; less friction helps"
+        )
+    return best, ""
 
 
 def _simulated(
-    design: Design, law: Law, amplitude: float, duration: float
+    law: Law,
+    design: Design,
+    twins: Sequence[Twin],
+    amplitude: float,
+    duration: float,
+    until: float | None = None,
 ) -> list[Run]:
-    """A move of every twin with either extreme payload and the measured one."""
+    """A move of every twin with either extreme payload and the measured one, and its rest
+    `until` [s].
+    """
     move = smooth_step(amplitude, duration)
     low, high = design.payloads
     return [
-        simulate(law, move, arm=twin, payload=payload, told=True)
-        for twin in twins_of(design)
+        simulate(law, move, arm=twin, payload=payload, told=True, duration=until)
+        for twin in twins
         for payload in (low, design.model.payload, high)
     ]
 
@@ -397,16 +421,26 @@ def _objection(
     return ""
 
 
-def twins_of(made: Design) -> tuple[Twin, ...]:
-    """The arm as measured; and without a visible second mode, also with the heaviest
-    link whose mode would be invisible.
+def twins_of(made: Design, measured: MotorResult) -> tuple[Twin, ...]:
+    """The arm as measured, with all of its friction; and without a visible second mode,
+    also with the heaviest link whose mode would be invisible.
     """
     model = made.model
     damping, mode = damping_of(model), model.second_mode
     if mode is not None:  # ζ = ηω/2
         damping = replace(damping, higher=2.0 * mode.damping_ratio / mode.frequency)
+    # The law compensates less friction than there is.
+    motor = replace(
+        made.rig.motor,
+        coulomb_torque=measured.friction * made.rig.motor.torque_constant,
+    )
+    # Friction that the record does not show is as large as that of other arms.
+    stiction = max(measured.breakaway / max(measured.friction, 1e-12), Twin.stiction)
     return tuple(
-        Twin.from_rig(rig, damping=damping, model=model)
+        replace(
+            Twin.from_rig(replace(rig, motor=motor), damping=damping, model=model),
+            stiction=stiction,
+        )
         for rig in _rigs(made.rig, model)
     )
 

@@ -21,7 +21,13 @@ from fraclink._law import Law
 from fraclink.errors import FraclinkError
 from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
-from fraclink.lab._tune_motor import FIRST, MotorResult, closed_motor, fitted_motor
+from fraclink.lab._tune_motor import (
+    FIRST,
+    MotorResult,
+    breakaway_voltage,
+    closed_motor,
+    fitted_motor,
+)
 from fraclink.lab._tune_wiring import Wiring
 from fracsys.checks import Real
 
@@ -351,7 +357,11 @@ def motor_again(
         # the motor is known, and no load is assumed.
         if again.inertia is None or again.inertia <= 0 or not again.passed:
             return motor
-        return closed_motor(again, guard, wiring)
+        closed = closed_motor(again, guard, wiring)
+        held = breakaway_voltage(
+            guard.record(), closed, wiring.count, fit.model.gauge_delay
+        )
+        return replace(closed, breakaway=held)
     except FraclinkError:
         return motor
 

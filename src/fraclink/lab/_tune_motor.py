@@ -57,10 +57,15 @@ _RINGING = 1.5
 @document("tuned-motor")
 @dataclass(frozen=True)
 class MotorResult:
-    """The identified motor and its motor loop."""
+    """The identified motor and its motor loop.
+
+    `breakaway` is the largest voltage, with the link's torque, at which the motor stood
+    still [V].
+    """
 
     fit: MotorFit
     loop: MotorLoop
+    breakaway: float = 0.0
 
     @property
     def gain(self) -> MotorGain:
@@ -196,6 +201,36 @@ def closed_motor(fit: MotorFit, guard: Guard, wiring: Wiring) -> MotorResult:
         kick=_COUNT * guard.limits.voltage / max(wiring.count, 1e-12),
     )
     return MotorResult(fit, loop)
+
+
+def breakaway_voltage(
+    record: Record, motor: MotorResult, count: float, gauge_delay: float
+) -> float:
+    """The largest voltage, with the torque of the link, that left the encoder of steps
+    `count` [rad] where it was [V]: the friction that a motor at rest overcomes.
+
+    A mean over so many periods that a tenth of the sliding friction more would have
+    moved the motor by a count, ½ΔV·A·t².
+    """
+    fit, period = motor.fit, record.period
+    excess = 0.1 * motor.friction * fit.gain
+    if fit.inertia is None or excess <= 0.0:
+        return motor.friction
+    width = math.ceil(math.sqrt(2.0 * count / excess) / period) + 1
+    time = np.arange(record.angle.size) * period
+    torque = np.interp(time + gauge_delay, time, record.torque)
+    voltage = np.interp(time - fit.delay, time, record.voltage)
+    push = voltage - torque / (fit.gain * fit.inertia)
+    still = (
+        np.ptp(
+            np.lib.stride_tricks.sliding_window_view(record.angle, width + 1), axis=1
+        )
+        < count
+    )
+    held = np.abs(np.convolve(push, np.full(width, 1.0 / width), "valid"))
+    return max(
+        motor.friction, float(np.max(held[: still.size], where=still, initial=0.0))
+    )
 
 
 def unlimited_pole(motor: MotorResult, period: float, delay: float) -> float | None:

@@ -141,7 +141,10 @@ def first_moves(
     moves = ((_PART * amplitude, _SLOW * _PART * duration), move, move)
     promises = [
         judged(
-            *_simulated(design, law, smooth_step(*each), payload), band, each[1], design
+            *_simulated(design, law, motor, smooth_step(*each), payload),
+            band,
+            each[1],
+            design,
         )
         for each in moves
     ]
@@ -205,7 +208,7 @@ def first_moves(
 
 
 def _simulated(
-    design: Design, law: Law, path: Reference, payload: float
+    design: Design, law: Law, motor: MotorResult, path: Reference, payload: float
 ) -> tuple[Real, Real]:
     """Motor angle and torque of the same move on the model of the measured arm, as read
     by the sensors.
@@ -213,7 +216,7 @@ def _simulated(
     run = simulate(
         law,
         path,
-        arm=twins_of(design)[0],
+        arm=twins_of(design, motor)[0],
         payload=payload,
         told=True,
         duration=path.duration + _AFTER,
