@@ -13,7 +13,7 @@ from fraclink import _kernels
 from fraclink._law import MODES
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError, FraclinkError
-from fraclink.lab._connections import Callback, Command, Connection, controller_end
+from fraclink.lab._connections import Connection, controller_end
 from fraclink.lab._machine import check_machine, period_ns, real_time
 
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
@@ -128,25 +128,6 @@ class ArmLine:
                 self._clock.sleep(self.period)
 
 
-class _Called:
-    """A `Callback` with the interface of the kernel's connection, without the detour
-    through C.
-    """
-
-    clocked = False
-
-    def __init__(self, connection: Callback) -> None:
-        self._read, self._write = connection.read, connection.write
-
-    def read(self) -> tuple[int, float, float] | None:
-        sample = self._read()
-        return None if sample is None else (0, *sample)
-
-    def write(self, *values: Any) -> bool:
-        self._write(Command(*values))
-        return True
-
-
 class _NoClock:
     """The clock of an arm in this process that has none: a period is over when the next
     one is requested.
@@ -185,10 +166,7 @@ def open_line(
         stack.callback(_kernels.realtime_release_signals)
         if clock is None:
             stack.enter_context(real_time())
-        if isinstance(connection, Callback):
-            way: Any = _Called(connection)
-        else:
-            way = stack.enter_context(controller_end(connection))
+        way = stack.enter_context(controller_end(connection))
         first = _first_sample(way, connection, period, patience, time)
         line = ArmLine(way, 1e-9 * first[0] if first[0] else period or 0.0, time)
         try:

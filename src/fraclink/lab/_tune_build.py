@@ -282,18 +282,9 @@ def _words(made: Design) -> tuple[str, ...]:
         for item in made.requirements
         if item.name == "phase margin"
     )
-    gain = max(
-        (item.achieved for item in made.requirements if "mode" in item.name),
-        default=0.0,
-    )
-    words = (
+    return (
         f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {margin:.3g}°, which the whole "
         "box keeps",
-    )
-    return (
-        (*words, f"loop gain of {gain:.2g} at most at the second mode")
-        if gain > 0.0
-        else words
     )
 
 

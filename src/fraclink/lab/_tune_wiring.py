@@ -56,15 +56,6 @@ COUNT = MOST / _LARGER / _COUNTS  # [rad]: the coarsest encoder with that many c
 # Standard errors required of a sign: a wrong sign closes a loop that runs away; the
 # probability of chance is one in two million.
 _SURE = 5.0
-# share of a motion that follows the doublets: about half for an angle, a tenth for a
-# torque
-_KEPT = 0.3
-# share of the link's residual: with correct wires the residual of the exchanged fit is
-# larger
-_REVERSED = 0.6
-# Standard deviations that noise does not reach, be it the largest of many samples or
-# the best gain of a fit over all frequencies.
-_CLEAR = 8.0
 # Six of each sign: drift or drag to one side cancels.
 _DOUBLETS = 12
 # multiple of a stated or an earlier value: the fit to small motions is accurate to a
@@ -73,9 +64,6 @@ FAR = 1.6
 # allowed factor of a stated value: friction, payload and gauge differ by a third, wrong
 # units by ten
 _SCALE = 2.5
-# NMSE above which one signal is not the response of a link to the other; for noise it
-# is 1
-_EXPLAINED = 0.85
 
 
 class WiringFault(FraclinkError):
@@ -145,7 +133,7 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
             for x in (still.angle, still.torque)
         )
         angle = float(np.ptp(_smoothed(still.angle, width)))
-        if angle <= _STILL + _CLEAR * shake / math.sqrt(width):
+        if angle <= _STILL + _SURE * shake / math.sqrt(width):
             break
     else:
         raise WiringFault(
@@ -199,7 +187,7 @@ class _Doublets:
         self._guard, self._strongest, self._width = guard, strongest, width
         self._start, self._first = guard.count, float(np.mean(still.angle))
         # An answer must exceed the noise of a mean.
-        self.shake, self.clear = shake, _CLEAR * shake / math.sqrt(width)
+        self.shake, self.clear = shake, _SURE * shake / math.sqrt(width)
         self._swing = float(np.var(still.torque))
         self._longest = max(2, round(_PULSE / guard.period))
         self.voltage, self.half, self._sign = 0.0, self._longest, 1
@@ -316,26 +304,28 @@ def _concluded(
     # fit a link either, and would be blamed.
     if stated is not None and gain > FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
-    shares = (
-        _kept(record, doublets.half, record.angle),
-        _kept(record, doublets.half, record.torque),
-    )
-    if shares[1] > max(_KEPT, 2.0 * shares[0]) or (
-        shares[1] > max(_KEPT, shares[0]) and _swapped(record, earlier, link)
-    ):
-        return WiringFault(
-            "channels swapped: what is read as the torque stays where the motor was moved to "
-            f"({100 * shares[1]:.0f} % of its motion), what is read as the angle does not "
-            f"({100 * max(shares[0], 0.0):.0f} %)"
-        )
-    if link is None or (link[4] > _EXPLAINED and abs(link[0]) < _CLEAR * link[1]):
+    # Either channel may be the motor's, which stays where the doublets have moved it, and
+    # the other one the link's response to it: the more likely way round has the smaller
+    # product of what remains of both.
+    other = _link(record, earlier, swapped=True)
+    if other is not None and other[0] > _SURE * other[1]:
+        half, left = doublets.half, 1.0 if link is None else link[4]
+        straight = left * _unplaced(record, half, record.angle)
+        swapped = other[4] * _unplaced(record, half, record.torque)
+        if swapped < straight:
+            return WiringFault(
+                "channels swapped: what is read as the torque stays where the motor was moved to, and turns what "
+                f"is read as the angle: {100 * swapped:.0f} % of both remain unexplained, the other way round "
+                f"{100 * straight:.0f} %"
+            )
+    if link is None or abs(link[0]) < _SURE * link[1]:
         share = "nothing" if link is None else f"{100 * (1 - link[4]):.0f} %"
         return _Unsure(
             f"gauge dead: of its signal the motor's motion of {degrees} explains {share}; its noise is "
             f"{noise:.2g} N·m"
         )
     stiffness, spread, frequency, gauge_delay, nmse = link
-    if abs(stiffness) < _SURE * spread or abs(gain) < _SURE * error:
+    if abs(gain) < _SURE * error:
         return _Unsure("signs not sure: the motion is too small for the sensors' noise")
     voltage = f"{doublets.voltage:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
     bend = f"torque over angle {stiffness:+.3g} ± {spread:.1g} N·m/rad, {100 * (1 - nmse):.0f} % explained"
@@ -400,9 +390,9 @@ def _encoder_scale(gain: float, stated: Rig) -> str:
     )
 
 
-def _kept(record: Record, half: int, channel: Real) -> float:
-    """The share of a channel's motion that follows the motor positions reached by the
-    doublets.
+def _unplaced(record: Record, half: int, channel: Real) -> float:
+    """The share of a channel's motion that does not follow the motor positions reached by
+    the doublets.
     """
     place = np.zeros(channel.size)
     for begin in edges_of(record):
@@ -412,7 +402,7 @@ def _kept(record: Record, half: int, channel: Real) -> float:
     matrix = np.column_stack([place, np.ones(channel.size)])
     rest = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
     whole = float(np.sum((channel - np.mean(channel)) ** 2))
-    return 1.0 - float(rest @ rest) / whole if whole > 0 else 0.0
+    return float(rest @ rest) / whole if whole > 0.0 else 1.0
 
 
 def _step(angle: Real) -> float:
@@ -454,21 +444,3 @@ def _link(
     # its residual.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     return fit.gain, error, fit.model.natural_frequency, fit.delay, fit.nmse
-
-
-def _swapped(
-    record: Record,
-    earlier: Record,
-    link: tuple[float, float, float, float, float] | None,
-) -> bool:
-    """Whether the signal read as angle is the response of the link to the signal read
-    as torque.
-    """
-    other = _link(record, earlier, swapped=True)
-    # The exchanged fit must be clearly better, since a torque fitted to an angle also
-    # explains a little with the signals exchanged.
-    return (
-        other is not None
-        and other[0] > _SURE * other[1]
-        and other[4] < _REVERSED * (1.0 if link is None else link[4])
-    )
