@@ -39,7 +39,6 @@ class MarginProof:
 
     tree: str
     leaves: int
-    nodes: int
 
 
 @dataclass(frozen=True)
@@ -270,7 +269,7 @@ def prove(loop: BoxLoop, *, most: int) -> MarginProof | MarginFailure:
             return MarginFailure("the bound is not met", place)
         low, high = cut(low[rest], high[rest], verdict.axis[rest])
     letters = _preorder(generations)
-    return MarginProof(letters, sum(map(letters.count, LEAVES)), nodes)
+    return MarginProof(letters, sum(map(letters.count, LEAVES)))
 
 
 def _preorder(generations: list[NDArray[np.int64]]) -> str:

@@ -30,8 +30,6 @@ __all__ = [
     "PARAMETERS",
     "Certificate",
     "Statement",
-    "linear_range",
-    "modes_of",
     "state",
 ]
 

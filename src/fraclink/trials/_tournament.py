@@ -18,7 +18,7 @@ from fraclink._law.design import Design
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.events import SensorFault
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import simulate
+from fraclink._simulate.simulate import SETTLE, simulate
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.trials._rivals import FRACLINK, Rival, builders
 from fracsys.checks import Between, Payload, Seed, checked, length
@@ -28,7 +28,6 @@ __all__ = ["Standing", "Tournament", "compare"]
 # [N·m], [s]. Five times the noise of the paper's gauge: an apparent deflection of 32
 # mrad, more than the 2 % band in which a move of 1 rad settles.
 OFFSET, OFFSET_TIME = 0.05, 0.2
-LASTING = 1e6  # [s]: longer than any run
 
 
 # Words and unit of every figure of the table; for each smaller is better.
@@ -271,7 +270,7 @@ def _standing(
     followed = rival.shaped(move)
     # After the start: the law would take an offset present from the first sample as the
     # zero of the gauge.
-    shift = SensorFault(OFFSET_TIME, LASTING, "gauge offset", OFFSET)
+    shift = SensorFault(OFFSET_TIME, followed.duration + SETTLE, "gauge offset", OFFSET)
 
     def run(payload: float, *events: SensorFault) -> Run:
         return simulate(
