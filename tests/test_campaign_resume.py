@@ -345,3 +345,11 @@ def test_an_unwritable_folder_is_told(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(FieldError, match="not a folder"):
         run_campaign(small(), tmp_path / "file")
+
+
+def test_a_study_opens_whose_campaign_was_stopped_before_its_first_part(tmp_path):
+    run_campaign(small(10), tmp_path / "arms")
+    (part,) = (tmp_path / "arms").glob("part-*.npz")
+    part.unlink()
+    fl.Rig.named("paper-2023").save(tmp_path / "rig.toml")
+    assert fl.trials.load_study(tmp_path).arms is None

@@ -26,6 +26,7 @@ from fraclink._simulate import Run
 from fraclink.errors import FileFormatError
 from fraclink.findings import Finding, Scope, Verdict
 from fraclink.trials._faults import FaultTable
+from fraclink.trials._run import PARTS
 from fraclink.trials._summary import Summary, summarise
 
 __all__ = ["Refusal", "Study", "load_study", "save_study"]
@@ -389,6 +390,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         certificate=certificate,
         runs=tuple(move for move in runs if move.about.get("arm") != "twin"),
         twins=tuple(move for move in runs if move.about.get("arm") == "twin"),
-        arms=None if not (place / "arms").is_dir() else summarise(place / "arms"),
+        # A campaign that was stopped before its first part counts as not run.
+        arms=summarise(place / "arms") if any(place.glob(f"arms/{PARTS}")) else None,
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
     )
