@@ -161,10 +161,6 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
 
 # --- Where the zeros are: Aberth's iteration from the Newton polygon
 
-# Widest first: the twelve points that rounding leaves around a twelvefold zero fill a
-# disc of radius 0.1, and two of them alone would pass for a double zero.
-_CLUSTERS = (0.25, 0.06, 0.015, 3e-3)
-
 
 def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
     """Edges (j, k) of the upper convex hull of the points (ν, ln|a|), from the lowest
@@ -272,11 +268,16 @@ def _cluster(
     sum_: ExponentialSum, points: Complex, free: Mask, i: int
 ) -> tuple[Mask, complex]:
     """The points that represent the same zero as points[i], and that zero."""
-    for radius in _CLUSTERS:
-        near = free & (np.abs(points - points[i]) < radius)
-        m = int(near.sum())
-        if m < 2:
-            break
+    distance = np.where(free, np.abs(points - points[i]), math.inf)
+    nearest = np.argsort(distance)
+    # Most points first: two of the twelve around a twelvefold zero would pass for a
+    # double zero.
+    for m in range(int(free.sum()), 1, -1):
+        # D is about |z|^m times its terms at a distance |z| from an m-fold zero: this
+        # far off it cannot vanish within rounding any more.
+        if distance[nearest[m - 1]] > 8.0 * RESOLUTION ** (1.0 / m):
+            continue
+        near = np.isin(np.arange(len(points)), nearest[:m])
         centre = _newton(sum_, points[near].mean(), m)
         values, moduli = sum_.derivatives(np.array([centre]), m)
         # At the centre of a true multiple zero only rounding is left of the lower

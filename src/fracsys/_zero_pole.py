@@ -144,12 +144,9 @@ def substituted(
     power: Callable[[float], PowerFilter],
 ) -> tuple[Complex, Complex, float]:
     """Zeros, poles and gain of a system with `power(f)` for each s^f, 0 < f < 1."""
-    filters = {
-        f: power(f)
-        for f in sorted(
-            {_split(t.order)[1] for t in (*numerator, *denominator)} - {0.0}
-        )
-    }
+    fractions = {_split(t.order)[1] for t in (*numerator, *denominator)} - {0.0}
+    filters = {f: power(f) for f in sorted(fractions)}
+    filters[0.0] = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
     top, bottom = _Sum(numerator, filters), _Sum(denominator, filters)
     zeros, poles = [top.zeros()], [bottom.zeros()]
     # A filter that occurs on one side only contributes its poles as poles or as zeros
@@ -170,9 +167,6 @@ def _split(order: float) -> tuple[int, float]:
     return whole, round(order - whole, 12)
 
 
-_NONE = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
-
-
 class _Sum:
     """Σ c_k s^(n_k) F_k(s) with 0 ≤ a_k − n_k < 1 and F_k the filter for that fraction."""
 
@@ -181,7 +175,7 @@ class _Sum:
     ) -> None:
         split = [(t.coefficient, *_split(t.order)) for t in terms]
         self.fractions = {f for _, _, f in split if f}
-        summands = [(c, n, filters[f] if f else _NONE) for c, n, f in split]
+        summands = [(c, n, filters[f]) for c, n, f in split]
         self.terms = [(c * part.gain, n, part) for c, n, part in summands]
         self.degree = max(n for _, n, _ in summands)
         self.down = np.concatenate(

@@ -23,6 +23,7 @@ from scipy.optimize import differential_evolution
 from fraclink._arm.fractional_pid import FractionalPid
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
+from fracsys._precision import DIFFERENCE_STEP
 from fracsys._sweep import bracketed_roots
 from fracsys.checks import Complex, Mask, Real
 
@@ -49,7 +50,6 @@ _DAMPING = math.log(1e5)
 _TOLERANCE = 3e-4  # [rad] largest difference between scan and root
 _ROOM = 1.002  # margin between the scan's value of a bound and the exact one
 OFFER = math.radians(2.5)  # steps of an offered phase margin
-FLAT = 1e-6  # [rad] change of phase over ln ω due to rounding and search
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class PidProblem:
                 margin - found.places[:, 4] + _TOLERANCE,
             ]
             if self.flat:
-                slacks.append(FLAT - np.abs(found.places[:, 2]))
+                slacks.append(DIFFERENCE_STEP - np.abs(found.places[:, 2]))
             # The minima of the scan are only as accurate as its steps, so the bounds
             # are tightened by `_ROOM`; the exact evaluation of the result then
             # confirms them.
@@ -236,9 +236,9 @@ def _plant_at(plant: FractionalTransferFunction, w: Real) -> tuple[Complex, Real
     """P(jω), and the slope of its phase over ln ω: a central difference, exact to
     1e-10.
     """
-    step = 1e-5
-    up, down = plant(1j * w * math.exp(step)), plant(1j * w * math.exp(-step))
-    return np.asarray(plant(1j * w)), np.asarray(np.angle(up / down) / (2.0 * step))
+    step = math.exp(DIFFERENCE_STEP)
+    turn = np.angle(plant(1j * w * step) / plant(1j * w / step))
+    return np.asarray(plant(1j * w)), np.asarray(turn / (2.0 * DIFFERENCE_STEP))
 
 
 def _turn_beyond(loop: Complex, origin: Real) -> Real:

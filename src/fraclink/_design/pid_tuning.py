@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fraclink._arm.fractional_pid import FractionalPid
-from fraclink._design.pid_search import FLAT
+from fraclink._design.pid_search import REACH
 from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
 from fraclink._files import Saved, document
 from fraclink._law.fractional_pid import discretize_pid, pid_response
@@ -23,6 +23,7 @@ from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._loops import as_loop
 from fracsys._margins import Margins, margins
+from fracsys._precision import DIFFERENCE_STEP
 from fracsys._response import discrete_modes, time_response
 from fracsys.checks import Between, Complex, Real
 
@@ -34,9 +35,6 @@ PERIODS = 1.5
 # factors below and above ω_c that bound the band of the law's fit; the figures of a
 # loop depend on this band
 LAW_BAND = (200.0, 50.0)
-# span of the sampled plant's modes as a multiple of the horizon: exact from ω_c/1000
-# upwards
-SPAN = 25.0
 
 
 class PidStep(NamedTuple):
@@ -145,7 +143,8 @@ class PidTuning(Saved):
             # requirement is a factor in either direction.
             "gain margin": ("", self.gain_margin, max(gain, 1.0 / gain)),
         }
-        slope = FLAT if self.flat_phase else None
+        # the slope is a difference over this step
+        slope = DIFFERENCE_STEP if self.flat_phase else None
         at_most = {
             "sensitivity peak": (
                 "",
@@ -267,7 +266,9 @@ class PidTuning(Saved):
         The plant behind its zero-order hold is exact (`discrete_modes`), the law is its
         coefficients.
         """
-        modes = discrete_modes(self.plant, law.period, span=SPAN * self.horizon)
+        # exact from ω_c/1000 upwards
+        span = REACH / self.margins.gain_crossover
+        modes = discrete_modes(self.plant, law.period, span=span)
 
         def loop(s: Complex) -> Complex:
             w = np.imag(s)
