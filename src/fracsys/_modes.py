@@ -196,32 +196,25 @@ def expand(
             1.0 / (1.0 - np.exp(-2j * np.pi * (z - 1j * math.pi - origin) / step))
         )
 
-    def whole(share: float) -> Callable[[Complex], Complex]:
-        return lambda z: np.full(z.shape, share, np.complex128)
+    def share(pole: complex) -> Callable[[Complex], Complex]:
+        if not quotient.is_meromorphic:
+            return kernel
+        # without a cut a pole counts once, or by one half at each of ln s = x ± iπ
+        beyond = np.sign(np.round((pole.imag - math.pi) / RESOLUTION))
+        return lambda z: np.full(z.shape, 0.5 - 0.5 * beyond, np.complex128)
 
     # A mode that has decayed to e^-3 of the tolerance at the shortest time is
     # negligible at all later ones.
     last = math.log((math.log(1.0 / tolerance) + 3.0) / shortest)
     modes = _Modes()
-    # without a cut a pole counts once, or by one half at each of ln s = x ± iπ
-    if quotient.is_meromorphic:
-        for z in (z for z in simple if z.imag <= math.pi + RESOLUTION):
-            modes.add_pole(
-                z,
-                quotient.residue(z)
-                * (0.5 if abs(z.imag - math.pi) < RESOLUTION else 1.0),
-            )
-        for cluster in (c for c in clusters if c.centre.imag <= math.pi):
-            share = whole(0.5 if cluster.centre.imag == math.pi else 1.0)
-            _add_cluster(modes, quotient, cluster, share, 0.5, longest)
-        return modes.expansion(shortest, tolerance)
     for z in simple:
-        modes.add_pole(z, quotient.residue(z) * kernel(np.array([z]))[0])
+        modes.add_pole(z, quotient.residue(z) * share(z)(np.array([z]))[0])
     for cluster in clusters:
         node = (cluster.centre - 1j * math.pi - origin) / step
         gap = step * abs(node - round(node.real))
-        _add_cluster(modes, quotient, cluster, kernel, gap, longest)
-    _add_cut(modes, quotient, origin, step, last, longest)
+        _add_cluster(modes, quotient, cluster, share(cluster.centre), gap, longest)
+    if not quotient.is_meromorphic:
+        _add_cut(modes, quotient, origin, step, last, longest)
     return modes.expansion(shortest, tolerance)
 
 

@@ -145,8 +145,8 @@ def substituted(
 ) -> tuple[Complex, Complex, float]:
     """Zeros, poles and gain of a system with `power(f)` for each s^f, 0 < f < 1."""
     fractions = {_split(t.order)[1] for t in (*numerator, *denominator)} - {0.0}
-    filters = {f: power(f) for f in sorted(fractions)}
-    filters[0.0] = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
+    none = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
+    filters = {0.0: none} | {f: power(f) for f in fractions}
     top, bottom = _Sum(numerator, filters), _Sum(denominator, filters)
     zeros, poles = [top.zeros()], [bottom.zeros()]
     # A filter that occurs on one side only contributes its poles as poles or as zeros
