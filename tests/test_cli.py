@@ -261,10 +261,6 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(
             ("phase_margin_deg: out of range (got 200.0)", "expected", "179"),
         ),
         (
-            ("simulate", "design.json", "--amplitude", "57"),
-            ("amplitude: out of range (got 57.0)", "Give radians"),
-        ),
-        (
             (*DESIGN, "--phase-margin-deg", "-5"),
             ("phase_margin_deg: out of range (got -5.0)", "expected"),
         ),

@@ -306,6 +306,7 @@ def test_a_folder_that_is_there_is_kept(
             "simulate D --payload 0.03 --move-time nan",
             "move_time: not finite (got nan); expected 1e-9 to 1e9 s.",
         ),
+        ("simulate D --amplitude 57", "amplitude: out of range (got 57.0); expected"),
         (
             "design --rig paper-2023 --phase-margin-deg -7",
             "phase_margin_deg: out of range (got -7.0); expected > 0 and <= 179 °.",

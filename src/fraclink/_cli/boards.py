@@ -261,7 +261,13 @@ def run_realtime(
             reference=reference,
             move_time=move_time,
         )
-        move = _excitation(1.0 if amplitude is None else amplitude)
+        move: Reference = prbs(
+            1.0 if amplitude is None else amplitude,
+            0.24,  # [s] bits of this length have their power at the first mode
+            bits=81,
+            register=9,
+            start=0.5,
+        )
     else:
         move = reference_of(reference, amplitude, move_time)
     connection = connection_of(io, unsafe_remote, key_file)
@@ -305,11 +311,6 @@ def run_realtime(
         remarks=remarks,
         written=files,
     )
-
-
-def _excitation(amplitude: float) -> Reference:
-    # Bits of 0.24 s have their power at the first mode of an arm.
-    return prbs(amplitude, 0.24, bits=81, register=9, start=0.5)
 
 
 def _refused(what: str, granted: str) -> tuple[str, ...]:

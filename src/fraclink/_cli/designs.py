@@ -51,6 +51,7 @@ from fraclink.trials._study import load_study
 from fraclink.trials._summary import summarise
 from fraclink.view._arm_page import write_arm_page
 from fraclink.view._report import write_campaign_report, write_report
+from fracsys.checks import Between
 
 app = group()
 
@@ -206,6 +207,11 @@ def simulate(
     usual_time = 1.0 if twin else 0.5
     path = reference_of(reference, amplitude, move_time, usual_time=usual_time)
     subject = load_design(design_file)
+    if amplitude is not None:
+        # The law's guard would refuse the reference and hold the arm where it is.
+        reach = subject.law().limits.angle_limit
+        remedy = "give radians, 1.57 for 90°, or state the rig's [moves]"
+        Between(-reach, reach, "rad", remedy=remedy).check("amplitude", amplitude)
     mass = payload or subject.rig.payloads.nominal
     if estimate:
         # A payload of 0 means none, so that --told 0 together with --estimate is no

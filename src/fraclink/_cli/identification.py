@@ -190,11 +190,6 @@ def _load(log: Experiment, rig: Rig | None) -> Real | None:
     return rig.link.stiffness * log.output
 
 
-def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
-    """A table of gain and phase, its columns as `read_frequency_response` takes them."""
-    return read_frequency_response(table, _named(columns) or None)
-
-
 def _driven(
     tables: list[str],
     structure: str | None,
@@ -212,7 +207,7 @@ def _driven(
     arm = load_rig(rig)
     # The function itself rejects any other output.
     fit = identification.identify_driven_link(
-        _response(tables[0], column),
+        read_frequency_response(tables[0], _named(column)),
         output=cast(Any, output or "motor_angle"),
         **options,
     )
@@ -258,7 +253,7 @@ def _transfer_function(
             period_ms=period_ms,
             ring_down=ring_down or None,
         )
-        measured = _response(data[0], column)
+        measured = read_frequency_response(data[0], _named(column))
         if band:
             measured = measured.between(*band)
     else:
@@ -286,8 +281,8 @@ def _transfer_function(
     return Answer(fit, fit.passed, saved={place: fit})
 
 
-def _named(texts: list[str] | None) -> dict[str, str]:
-    """Name and value of every ROLE=NAME."""
+def _named(texts: list[str] | None) -> dict[str, str] | None:
+    """Name and value of every ROLE=NAME; None where there is none."""
     by_role: dict[str, str] = {}
     for text in texts or ():
         role, _, name = (part.strip() for part in text.partition("="))
@@ -302,7 +297,7 @@ def _named(texts: list[str] | None) -> dict[str, str]:
                 remedy="as in --column frequency=f",
             )
         by_role[role] = name
-    return by_role
+    return by_role or None
 
 
 _FITS: dict[str, Callable[..., Answer]] = {

@@ -57,16 +57,7 @@ BoxFlag = Annotated[
 ]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 # None if not given, so that it can be rejected together with an option that replaces it
-Amplitude = Annotated[
-    float | None,
-    ranges.Between(
-        -2.0 * math.pi,
-        2.0 * math.pi,
-        "rad",
-        remedy="give radians, 1.57 for 90°; a move beyond one turn by --reference",
-    ),
-    "Size of the move; default: 1",
-]
+Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
 MoveTime = Annotated[Length | None, "Time of the move; default: 1"]
 ReferenceFile = Annotated[
     Path | None,

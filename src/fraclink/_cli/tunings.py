@@ -156,7 +156,7 @@ def _following(tuning: Tuning, io: str, out: Path) -> str:
         return f"fraclink tune --io {io} --out {out} --force"
     # A law whose first moves missed the promise is not to be used further, with or
     # without a proof.
-    return f"fraclink diagnose {out / 'log.npz'}"
+    return f"fraclink diagnose {out / 'log.npz'} --rig {out / 'rig.toml'}"
 
 
 def _asked(name: str, value: float | None) -> float:
