@@ -192,7 +192,7 @@ CEILINGS = {
     "_export": 432,
     "_files": 562,
     "_identify": 2604,
-    "_law": 963,
+    "_law": 962,
     "_reading": 937,
     "_simulate": 1184,
     "lab": 1937,
