@@ -61,9 +61,6 @@ _DOUBLETS = 12
 # multiple of a stated or an earlier value: the fit to small motions is accurate to a
 # tenth, payload and gear may differ by a third
 FAR = 1.6
-# allowed factor of a stated value: friction, payload and gauge differ by a third, wrong
-# units by ten
-_SCALE = 2.5
 
 
 class WiringFault(FraclinkError):
@@ -373,9 +370,11 @@ def _scales(
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
         f"gauge scale: torque over angle is {stiffness / stated.link.stiffness:.2g} of the rig's stiffness",
     )
-    if not 1 / _SCALE < encoder < FAR:
+    # Two measured values each: gain and friction, stiffness and gain. Wrong units are off
+    # by ten.
+    if not 1 / FAR**2 < encoder < FAR:
         return messages, _encoder_scale(gain, stated)
-    if not 1 / _SCALE < bend < _SCALE:
+    if not 1 / FAR**2 < bend < FAR**2:
         return messages, (
             f"gauge scale wrong: it shows {bend:.2g} times the torque of a link of "
             f"{stated.link.stiffness:.3g} N·m/rad; check its calibration and the unit of the torque"
