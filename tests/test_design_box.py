@@ -108,8 +108,8 @@ def test_the_cost_of_a_box_names_the_dearest_parameter() -> None:
     lost = math.degrees(cost["nominal_rad"] - cost["worst_rad"])
     back = math.degrees(cost["gauge_delay_rad"])
     assert found.message.startswith(
-        f"the box costs {lost:.1f}° of phase margin, most of it the gauge's delay from 0 to 0.004: exactly "
-        f"known it would give back {back:.1f}°"
+        f"the box costs {lost:.1f}° of phase margin, most of it the gauge's delay from 0 to 0.004: known "
+        f"exactly, it would give back {back:.1f}°"
     )
     assert (
         found.remedy

@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1526,
     "_certify": 861,
     "_cli": 876,
-    "_design": 1454,
+    "_design": 1459,
     "_export": 432,
     "_files": 562,
     "_identify": 2604,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from fraclink._arm.box import Arm, ParameterBox, arms_of
+from fraclink._arm.box import Arm, ParameterBox
+from fraclink._design.search import Solution
 from fraclink._law.design import Design
 from fraclink.findings import Finding
 
@@ -25,7 +26,7 @@ _WORDS = {
 }
 
 
-def cost_of_box(design: Design) -> Finding:
+def cost_of_box(design: Design, solution: Solution) -> Finding:
     """Return W407: the phase margin that the box of a design costs, and the gain from
     each interval if its parameter were exactly that of the model at the worst corner.
     """
@@ -42,8 +43,8 @@ def cost_of_box(design: Design) -> Finding:
         return float(arm.loop(design.controller, design.rig).margins(ends)[1].min())
 
     nominal = margin(Arm(model), exact.natural_frequency)
-    corners = [(margin(arm, box.natural_frequency), arm) for arm in arms_of(box, model)]
-    worst, arm = min(corners, key=lambda pair: pair[0])
+    arm = solution.closest
+    worst = margin(arm, box.natural_frequency)
     gains: dict[str, float] = {}
     for name in _WORDS:
         low, high = getattr(box, name)

@@ -179,7 +179,9 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     if not result.missed and result.box is None:
         return result
     if not result.missed:
-        return replace(result, findings=(*result.findings, cost_of_box(result)))
+        return replace(
+            result, findings=(*result.findings, cost_of_box(result, solution))
+        )
     condition, sentence = _in_the_way(solution, result)
     # if a requirement is missed that the user did not state, no other request is known
     # to pass

@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 from scipy.optimize import minimize
 
+from fraclink._arm.box import Arm
 from fraclink._arm.controller import Controller
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
@@ -315,6 +316,14 @@ class Solution:
         heavy, _, light, _ = self.search.request.first_links
         frequencies = np.exp(self._trial.crossover.value)
         return float(frequencies[heavy]), float(frequencies[light])
+
+    @property
+    def closest(self) -> Arm:
+        """The arm with the least phase margin."""
+        arms, margin = self.search.request.arms, self._trial.margin
+        _, link = margin.at(~arms.table.empty[margin.link]).least
+        number = int(arms.table.arm[link])
+        return arms.cases[number].arm
 
     @property
     def noise_gain(self) -> float:
