@@ -58,7 +58,7 @@ def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     wanted = regressors @ (0.9**lags) @ regressors.T
     found = np.mean(
         [
-            noise_behind(regressors, wandering(count, 0.9, seed)).covariance
+            noise_behind(regressors, wandering(count, 0.9, seed))[0]
             for seed in range(20)
         ],
         axis=0,
@@ -66,9 +66,7 @@ def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     # The variance of 1500 such samples is itself known to 10 %, and their sum over lags
     # in 20 runs to 7 %.
     assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.2)
-    white = noise_behind(
-        regressors, np.random.default_rng(0).normal(0, 3.0, count)
-    ).covariance
+    white = noise_behind(regressors, np.random.default_rng(0).normal(0, 3.0, count))[0]
     assert np.diag(white) == pytest.approx(
         9.0 * np.diag(regressors @ regressors.T), rel=0.25
     )
@@ -97,7 +95,7 @@ def test_what_a_fit_took_out_of_slow_noise_is_given_back() -> None:
     for seed in range(100):
         noise = wandering(count, 0.9, seed)
         error = inverse @ rows @ noise
-        meat = noise_behind(rows, noise - error @ rows).covariance
+        meat = noise_behind(rows, noise - error @ rows)[0]
         found = np.diag(inverse @ meat @ inverse)
         ratios.append(found / true)
         inside.append(np.abs(error) < 1.96 * np.sqrt(found))

@@ -230,12 +230,20 @@ def identify_driven_link(
     fit = _fitted(measured, output, weighting, details)
     if fit.passed:
         return fit
-    for part in _narrower(measured.band):
+    lowest, highest = measured.band
+    for low, high in _narrower(measured.band):
         # Too few lines for the parameters, or no fit.
         with contextlib.suppress(FieldError, NotConvergedError):
-            narrowed = _fitted(measured.between(*part), output, weighting, details)
+            narrowed = _fitted(measured.between(low, high), output, weighting, details)
             if narrowed.passed:
-                warning = _of_the_rest(part, measured.band)
+                warning = Finding(
+                    "W349",
+                    "warning",
+                    f"fitted from {low:.4g} to {high:.4g} rad/s: over all lines a motor with a link "
+                    "of one mode does not fit",
+                    {"low": low, "high": high, "lowest": lowest, "highest": highest},
+                    "look at the rest for higher modes, friction and noise; give band to choose another part",
+                )
                 return replace(narrowed, findings=(warning, *narrowed.findings))
     return fit
 
@@ -252,22 +260,6 @@ def _narrower(band: Limits) -> Iterator[Limits]:
     for octave in range(1, octaves + 1):
         for above in range(octave, -1, -1):
             yield low * 2.0 ** (octave - above), high / 2.0**above
-
-
-def _of_the_rest(part: Limits, band: Limits) -> Finding:
-    low, high = part
-    return Finding(
-        "W349",
-        "warning",
-        f"fitted from {low:.4g} to {high:.4g} rad/s: over all lines a motor with a link of one mode does not fit",
-        {
-            "low": low,
-            "high": high,
-            "lowest": band[0],
-            "highest": band[1],
-        },
-        "look at the rest for higher modes, friction and noise; give band to choose another part",
-    )
 
 
 def _fitted(

@@ -22,6 +22,7 @@ from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     COORDINATE,
+    LEAST_SAMPLES,
     ORDER_LIMITS,
     Hold,
     Window,
@@ -59,7 +60,6 @@ Motion = Annotated[Real, Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
 SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 
-_LEAST_SAMPLES = 50
 _HELDOUT = 0.4
 # share of the motor's motion (mean square speed) that a held-out part must contain
 _MOVES = 0.05
@@ -116,12 +116,12 @@ def make_search(
     # Motion before the cut counts as well: a ring-down after it determines the link
     # completely.
     window = fitted_window(log, count, chosen_hold(moving_angle(log), hold))
-    if window.samples < _LEAST_SAMPLES:
+    if window.samples < LEAST_SAMPLES:
         raise LogError(
             "output",
             window.samples,
             "too few samples to fit",
-            allowed=f">= {_LEAST_SAMPLES}",
+            allowed=f">= {LEAST_SAMPLES}",
             remedy="record a longer log",
         )
     check_motion(motor_angle=window.angle, output=window.output)
@@ -217,7 +217,7 @@ def fitted_samples(log: Experiment) -> int:
     # not move.
     motor = _activity(np.diff(log.motor_angle))
     swing = _activity(log.output - np.median(log.output))
-    borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
+    borders = [k for k in range(1, _BLOCKS) if places[k] >= LEAST_SAMPLES]
     # A border at rest: the held-out part then begins like the model, without earlier
     # vibration.
     rests = [

@@ -17,17 +17,18 @@ from numpy.typing import NDArray
 
 from fraclink._identify.link_problem import quadratic_of
 from fraclink._identify.problem import Problem, Quadratic
+from fraclink._identify.residual import autoregression
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     NAMES,
     ORDER_LIMITS,
+    columns_of,
     largest_ratio,
     link_parameters,
     shapes_at,
     shapes_of,
 )
-from fraclink._identify.uncertainty import link_covariance
 from fracsys.checks import Real
 
 # The columns of which θ holds the logarithm.
@@ -36,16 +37,21 @@ _LIMITS = {"order": ORDER_LIMITS, "damping_order": ALPHA_LIMITS}
 
 
 def weight_of(search: Search, solution: Solution) -> float:
-    """1/(σ² k): a coloured residual counts as k times fewer samples."""
+    """1/(σ² k): a coloured residual counts as k times fewer samples.
+
+    What a log says of a link it says at the resonance: the scores of its parameters are
+    of that frequency, and the noise there over its mean over all frequencies is k.
+    """
+    raw = columns_of(search.kernel, solution.shape)[0]
+    residual = search.window.output - solution.gain * raw - solution.offset
     variance = solution.cost / search.window.samples
     if not variance > 0:
         return 1.0
-    inflation = link_covariance(search, solution, coloured=True)[0].inflation
-    # The median over the parameters of the link: one with little influence may have any
-    # ratio.
-    own = ("order", "natural_frequency", "damping")
-    ratios = [inflation[name] for name in own if name in inflation]
-    return 1 / (variance * float(np.median(ratios or [1.0])))
+    coefficients, innovation = autoregression(residual)
+    turn = np.exp(1j * solution.resonance * search.window.period)
+    power = innovation / float(np.abs(np.polyval(coefficients, turn))) ** 2
+    # A residual without colour at the resonance counts whole.
+    return 1 / max(variance, power)
 
 
 @dataclass(frozen=True, eq=False)

@@ -162,11 +162,6 @@ class LinkProblem(Problem):
             places[:, column] = np.minimum(places[:, column], largest)
         return places
 
-    def costs(self, places: Real) -> Real:
-        """See `Problem`."""
-        own = self.search
-        return own.kernel.costs(self.expanded(places)[0], own.gain, own.offset)
-
     def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`."""
         own = self.search

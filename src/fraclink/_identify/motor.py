@@ -416,8 +416,8 @@ def _search(
             "initial_simplex": best + np.array([[0, 0], [0.5, 0], [0, 0.5]]) * free,
         },
     )
-    place = best if cost(best) <= minimum.fun else minimum.x
-    return float(place[0] * steps[0]), float(place[1] * steps[1])
+    delay, zone = (minimum.x * steps).tolist()
+    return delay, zone
 
 
 def _result(

@@ -247,18 +247,14 @@ def identify_payloads(
             wanted=0.0,
             remedy="fit each log alone first, they may not belong together",
         )
-    theta = descent.places[0]
-    models, gains, predicted = (
+    theta, covariance = descent.places[0], inverted(descent.normal[0])[0]
+    # Errors over all samples and unweighted, so that a user can compare the figures of
+    # different logs.
+    models, gains, mse, predicted = (
         tuple(column)
         for column in zip(
             *(_of_one(log, i, joint, theta) for i, log in enumerate(logs)), strict=True
         )
-    )
-    # Over all samples and unweighted, so that a user can compare the figures of
-    # different logs.
-    mse = tuple(
-        float(np.mean((log.output - p) ** 2))
-        for log, p in zip(logs, predicted, strict=True)
     )
     alone_mse = tuple(
         solution.cost / log.output.size
@@ -274,7 +270,7 @@ def identify_payloads(
         gains,
         mse,
         alone_mse,
-        _errors(joint, theta, tied),
+        _errors(joint, theta, covariance, tied),
         stiffness=over * length**2 if over is not None and length is not None else None,
         stiffness_over_square=over,
         test=test,
@@ -288,12 +284,14 @@ def _supported(searches: Sequence[Search]) -> str:
     criteria, are added.
     """
     criteria = [criteria_of(search) for search in searches]
-    total = {
-        name: tuple(sum(log[name][i] for log in criteria) for i in (0, 1))
-        for name in STRUCTURES
-    }
     return preferred_structure(
-        {name: (first, second) for name, (first, second) in total.items()}
+        {
+            name: (
+                sum(log[name][0] for log in criteria),
+                sum(log[name][1] for log in criteria),
+            )
+            for name in STRUCTURES
+        }
     )
 
 
@@ -322,28 +320,28 @@ def _check(logs: Sequence[Experiment], tied: bool) -> None:
 
 def _of_one(
     log: Experiment, i: int, joint: JointProblem, theta: Real
-) -> tuple[LinkModel, float, Real]:
-    """Model, gain and prediction of one log."""
+) -> tuple[LinkModel, float, float, Real]:
+    """Model, gain, mean square error and prediction of one log."""
     search = joint.searches[i]
     shapes, _ = joint.shapes(theta[None, :], i)
-    raw = columns_of(search.kernel, shapes[0])[0]
-    gain = search.gain
-    if math.isnan(gain):
-        # Gain and offset are linear in the prediction: regression gives both.
-        gain = float(np.cov(raw, log.output, bias=True)[0, 1] / np.var(raw))
-    offset = float(np.mean(log.output - gain * raw))
+    held = shapes[0]
+    _, _, gain, offset, cost = search.kernel.solve(
+        shapes, 0, held, held, search.gain, search.offset, 0
+    )
     damping, delay = joint.rows(theta[None, :], i)[0, [2, 4]].tolist()
     # The damping as it is in θ: its conversion by the resonance of each log rounds.
     model = replace(
-        model_of(shapes[0], max(abs(gain), 1e-12), log.payload),
+        model_of(held, max(abs(gain), 1e-12), log.payload),
         damping=damping,
         gauge_delay=delay,
     )
-    return model, gain, gain * raw + offset
+    predicted = gain * columns_of(search.kernel, held)[0] + offset
+    return model, gain, cost / log.output.size, predicted
 
 
-def _errors(joint: JointProblem, theta: Real, tied: bool) -> dict[str, float]:
-    covariance = inverted(joint.quadratic(theta[None, :]).normal[0])[0]
+def _errors(
+    joint: JointProblem, theta: Real, covariance: Real, tied: bool
+) -> dict[str, float]:
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     frequency = "stiffness_over_square" if tied else "resonance"
     result: dict[str, float] = {}

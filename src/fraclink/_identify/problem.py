@@ -97,10 +97,6 @@ class Problem(ABC):
         """The nearest admissible places."""
         return np.clip(places, self.low, self.high)
 
-    def costs(self, places: Real) -> Real:
-        """Costs (M,) at places (M, p); infinite if a candidate has no response."""
-        return self.quadratic(places).cost
-
     @abstractmethod
     def quadratic(self, places: Real) -> Quadratic:
         """Costs and quadratic models at places (M, p)."""
@@ -157,12 +153,13 @@ def reduced(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """The ends of M descents: places (M, p), costs (M,), and whether no step would
-    gain anything.
+    """The ends of M descents: places (M, p), costs (M,), Gauss–Newton matrices (M, p,
+    p), and whether no step would gain anything.
     """
 
     places: Real
     costs: Real
+    normal: Real
     converged: Mask
 
 
@@ -213,7 +210,7 @@ def descend(
         successes = own[better]
         places[successes], costs[successes] = trial[better], at.cost[better]
         slope[successes], normal[successes] = at.slope[better], at.normal[better]
-    return Descent(places, costs, settled & np.isfinite(costs))
+    return Descent(places, costs, normal, settled & np.isfinite(costs))
 
 
 def descend_within_samples(

@@ -98,20 +98,10 @@ def autoregression(series: Real) -> tuple[Real, float]:
     return best[1], best[2]
 
 
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """The noise behind the residual of a fit, as its regressors (p, n) meet it.
-
-    `covariance` (p, p) is that of regressors · noise, and `observed` is the trace of
-    the covariance with orthonormal regressors, for the residual as it is.
-    """
-
-    covariance: Real
-    observed: float
-
-
-def noise_behind(regressors: Real, residual: Real) -> Noise:
-    """The noise behind a residual, with the regressors (p, n) of its fit:
+def noise_behind(regressors: Real, residual: Real) -> tuple[Real, float]:
+    """The covariance (p, p) of regressors (p, n) · noise, for the noise behind the
+    residual of their fit; and its trace with orthonormal regressors, for the residual
+    as it is:
 
         Σ_k Σ_l x_k γ(k − l) x_lᵀ
 
@@ -156,7 +146,7 @@ def noise_behind(regressors: Real, residual: Real) -> Noise:
 
     meat = weights @ met(slow / np.abs(rfft(fast, length)) ** 2) @ weights.T
     observed = met(variance / np.abs(rfft(coefficients, length)) ** 2)
-    return Noise(meat, float(np.trace(observed)))
+    return meat, float(np.trace(observed))
 
 
 def _without_slow_root(coefficients: Real) -> Real:
@@ -385,7 +375,9 @@ def find_second_mode(
         certain = not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error
         if certain and _shows_again(window, optimum, gain, motor_angle, whole):
             return SecondMode(math.exp(optimum[1]), share, float(optimum[2])), None
-    noise = _noise(residual)
+    # Of high frequency, since a slow misfit does not mask a fast mode; the variance of
+    # the second difference of white noise is 1² + 2² + 1² times its own.
+    noise = float(np.std(np.diff(residual, 2))) / math.sqrt(6.0)
     highest = None
     for log_frequency in grid:
         # ζ = 0.02, typical of steel and aluminium arms; a more damped mode has a lower
@@ -428,13 +420,3 @@ def _regressed(residual: Real, response: Real) -> tuple[float, float]:
         power * float(rest @ rest) / rest.size,
     )
     return gain, math.sqrt(variance) / power
-
-
-def _noise(residual: Real) -> float:
-    """Standard deviation [unit of the output] of the residual at high frequency.
-
-    A slow misfit does not mask a fast mode; the second difference, scaled to white
-    noise, removes it.
-    """
-    # 1² + 2² + 1²: variance of the second difference of white noise.
-    return float(np.std(np.diff(residual, 2)) / math.sqrt(6.0))

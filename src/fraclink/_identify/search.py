@@ -41,7 +41,6 @@ _VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a na
 # cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
 # of the resonance's width.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
-_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 decays in 180 periods
 # multiple of the smallest remaining power: beyond it there is no such vibration in this
 # log
 _WORTH = 4.0
@@ -107,6 +106,8 @@ class Search:
     fixed: Mapping[str, float]
     start: Real | None = None
     solutions: dict[str, Solution] = field(default_factory=dict)
+    # by the number of samples in an average: see `averages`
+    kernels: dict[int, tuple[FitProblem, float]] = field(default_factory=dict)
     # of solutions, with and without the residual's colour: see `link_covariance`
     covariances: dict[tuple[Solution, bool], tuple[Covariance, float]] = field(
         default_factory=dict
@@ -130,10 +131,10 @@ class Search:
         low, high = self.window.frequency_limits
         return math.log(low) - 0.5, math.log(high) + 0.3
 
-    @cached_property
+    @property
     def kernel(self) -> FitProblem:
         """The kernel for all frequencies and delays within reach of the search."""
-        return self.kernel_of(self.window)
+        return self.averages(1)[0]
 
     def kernel_of(self, window: Window) -> FitProblem:
         """The same kernel for another stretch of the log."""
@@ -142,6 +143,24 @@ class Search:
         longest = max(0.36 * 2 * math.pi / lowest, abs(self.fixed.get("delay", 0.0)))
         span = self.window.samples * self.window.period
         return window.kernel(lowest, longest_delay=min(longest, span))
+
+    def averages(self, width: int) -> tuple[FitProblem, float]:
+        """The kernel on averages of `width` samples, and the power of these."""
+        if width not in self.kernels:
+            coarse = self.window.averaged(width)
+            power = max(float(np.var(coarse.output)) * coarse.samples, 1e-300)
+            self.kernels[width] = self.kernel_of(coarse), power
+        return self.kernels[width]
+
+    def _shares(self, links: Real) -> Real:
+        """Shares (K,) of the power that links leave, each of averages that show its
+        resonance.
+        """
+        shares, widths = np.empty(len(links)), self.window.widths(np.exp(links[:, 1]))
+        for width in np.unique(widths).tolist():
+            (kernel, power), own = self.averages(width), widths == width
+            shares[own] = kernel.costs(links[own], self.gain, self.offset) / power
+        return shares
 
     # --- starts
 
@@ -165,8 +184,7 @@ class Search:
         step = -2 * math.cos(math.pi / _SCAN_ORDER)
         grid = np.linspace(low, high, max(int((high - low) / step), 8))
         links = self._links(grid, _SCAN_ORDER, 0.0)
-        costs = self.kernel.costs(links, self.gain, self.offset)
-        valleys = grid[lowest_valleys(costs, _VALLEYS)]
+        valleys = grid[lowest_valleys(self._shares(links), _VALLEYS)]
         # A delay of a quarter of the vibration period turns the torque into a velocity:
         # λ and the delay compensate each other on a smooth move. A descent covers an
         # eighth of a period to either side, which is half of the range of the delay.
@@ -190,13 +208,6 @@ class Search:
         earlier motion, while the broad resonances of the scan have decayed.
         """
         low, high = (math.log(x) for x in self.window.frequency_limits)
-        delay = self.fixed.get("delay", 0.0)
-        # The samples that such links remember; with a longer history every start would
-        # take milliseconds.
-        near = replace(
-            self.window, angle=self.window.angle[-(self.window.samples + _REMEMBERED) :]
-        )
-        kernel = near.kernel(math.exp(low), longest_delay=abs(delay))
         bands, width = self._ringing()
         starts: list[Real] = []
         for ratio in _SHARP:
@@ -204,8 +215,7 @@ class Search:
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
             rows = self._links(places[apart <= width], order, 0.0)
-            costs = kernel.costs(rows, self.gain, self.offset)
-            starts.extend(rows[lowest_valleys(costs, _SHARP_VALLEYS)])
+            starts.extend(rows[lowest_valleys(self._shares(rows), _SHARP_VALLEYS)])
         return starts
 
     def _ringing(self) -> tuple[Real, float]:
@@ -247,21 +257,23 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
-            ends = [
-                self._descended(name, row, iterations=FIRST_STEPS)
-                for row in self._starts(name)
+            firsts = [
+                self._descended(name, row, first=True) for row in self._starts(name)
             ]
-            if not math.isfinite(min(end.cost for end in ends)):
+            # On all samples, where the costs of different averages compare.
+            shapes = np.array([end.shape for end in firsts])
+            costs = self.kernel.costs(shapes, self.gain, self.offset).tolist()
+            ends = [
+                replace(end, cost=cost) for end, cost in zip(firsts, costs, strict=True)
+            ]
+            if not math.isfinite(min(costs)):
                 raise NotConvergedError(
                     f"the fit of {name}",
                     reached=math.inf,
                     wanted=0.0,
                     remedy="examine the log with diagnose",
                 )
-            ends = [
-                end if end.status == 0 else self._descended(name, end.shape)
-                for end in self._valleys(ends)
-            ]
+            ends = [self._descended(name, end.shape) for end in self._valleys(ends)]
             solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
@@ -288,11 +300,14 @@ class Search:
         name: str,
         row: Real,
         delays: tuple[float, float] | None = None,
-        iterations: int = _ITERATIONS,
+        *,
+        first: bool = False,
     ) -> Solution:
-        """The end of the kernel's descent from a row, with the delay in a range; with
-        infinite cost if there is no response.
+        """The end of the kernel's descent from a row, with the delay in a range, or
+        after its `first` steps, on averages of samples; with infinite cost if there is
+        no response.
         """
+        width = int(self.window.widths(np.exp(row[1]))) if first else 1
         shortest, longest = delays or self._delays(row)
         low, high = self._range
         lower = np.array([ORDER_LIMITS[0], low, 0.0, ALPHA_LIMITS[0], shortest])
@@ -306,14 +321,14 @@ class Search:
         start = row.copy()
         start[4] = self.fixed.get("delay", row[4])
         start[free] = np.clip(start[free], lower[free], upper[free])
-        status, shape, gain, offset, cost = self.kernel.solve(
+        status, shape, gain, offset, cost = self.averages(width)[0].solve(
             start[None],
             mask_of(free),
             lower,
             upper,
             self.gain,
             self.offset,
-            iterations,
+            FIRST_STEPS if first else _ITERATIONS,
         )
         return Solution(
             name,
@@ -418,5 +433,4 @@ class Search:
         rows = np.array(
             [[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}]
         )
-        costs = self.kernel.costs(rows, self.gain, self.offset)
-        yield from rows[np.argsort(costs)[:3]]
+        yield from rows[np.argsort(self._shares(rows))[:3]]

@@ -48,16 +48,15 @@ ALPHA_LIMITS = (1e-4, 1.9)
 # Samples before a cut that move the link, or three lengths of the log if that is more.
 # The limit is one of cost, since physics gives none that is short enough: for a link of
 # ζ = 0.02 cut to its last 2 s of 32 s, the delay is 15 ms off with a history of three
-# lengths. A fit of 2000 samples takes 1.2 s of CPU time with 50 000 earlier samples and
-# 3.4 s with 200 000.
+# lengths.
 HISTORY = 200_000
 
-# The error of the trapezoidal rule in ln(rate) is exp(−π²/step): 3e-9 at 0.5,
-# sufficient for parameters to 1e-8.
-_STEP = 0.5
-_DEPTH = 12.2  # rates down to Ω·e^−12.2; lower ones weigh less than 1e-9
-_REACH = 16.0  # rates above 16/Ts decay within a sample (e^−16)
-_TAIL = 6.0  # and those above 16/Ts·e^6 are negligible
+LEAST_SAMPLES = 50  # of a fit
+
+# Share of the response that the sum over rates may miss, for parameters to 1e-8; in
+# digits of base e.
+_DIGITS = 8 * math.log(10)
+_TAIL = 6.0  # rates e^6 above those that decay within a sample are negligible
 _MODES_MAX = 64
 
 
@@ -277,6 +276,28 @@ class Window:
         steps = np.diff(self.angle)
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
 
+    def widths(self, resonances: Real) -> NDArray[np.int_]:
+        """Numbers of samples, powers of two, whose averages show resonances [rad/s] up
+        to twice as high.
+        """
+        finer = np.minimum(
+            0.5 * self.frequency_limits[1] / resonances, self.samples / LEAST_SAMPLES
+        )
+        return np.asarray(2 ** np.log2(np.maximum(finer, 1.0)).astype(int))
+
+    def averaged(self, width: int) -> Window:
+        """Averages of `width` samples: that of the output is the response to that of
+        the angle, since the link is linear, and is linear between samples.
+        """
+        if width == 1:
+            return self
+        half = self.averaged(width // 2)
+        earlier, count = half.angle.size - half.samples, half.samples // 2 * 2
+        angle = half.angle[earlier % 2 : earlier + count]
+        angle = 0.5 * (angle[::2] + angle[1::2])
+        output = 0.5 * (half.output[:count:2] + half.output[1:count:2])
+        return Window(angle, output, 2 * half.period, "first")
+
     def increments(self) -> Real:
         """Jump at each sample of `angle` (held input) or slope after it; the link rests
         before the first.
@@ -289,11 +310,15 @@ class Window:
         """The kernel with a grid of rates for resonances from `resonance` [rad/s]
         upwards.
         """
-        start = math.log(resonance) - _DEPTH
-        modes = math.ceil((math.log(_REACH / self.period) - start) / _STEP)
+        # The error of the trapezoidal rule in ln(rate) is exp(−π²/step), and a rate of
+        # _DIGITS/Ts decays within a sample. Below the resonance a rate r weighs (r/Ω)^λ:
+        # λ = 1.5 has ζ = 0.5, and hardly vibrates.
+        step = math.pi**2 / _DIGITS
+        start = math.log(resonance) - _DIGITS / 1.5
+        modes = math.ceil((math.log(_DIGITS / self.period) - start) / step)
         # Sixty rates cover e^30 above the slowest; only a period of twenty million
         # samples would need more.
-        modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / _STEP)
+        modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
         # Two of the kernel's blocks of eight beyond the longest delay, and as much
         # again for an overshoot.
         pad = math.ceil(longest_delay / self.period) + 32
@@ -304,7 +329,7 @@ class Window:
             self.period,
             ramps,
             start,
-            _STEP,
+            step,
             modes,
             tail,
             pad,

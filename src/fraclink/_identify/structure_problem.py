@@ -189,10 +189,6 @@ class StructureProblem(Problem):
         """
         return 1e-3 / self.samples
 
-    def costs(self, places: Real) -> Real:
-        """See `Problem`."""
-        return self.fitted(places).cost
-
     def fitted(self, places: Real) -> Quadratic:
         """Costs, gains and offsets at places, without slopes."""
         columns = self.data.response(self.structure, self.values(places))[:, None]

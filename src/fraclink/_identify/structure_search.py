@@ -50,7 +50,7 @@ def best_places(
     """Places that no step improves, best first."""
     screen = replace(problem, data=data.screen)
     places = screen.sized(_drawn_places(problem, data))
-    costs = screen.costs(places)
+    costs = screen.fitted(places).cost
     candidates: list[Real] = []
     # Positive coefficients separately: most functions with a negative one are unstable,
     # which a transform does not show, and they would crowd out the others.
@@ -70,7 +70,7 @@ def best_places(
     # A transform does not distinguish unstable functions from stable ones; the samples
     # do.
     rows = np.reshape(candidates, (len(candidates), len(problem.low)))
-    costs = problem.costs(rows)
+    costs = problem.fitted(rows).cost
     near = np.argsort(costs)[:_TRIED]
     near = near[
         np.isfinite(costs[near])
@@ -141,25 +141,16 @@ def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
 
 
 def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
-    """Indices of the ends of descents, best first, without repetitions.
-
-    If a function has several sets of parameters, like (s^a + c s^b + w)/k after a
-    division by c, the set whose orders decrease in the order of the text is taken.
-    """
-    roles = problem.structure.roles
-    orders = [k for k, name in enumerate(problem.moving) if roles[name] == "order"]
+    """Indices of the ends of descents, best first, without repetitions."""
     # Within the precision of a descent, costs belong to the same function, found twice
     # or with its parameters exchanged.
     same = 1.0 + problem.precision
-    rises = np.count_nonzero(np.diff(found.places[:, orders]) > 0, axis=1)
     best: list[int] = []
     for k in np.argsort(found.costs).tolist():
         if not math.isfinite(found.costs[k]):
             break
         if not best or found.costs[k] > found.costs[best[-1]] * same:
             best.append(k)
-        elif rises[k] < rises[best[-1]]:
-            best[-1] = k
     return best
 
 

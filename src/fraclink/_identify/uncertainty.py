@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.linalg import block_diag, lstsq
+from scipy.linalg import lstsq
 
 from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.link_problem import LinkProblem
@@ -22,7 +22,6 @@ from fraclink._identify.problem import (
     inverted,
 )
 from fraclink._identify.residual import (
-    Noise,
     autocovariance,
     autoregression,
     correlated_lags,
@@ -77,7 +76,7 @@ class Covariance:
             wide = inverse @ scores @ scores.T @ inverse
         elif coloured:
             colour = autocovariance(residual)
-            noise = noise_behind(regressors, residual)
+            noise, observed = noise_behind(regressors, residual)
             # A misfit that depends on the motion is not independent noise; there the
             # products of both give more information.
             products = long_run_covariance(
@@ -88,7 +87,7 @@ class Covariance:
             # larger under slow noise in proportion to its lack of independent samples.
             # For the residual as it is: the noise behind it is estimated for each
             # structure separately, and rivals are compared with these numbers.
-            effective = noise.observed / variance if variance > 0 else effective
+            effective = observed / variance if variance > 0 else effective
         return cls(names, inverse, variance, wide, lag, effective, unseen)
 
     def of_functions(self, names: tuple[str, ...], gradients: Real) -> Covariance:
@@ -149,7 +148,8 @@ def link_covariance(
         coloured=coloured,
     )
     own = problem.parameters(problem.place[None, :], problem.names)[1][0]
-    gradients = block_diag(own, np.eye(len(problem.linear)))
+    gradients = np.eye(len(joint.names))
+    gradients[: len(own), : len(own)] = own
     search.covariances[key] = (
         joint.of_functions((*problem.names, *problem.linear), gradients),
         joint.errors.get("1", math.nan),
@@ -157,17 +157,15 @@ def link_covariance(
     return search.covariances[key]
 
 
-def _sandwich(inverse: Real, noise: Noise, products: Real) -> Real:
-    """Covariance under a coloured residual, at least as wide as the `products` of
+def _sandwich(inverse: Real, noise: Real, products: Real) -> Real:
+    """Covariance under coloured `noise`, at least as wide as the `products` of
     regressors and residual say.
 
     `inverse` is that of the normal matrix of the regressors.
     """
-    own = noise.covariance
-    wider = np.sqrt(
-        np.maximum(_diagonal(inverse, products) / _diagonal(inverse, own), 1.0)
-    )
-    return np.asarray(inverse @ own @ inverse * np.outer(wider, wider))
+    ratios = _diagonal(inverse, products) / _diagonal(inverse, noise)
+    wider = np.sqrt(np.maximum(ratios, 1.0))
+    return np.asarray(inverse @ noise @ inverse * np.outer(wider, wider))
 
 
 def _diagonal(inverse: Real, meat: Real) -> Real:
