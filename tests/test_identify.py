@@ -387,7 +387,6 @@ def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     row = Structure(
         "DF",
         ("natural_frequency", "order", "damping"),
-        "",
         "fractional order, viscous damping",
     )
     monkeypatch.setitem(STRUCTURES, row.name, row)

@@ -5,6 +5,7 @@ placed, and a certificate covers all of the law.
 from __future__ import annotations
 
 import dataclasses
+import tomllib
 from collections.abc import Callable
 from typing import Any
 
@@ -203,7 +204,7 @@ def test_the_limits_of_a_person_are_those_of_the_law(design: fl.Design) -> None:
     rig = dataclasses.replace(RIG, moves=limits)
     law = dataclasses.replace(design, rig=rig).law()
     assert law.limits.motor_limit == 0.7 and law.limits.torque_trip <= 1.5
-    assert fl.Rig.from_toml(rig.to_toml()) == rig
+    assert fl.Rig.from_tables(tomllib.loads(rig.to_toml())) == rig
     with pytest.raises(FieldError, match="beyond the limits"):
         rehearse(design, law, fl.smooth_step(1.0, duration=1.0))
 
@@ -223,7 +224,7 @@ def test_the_range_is_about_what_the_encoder_reads_in_its_middle(
     law = shifted.law()
     # 0.3 next to its zero, and 0.7 to either side of that.
     assert law.limits.motor_limit == 1.0
-    assert fl.Rig.from_toml(shifted.rig.to_toml()) == shifted.rig
+    assert fl.Rig.from_tables(tomllib.loads(shifted.rig.to_toml())) == shifted.rig
     rehearse(shifted, law, fl.smooth_step(0.6, duration=0.8))
     with pytest.raises(FieldError, match="beyond the limits"):
         rehearse(shifted, law, fl.smooth_step(0.8, duration=0.8))

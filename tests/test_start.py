@@ -461,7 +461,7 @@ def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
     for blank, value in zip(draft.blanks, values, strict=True):
         key = blank.partition(".")[2]
         text = text.replace(f"# {key} = ", f"{key} = {value} ")
-    rig = fl.Rig.from_toml(text)
+    rig = fl.Rig.from_tables(tomllib.loads(text))
     assert (rig.link.length, rig.payloads.high, rig.period) == (0.65, 0.04, 0.004)
     assert rig.payloads.nominal == pytest.approx(0.03)
     assert rig.link.stiffness == pytest.approx(

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 
@@ -155,14 +155,12 @@ class Beam:
         *,
         payload: float | None = None,
         link_mass: float | None = None,
-        rigidity: Literal["stiffness", "tabulated"] = "stiffness",
     ) -> Beam:
         """Return the beam of a rig.
 
         A rig may state EI and a measured stiffness that contradict each other (the
-        paper's does: 3 EI/L = 1.20, measured c = 1.56 N·m/rad).
-        ``rigidity="stiffness"`` takes EI = c L/3, so that the twin and the lumped model
-        agree at low frequency; ``"tabulated"`` takes the rig's EI.
+        paper's does: 3 EI/L = 1.20, measured c = 1.56 N·m/rad). The beam's EI is c L/3,
+        so that the twin and the lumped model agree at low frequency.
 
         Parameters
         ----------
@@ -172,12 +170,9 @@ class Beam:
             mass of the link [kg]; default the rig's
         """
         link = rig.link
-        measured = link.stiffness * link.length / 3.0
         return Beam(
             length=link.length,
-            flexural_rigidity=measured
-            if rigidity == "stiffness"
-            else link.flexural_rigidity,
+            flexural_rigidity=link.stiffness * link.length / 3.0,
             link_mass=link.mass if link_mass is None else link_mass,
             payload=rig.payloads.nominal if payload is None else payload,
         )
@@ -207,11 +202,6 @@ class BeamModes:
     participation: Real
     tip: Real
     shapes: Real
-
-    @property
-    def count(self) -> int:
-        """Number of modes."""
-        return int(self.frequencies.size)
 
 
 # Mass and stiffness matrices of one cubic (Hermite) element, with the degrees of

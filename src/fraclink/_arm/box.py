@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from itertools import product
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
-from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink.errors import FieldError
@@ -54,17 +54,7 @@ class Arm:
         """Return the loop on this arm; the PID of a sampled motor loop is that of the
         rig.
         """
-        # The PID was placed for the motor that the rig states, and runs on the true
-        # one: the ratio changes the plant, never the controller.
-        loop = Loop.of(controller, self.model, rig)
-        settings = controller.motor_loop
-        if settings is None or settings.kind == "ideal":
-            return replace(loop, lag=loop.lag / self.motor_ratio)
-        period = rig.period if controller.period is None else controller.period
-        return replace(
-            loop,
-            correction=settings.correction(rig.motor, period, ratio=self.motor_ratio),
-        )
+        return Loop.of(controller, self.model, rig, ratio=self.motor_ratio)
 
     def plant(
         self,
@@ -80,17 +70,10 @@ class Arm:
         `higher` is the part of the link that the model does not include, see
         `sampled_plant`.
         """
-        if settings.kind == "ideal":
-            # M(s) is the closed motor loop, whose pole varies with the motor's gain in
-            # the same direction: one ratio serves both kinds of motor loop.
-            slower = replace(settings, pole=settings.pole * self.motor_ratio)
-            return sampled_plant(self.model, slower, rig.motor, period, higher=higher)
-        true = MotorGain(rig.motor.gain * self.motor_ratio, rig.motor.decay)
-        pid = SampledMotorLoop(
-            settings.pid(rig.motor, period), true, settings.delay_samples
+        ratio = self.motor_ratio
+        return sampled_plant(
+            self.model, settings, rig.motor, period, ratio=ratio, higher=higher
         )
-        plant = sampled_plant(self.model, settings, true, period, higher=higher)
-        return replace(plant, before=pid.voltage)
 
     def knowing(self, name: str, box: ParameterBox) -> Arm:
         """Return the arm with one parameter, named as in `ParameterBox`, at the lower
@@ -181,7 +164,7 @@ class ParameterBox:
         """Return the smallest box that holds this one and other models, each at the
         payload of `model`.
         """
-        box = self
+        box, payload = self, with_payload(model, rig).known_payload
         for other in others:
             if other.second_mode is not None and model.second_mode is None:
                 raise FieldError(
@@ -194,9 +177,7 @@ class ParameterBox:
             # ω₀ depends on the payload of its log: two logs can only be compared at the
             # same payload.
             box = box.hull(
-                ParameterBox.at(
-                    with_payload(other, rig).at_payload(_payload(model, rig))
-                )
+                ParameterBox.at(with_payload(other, rig).at_payload(payload))
             )
         return box
 
@@ -211,8 +192,7 @@ class ParameterBox:
             replace(box, mode_frequency=frequencies[k])
             for box, k in ((self, 0), (other, -1))
         )
-        pairs = zip(_pairs(first), _pairs(second), strict=True)
-        return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
+        return ParameterBox(*map(_hull, astuple(first), astuple(second)))
 
     def holds(self, model: LinkModel) -> bool:
         """Return whether the model, at the payload that the box is for, lies inside."""
@@ -252,16 +232,6 @@ def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
         )
         arms.append(Arm(link, ratio))
     return tuple(arms)
-
-
-def _pairs(box: ParameterBox) -> tuple[Interval, ...]:
-    return tuple(getattr(box, name) for name in ParameterBox.__dataclass_fields__)
-
-
-def _payload(model: LinkModel, rig: Rig) -> float:
-    payload = with_payload(model, rig).payload
-    assert payload is not None  # with_payload gave it one  # noqa: S101
-    return payload
 
 
 def _around(model: LinkModel, rig: Rig) -> ParameterBox:

@@ -29,7 +29,7 @@ __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
 class Structure:
     """A link structure: the parameters of the one formula that are free in it.
 
-    `equation` is its equation in the paper; the count of `free` is k in the AIC (18).
+    The count of `free` is k in the AIC (18).
 
     >>> structure("UD-FOM").free
     ('natural_frequency', 'order')
@@ -37,7 +37,6 @@ class Structure:
 
     name: str
     free: tuple[str, ...]
-    equation: str
     sentence: str
 
 
@@ -45,20 +44,16 @@ _FREQUENCY = "natural_frequency"
 STRUCTURES: dict[str, Structure] = {
     row.name: row
     for row in (
-        Structure("UD-IOM", (_FREQUENCY,), "(6)", "undamped, integer order"),
-        Structure(
-            "D-IOM", (_FREQUENCY, "damping"), "(15)", "viscous damping, integer order"
-        ),
+        Structure("UD-IOM", (_FREQUENCY,), "undamped, integer order"),
+        Structure("D-IOM", (_FREQUENCY, "damping"), "viscous damping, integer order"),
         Structure(
             "UD-FOM",
             (_FREQUENCY, "order"),
-            "(10)",
             "fractional order in place of damping",
         ),
         Structure(
             "D-FOM",
             (_FREQUENCY, "damping", "damping_order"),
-            "(16)",
             "fractional damping, integer order",
         ),
     )
@@ -414,7 +409,7 @@ class LinkModel:
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0
         """
-        return replace(self.with_mass(payload / self._known_payload()), payload=payload)
+        return replace(self.with_mass(payload / self.known_payload), payload=payload)
 
     def with_mass(self, ratio: float) -> LinkModel:
         """Return the link with `ratio` times its mass. The material damps: D(s) = 1 +
@@ -438,9 +433,11 @@ class LinkModel:
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).payload_at(5.0)
         0.12
         """
-        return self._known_payload() * (self.natural_frequency / natural_frequency) ** 2
+        return self.known_payload * (self.natural_frequency / natural_frequency) ** 2
 
-    def _known_payload(self) -> float:
+    @property
+    def known_payload(self) -> float:
+        """The payload [kg]; FieldError where it is not known."""
         if self.payload is None:
             raise FieldError(
                 "payload",

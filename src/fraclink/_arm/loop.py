@@ -120,19 +120,30 @@ class Loop(GaugedLink):
 
     @staticmethod
     def around(
-        model: LinkModel, motor_loop: MotorLoop, motor: MotorConstants, period: float
+        model: LinkModel,
+        motor_loop: MotorLoop,
+        motor: MotorConstants,
+        period: float,
+        *,
+        ratio: float = 1.0,
     ) -> Loop:
         """Return all that stands in the loop beside Ĉ, for a controller that runs at
         `period` [s].
+
+        `ratio` is the motor's true over its stated gain or, where its loop is ideal, the
+        loop's pole.
         """
+        correction = motor_loop.correction(motor, period, ratio=ratio)
         return replace(
             Loop.ideal(model),
-            lag=1.0 / motor_loop.pole,
+            # The sampled PID was placed for the motor that the rig states, and runs on
+            # the true one: its pole stays, and the correction holds the ratio.
+            lag=1.0 / motor_loop.pole / (ratio if correction is None else 1.0),
             delay=(motor_loop.delay_samples + 0.5) * period,
             gauge_delay=model.gauge_delay,
             gauge_gain=model.gauge_gain,
             second_mode=model.second_mode,
-            correction=motor_loop.correction(motor, period),
+            correction=correction,
             highest=math.pi / period,
         )
 
@@ -146,9 +157,11 @@ class Loop(GaugedLink):
         )
 
     @staticmethod
-    def of(controller: Controller, model: LinkModel, rig: Rig) -> Loop:
+    def of(
+        controller: Controller, model: LinkModel, rig: Rig, *, ratio: float = 1.0
+    ) -> Loop:
         """Return the loop that runs: `controller` on `model`, with the rig's motor loop
-        and period.
+        and period; `ratio` as in `around`.
 
         The controller's own motor loop and period take precedence over the rig's.
         """
@@ -156,9 +169,8 @@ class Loop(GaugedLink):
             rig.motor_loop.pole, rig.motor_loop.delay_samples
         )
         period = rig.period if controller.period is None else controller.period
-        return Loop.around(model, settings, rig.motor, period).with_controller(
-            controller
-        )
+        bare = Loop.around(model, settings, rig.motor, period, ratio=ratio)
+        return bare.with_controller(controller)
 
     def with_controller(self, controller: Controller) -> Loop:
         """Return the loop with Ĉ of `controller`, its filter included."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -92,9 +92,14 @@ class MotorLoop:
             return direct_placement(motor, self.pole, period, self.delay_samples)
         return place_pid(motor, self.pole).discretize(period)
 
-    def sampled(self, motor: MotorConstants, period: float) -> SampledMotorLoop:
-        """Return that PID around its motor, with the computation delay."""
-        return SampledMotorLoop(self.pid(motor, period), motor, self.delay_samples)
+    def sampled(
+        self, motor: MotorConstants, period: float, *, ratio: float = 1.0
+    ) -> SampledMotorLoop:
+        """Return the PID that was placed for `motor`, around one with `ratio` times its
+        gain, with the computation delay.
+        """
+        true = MotorGain(motor.gain * ratio, motor.decay)
+        return SampledMotorLoop(self.pid(motor, period), true, self.delay_samples)
 
     def correction(
         self, motor: MotorConstants, period: float, *, ratio: float = 1.0
@@ -102,8 +107,8 @@ class MotorLoop:
         """Return ω ↦ ln(sampled motor loop and hold / their stand-in), None for the
         ideal motor loop.
 
-        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio`. The PID
-        is that of `motor`; it runs on one with `ratio` times its gain.
+        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio` and, for
+        `ratio`, `sampled`.
         """
         return (
             _correction(self, motor, period, ratio) if self.kind == "sampled" else None
@@ -114,8 +119,7 @@ class MotorLoop:
 def _correction(
     settings: MotorLoop, motor: MotorConstants, period: float, ratio: float
 ) -> Callable[[Real], Complex]:
-    loop = settings.sampled(motor, period)
-    loop = replace(loop, motor=MotorGain(motor.gain * ratio, motor.decay))
+    loop = settings.sampled(motor, period, ratio=ratio)
     return lambda w: np.log(loop.ratio(settings.pole, w))
 
 

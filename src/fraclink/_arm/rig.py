@@ -30,7 +30,6 @@ from fraclink._display import Overview, Row, displayed
 from fraclink._files import document, write_text
 from fraclink._files.codec import suggestion
 from fraclink._files.toml import (
-    parse_toml,
     read_table,
     read_toml,
     table_of,
@@ -185,20 +184,9 @@ class Rig:
         rig: Rig = read_table(Rig, data)
         return rig
 
-    def tables(self) -> dict[str, Any]:
-        """Return the tables of the rig's file: SI units, plain values; `from_tables`
-        reads them back.
-        """
-        return table_of(self)
-
-    @staticmethod
-    def from_toml(text: str) -> Rig:
-        """Return the rig of a file's text; see `load`."""
-        return Rig.from_tables(parse_toml(text, Path("rig")))
-
     def to_toml(self) -> str:
         """Return the rig file of this rig; `load` reads back an equal one."""
-        return f"# Written by fraclink {__version__}.\n{toml_text(self.tables())}"
+        return f"# Written by fraclink {__version__}.\n{toml_text(table_of(self))}"
 
     def save(self, path: Path | str) -> None:
         """Write the rig to one TOML file that `Rig.load` reads back equal."""

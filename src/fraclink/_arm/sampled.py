@@ -26,7 +26,7 @@ __all__ = ["SampledPlant", "sampled_plant"]
 
 
 # aliases on either side: F/s falls at least like s^-3, and 3e-9 of the sum is left out
-_TERMS = 60
+_ALIASES = 60
 
 
 @dataclass(frozen=True)
@@ -42,22 +42,16 @@ class SampledPlant:
     delay: float
     before: Callable[[Real], Complex] | None = None
 
-    def __call__(self, frequency: ArrayLike) -> Complex:
+    def __call__(self, frequency: ArrayLike, aliases: int = _ALIASES) -> Complex:
         """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, in the shape of
         `frequency`.
-        """
-        return self._summed(frequency, _TERMS)
 
-    def near(self, frequency: ArrayLike) -> Complex:
-        """Return P_d with the nearest aliases only, for coarse tables: the error is
-        1e-2 at the Nyquist frequency and 1e-5 at a tenth of it, at a tenth of the cost.
+        With one of the `aliases` on either side, for coarse tables, the error is 1e-2
+        at the Nyquist frequency and 1e-5 at a tenth of it, at a tenth of the cost.
         """
-        return self._summed(frequency, 1)
-
-    def _summed(self, frequency: ArrayLike, terms: int) -> Complex:
         w = np.asarray(frequency, dtype=float)
         rate = 2.0 * math.pi / self.period
-        s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
+        s = 1j * (w[..., None] + rate * np.arange(-aliases, aliases + 1))
         # 1/s comes from the integral of the hold; its factor 1 − e^(−sT) is the same
         # for every alias and is factored out of the sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
@@ -76,6 +70,7 @@ def sampled_plant(
     motor: MotorConstants,
     period: float,
     *,
+    ratio: float = 1.0,
     higher: Callable[[Complex], Complex] | None = None,
 ) -> SampledPlant:
     """Return the exactly sampled plant of the law, from motor reference to tip
@@ -89,24 +84,29 @@ def sampled_plant(
         pole and computation delay; "sampled" puts the PID on the `motor` in place of
         M(s).
     motor
-        A and B of the motor.
+        A and B of the motor that the PID is placed for.
     period
         control period [s], > 0.
+    ratio
+        true over stated gain of the motor or, where its loop is ideal, pole of the
+        loop: both vary in the same direction.
     higher
         part of Γ/(c θm) that the model does not know, such as the higher modes of a
         beam, at complex s.
     """
-    sampled = (
-        motor_loop.sampled(motor, period) if motor_loop.kind == "sampled" else None
-    )
-    lag, spring = 1.0 / motor_loop.pole, model.natural_frequency**2
+    sampled = None
+    if motor_loop.kind == "sampled":
+        sampled = motor_loop.sampled(motor, period, ratio=ratio)
+    lag, spring = 1.0 / (motor_loop.pole * ratio), model.natural_frequency**2
     exact = model.exact_gauge and higher is None
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
         # With the sampled PID the bare motor follows the hold, and the PID before it
         # (`before`).
-        drive: Complex = s * (s + motor.decay) / motor.gain if sampled else ideal
+        drive: Complex = (
+            s * (s + motor.decay) / (motor.gain * ratio) if sampled else ideal
+        )
         ln_s: Complex = np.log(s)
         inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
         drag: Complex = np.asarray(

@@ -32,14 +32,15 @@ from numpy.typing import NDArray
 from fraclink import __version__
 from fraclink._files.codec import Arrays, from_plain, plain
 from fraclink._files.containers import (
+    HEADER,
     JSON_LIMIT,
     array_digest,
     atomic_write,
     broken,
     checked_path,
     first_bytes,
-    header_of,
     json_text,
+    opened_archive,
     output_path,
     parse_json,
     read_archive,
@@ -269,13 +270,14 @@ def kind_of(path: Path | str) -> str:
     place, start = Path(path), b""
     if place.suffix == ".toml":
         return "rig"
-    with contextlib.suppress(FileFormatError):
+    # A damaged zip archive may raise anything.
+    with contextlib.suppress(Exception):
         # `save` writes kind and format first: 200 bytes are enough to tell the files of
         # a folder apart, however large they are.
         start = first_bytes(place, "a file of fraclink", 200)
-    # In an archive the beginning of the member "about" holds the same text.
-    if start.startswith(_ZIP):
-        start = header_of(place)[:200].encode("utf-8", "replace")
+        if start.startswith(_ZIP):
+            with opened_archive(place) as archive:
+                start = str(archive[HEADER])[:200].encode("utf-8", "replace")
     envelope = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)
     return envelope.group(1).decode() if envelope else ""
 

@@ -31,7 +31,8 @@ UNPACKED_LIMIT = 400_000_000
 # Types that a reader accepts: numbers and flags, but no objects, because loading
 # objects executes code from the file.
 _TYPES = tuple(map(np.dtype, ("<f8", "<c16", "<u4", "<i8", "|b1")))
-_HEADER = "about"
+# the member of an archive that holds the document without its arrays
+HEADER = "about"
 
 
 def sha256_of(path: Path) -> str:
@@ -285,7 +286,7 @@ def write_archive(
             remedy="save a shorter run",
         )
     members = {name: np.asarray(values, order="C") for name, values in arrays.items()}
-    np.savez(stream, **members, **{_HEADER: np.array(header)})  # type: ignore[arg-type]
+    np.savez(stream, **members, **{HEADER: np.array(header)})  # type: ignore[arg-type]
 
 
 def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[Any]]]:
@@ -294,12 +295,12 @@ def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[An
     """
     place = Path(path)
     try:
-        with _archive(place) as archive:
+        with opened_archive(place) as archive:
             members = dict(archive.items())
     # A damaged zip archive may raise anything, even a SyntaxError from an array header.
     except Exception as error:
         raise broken(what, place, f"damaged ({error})", "make it again") from error
-    header = members.pop(_HEADER, np.zeros(0))
+    header = members.pop(HEADER, np.zeros(0))
     if header.dtype.kind != "U" or header.ndim:
         raise broken(what, place, "one without a header", f"give {what}")
     for name, values in members.items():
@@ -314,18 +315,7 @@ def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[An
     return str(header), members
 
 
-def header_of(path: Path | str) -> str:
-    """Return the header's text of an NPZ archive alone; an empty string if it is
-    damaged or foreign.
-    """
-    try:
-        with _archive(path) as archive:
-            return str(archive[_HEADER])
-    except Exception:  # noqa: BLE001
-        return ""
-
-
-def _archive(path: Path | str) -> np.lib.npyio.NpzFile:
+def opened_archive(path: Path | str) -> np.lib.npyio.NpzFile:
     """An open archive; members with objects are rejected, since loading objects
     executes code from the file.
     """

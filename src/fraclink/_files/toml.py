@@ -105,16 +105,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Return the tables of a TOML file that may be hostile; FileFormatError if it
     exceeds the limits.
     """
-    return parse_toml(read_text(path, "a rig file (TOML)", limit=FILE_LIMIT), path)
-
-
-def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """Return the tables of TOML text that may be hostile; `path` is named in the error."""
+    text = read_text(path, "a rig file (TOML)", limit=FILE_LIMIT)
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
     number = next((k for k, line in enumerate(lines, 1) if len(line) > LINE_LIMIT), 0)
     try:
-        if number or len(text) > FILE_LIMIT:
-            raise ValueError(f"too long in line {number}" if number else "too large")
+        if number:
+            raise ValueError(f"too long in line {number}")
         return tomllib.loads("\n".join(lines))
     # Deep nesting, an integer of thousands of digits, or not TOML at all.
     except (RecursionError, ValueError) as error:

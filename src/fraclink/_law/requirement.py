@@ -212,7 +212,7 @@ def _tabled(
         turns = int(6.0 * model.gauge_delay * nyquist / math.pi) + 2
         parts.append(np.linspace(0.05 * mode, nyquist, min(turns, 2000)))
     w = np.unique(np.minimum(np.concatenate(parts), nyquist))
-    loop = response(w) * plant.near(w)
+    loop = response(w) * plant(w, aliases=1)
     level, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
     i = np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0))
     share = level[i] / (level[i] - level[i + 1])

@@ -193,7 +193,11 @@ def engine_twin(
         *chain.rates,
     ]
     return EngineTwin(
-        numbers, np.array(material), np.array(arms), chain.rates.size, plant.modes.count
+        numbers,
+        np.array(material),
+        np.array(arms),
+        chain.rates.size,
+        plant.modes.frequencies.size,
     )
 
 

@@ -100,7 +100,7 @@ class Plant:
         """Return a view of the modes' part of a state, a row for each mode: its
         coordinate, its velocity, its Maxwell elements.
         """
-        return state[2 : self.order].reshape(self.modes.count, -1)
+        return state[2 : self.order].reshape(self.modes.frequencies.size, -1)
 
     def discretise(self, step: float) -> StepMatrices:
         """Return the exact step of length `step` [s] for inputs held over it."""
@@ -141,7 +141,7 @@ def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
     # At least four steps per period of a mode: with fewer, the held input cannot follow
     # it at all.
     count = int(np.count_nonzero(candidates.frequencies * step <= np.pi / 2))
-    if count == 0 or (modes is not None and count < candidates.count):
+    if count == 0 or (modes is not None and count < candidates.frequencies.size):
         raise FieldError(
             "modes",
             modes,
@@ -199,7 +199,7 @@ def assemble(
     basis = resolved(beam, modes, step)
     # no mode has a higher frequency, whatever the payload
     chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)
-    size = 2 + basis.count * (2 + chain.rates.size)
+    size = 2 + basis.frequencies.size * (2 + chain.rates.size)
     a, b, y = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size))
     # The inertia of the arm that is not carried by the retained modes turns rigidly
     # with the hub; without it a heavy link would be too light by its higher modes.
@@ -207,7 +207,7 @@ def assemble(
     y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = y[TIP_VELOCITY, 1] = 1.0
 
     at = 2
-    for i in range(basis.count):
+    for i in range(basis.frequencies.size):
         omega, load, tip = (
             basis.frequencies[i],
             basis.participation[i],
