@@ -190,7 +190,7 @@ CEILINGS = {
     "_cli": 876,
     "_design": 1459,
     "_export": 432,
-    "_files": 556,
+    "_files": 557,
     "_identify": 2604,
     "_law": 962,
     "_reading": 937,
