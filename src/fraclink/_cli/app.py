@@ -86,18 +86,6 @@ class _Group(TyperGroup):
                 [(name, words) for name, (_, words) in _COMMANDS.items()]
             )
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write each command of a group with its whole first sentence, which click cuts
-        off behind some fifty characters.
-        """
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [
-                    (name, " ".join((each.help or "").partition("\n\n")[0].split()))
-                    for name, each in self.commands.items()
-                ]
-            )
-
 
 def group(help: str = "") -> typer.Typer:
     """An empty group of commands."""

@@ -186,7 +186,13 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 
     A function that checks its files itself takes `force` as an argument of its own.
     """
-    return lambda function: app.command()(_command(function))
+
+    def add(function: Callable[..., Answer]) -> Callable[..., int]:
+        # Stated, as click cuts the first sentence off behind some fifty characters.
+        sentence, _, _ = (inspect.getdoc(function) or "").partition("\n\n")
+        return app.command(short_help=" ".join(sentence.split()))(_command(function))
+
+    return add
 
 
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:

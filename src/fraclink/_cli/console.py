@@ -18,15 +18,6 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from fraclink.errors import (
     FieldError,
@@ -135,26 +126,14 @@ def steps(total: int) -> Iterator[Callable[..., None]]:
     """Yield what names each of `total` parts as it begins, on standard error; given how
     many are `done`, it moves the bar there. Where that is no terminal nothing is shown.
     """
-    if not sys.stderr.isatty():
-        yield lambda name, done=None: None
-        return
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        # One more than the number of parts, so that the bar is full when the last one
-        # ends.
-        bar = progress.add_task("", total=total + 1)
+    hidden = total == 0 or not sys.stderr.isatty()
+    with typer.progressbar(
+        length=total, show_pos=True, hidden=hidden, file=sys.stderr
+    ) as bar:
 
         def begin(name: str, done: int | None = None) -> None:
-            # None leaves the bar where it is.
-            end = None if done is None else total
-            progress.update(bar, description=clean(name), completed=done, total=end)
-            progress.advance(bar, 1 if done is None else 0)
+            bar.label = clean(name)
+            bar.update(1 if done is None else done - bar.pos)
 
         yield begin
 

@@ -27,12 +27,13 @@ from fracsys.checks import Between, Payload
 
 app = group()
 
-# The question for each limit, in the unit of its option.
-_LIMITS = {
+# The question for each limit and the payload, in the unit of its option.
+_QUESTIONS = {
     "angle_deg": "How far may the motor turn to each side of where the arm stands now [°]?",
     "speed": "How fast may it turn at the gear's output [rad/s]?",
     "torque": "How much torque may the gauge show [N·m]?",
     "voltage": "How much voltage may the amplifier get [V]?",
+    "payload": "Which mass does the tip carry now [kg]?",
 }
 
 
@@ -113,25 +114,28 @@ def tune(
     elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
-    values = {name: _asked(name, value) for name, value in answers.items()}
+    values = {
+        name: ask(_QUESTIONS[name], float, option=f"--{name.replace('_', '-')}")
+        if value is None
+        else value
+        for name, value in answers.items()
+    }
     mass = values.pop("payload")
     limits = MotionLimits(
         angle=math.radians(values["angle_deg"]),
         # no defaults for these: the person at the arm decides what it may do
         **{name: values[name] for name in ("speed", "torque", "voltage")},
     )
-    plan = TuningPlan(
-        limits,
-        mass,
-        payloads,
-        in_seconds(period_ms),
-        own_rig,
-    )
+    plan = TuningPlan(limits, mass, payloads, in_seconds(period_ms), own_rig)
     # On standard error, so that it is read even if the result goes to a pipe.
     tell(plan.text)
     if resume:
         tell(f"of these only the wiring and the first moves, with {1e3 * mass:.3g} g")
-    if not yes and not _confirmed():
+    # A bare Enter means no: moving a machine requires a word.
+    if not yes and ask("Go ahead?", str.lower, default="no", option="--yes") not in (
+        "y",
+        "yes",
+    ):
         return Answer(text="nothing was moved", passed=False)
     # Every stage is announced when it begins: a turning motor must not come as a
     # surprise.
@@ -157,20 +161,6 @@ def _following(tuning: Tuning, io: str, out: Path) -> str:
     # A law whose first moves missed the promise is not to be used further, with or
     # without a proof.
     return f"fraclink diagnose {out / 'log.npz'} --rig {out / 'rig.toml'}"
-
-
-def _asked(name: str, value: float | None) -> float:
-    """The value, or the answer to its question."""
-    if value is not None:
-        return value
-    question = _LIMITS.get(name, "Which mass does the tip carry now [kg]?")
-    return ask(question, float, option=f"--{name.replace('_', '-')}")
-
-
-def _confirmed() -> bool:
-    # A bare Enter means no: moving a machine requires a word.
-    answer = ask("Go ahead?", str.lower, default="no", option="--yes")
-    return answer in ("y", "yes")
 
 
 @command(app)
