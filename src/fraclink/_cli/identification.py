@@ -30,7 +30,6 @@ from fraclink._cli.options import (
     load_rig,
     load_rig_for_logs,
     log_path,
-    named_channels,
     refuse_beside,
     whole,
 )
@@ -267,7 +266,11 @@ def _transfer_function(
             refuse_beside("--ring-down", "an output alone", input=input)
             # The output takes the place of the input until the next line removes it.
             input = output
-        channels = named_channels(input, output)
+        remedy = "a recording needs both, anything else none of them"
+        channels = [
+            required(name, column, allowed="the name of a column", remedy=remedy)
+            for name, column in {"input": input, "output": output}.items()
+        ]
         period = in_seconds(period_ms)
         measured = read_recording(log_path(data[0]), *channels, period=period)
         if ring_down:

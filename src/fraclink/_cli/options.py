@@ -24,7 +24,7 @@ from fraclink._identify import Fit
 from fraclink._law.design import Specification
 from fraclink._reading.reading import bundled_log, read_log
 from fraclink._reading.responses import read_reference
-from fraclink.errors import FieldError, required
+from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fracsys import checks as ranges
 
@@ -270,12 +270,3 @@ def log_path(name: str) -> Path:
     one.
     """
     return bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
-
-
-def named_channels(input: str | None, output: str | None) -> tuple[str, str]:
-    """Both columns of a recording; FieldError where one of them is not named."""
-    column, both = "the name of a column", "a recording needs both, anything else none"
-    return (
-        required("input", input, allowed=column, remedy=f"{both} of them"),
-        required("output", output, allowed=column, remedy=f"{both} of them"),
-    )

@@ -21,6 +21,7 @@ from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError
 from fracsys.checks import (
+    Array,
     Between,
     Frequency,
     Mask,
@@ -28,7 +29,6 @@ from fracsys.checks import (
     PhaseMargin,
     Real,
     checked,
-    checked_series,
 )
 from fracsys.checks.equality import compared
 from fracsys.checks.rules import rule
@@ -181,11 +181,8 @@ def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
     """A number or a list of numbers as an array of shape (N,), N > 0, each in the range
     of its annotation.
     """
-    axis = checked_series(field, np.atleast_1d(np.asarray(values)))
-    if axis.size == 0:
-        raise FieldError(
-            field, 0, "without values", allowed="one or more", remedy="give numbers"
-        )
+    series = rule(Annotated[Real, Array(min_size=1)])
+    axis = series.check(field, np.atleast_1d(np.asarray(values)))
     return np.array([rule(annotation).check(field, float(value)) for value in axis])
 
 

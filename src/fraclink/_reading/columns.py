@@ -54,16 +54,6 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
         if role:
             channels[role] = Channel(name, unit)
     outputs = {"torque", "deflection"} & channels.keys()
-    if len(outputs) == 2:
-        # Which of them the model explains determines the unit of c, and must not depend
-        # on the order of the columns.
-        raise LogError(
-            "columns",
-            f"{channels['torque'].column}, {channels['deflection'].column}",
-            "two outputs",
-            allowed="torque or deflection",
-            remedy="say in [log] of the rig file which one is meant",
-        )
     complete = outputs and {"time", "motor_angle"} <= channels.keys()
     return LogColumns(**channels) if complete else None
 

@@ -15,15 +15,13 @@ import tempfile
 from pathlib import Path
 
 from fraclink._files.containers import read_archive
-from fraclink._reading.table import LogTable, check_file
+from fraclink._reading.table import LogTable, check_file, too_large
 from fraclink._reading.text import read_text_table
 from fraclink._reading.worker import CPU_SECONDS, MEMORY_LIMIT
 from fraclink.errors import (
-    FieldError,
     FileFormatError,
     LogError,
     MissingExtraError,
-    SizeError,
 )
 
 _MAGIC = (
@@ -148,18 +146,13 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
     about = json.loads(text)
     if "missing" in about:
         raise MissingExtraError(*about["missing"])
-    if "refused" in about:
-        field, value, problem, allowed, remedy = about["refused"]
-        # Exceptions are passed on as text: the wording of the problem determines the
-        # class.
-        error_class = SizeError if "large" in problem else FieldError
-        raise error_class(field, value, problem, allowed=allowed, remedy=remedy)
+    if "large" in about:
+        raise too_large(*about["large"])
     if "damaged" in about:
         raise _damaged(path, kind, about["damaged"])
     names, units = zip(*about["columns"], strict=True) if arrays else ((), ())
     values = tuple(arrays[f"c{place}"] for place in range(len(names)))
-    notes = tuple(about["notes"].items())
-    return LogTable(names, values, kind, notes, units=units)
+    return LogTable(names, values, units, kind)
 
 
 def _death(code: int) -> str:

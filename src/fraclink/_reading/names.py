@@ -73,10 +73,10 @@ _SPELLINGS = {
     **dict.fromkeys(("db", "decibel"), "dB"),
     **dict.fromkeys(("-", "abs", "lin", "linear", "v/v"), "1"),
 }
-_KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
+KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
 # Units at the end of a name that no reader converts. If they were not recognised, a
 # time in minutes would be read as seconds.
-_UNITS_ELSEWHERE = _KNOWN | {
+_UNITS_ELSEWHERE = KNOWN | {
     *("Hz", "rad/s", "dB", "rpm", "%", "mm", "cm", "um", "µm", "N", "kg"),
     *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day"),
     *("days", "tick", "ticks", "count", "counts", "samples"),
@@ -105,7 +105,7 @@ def words_of(name: str) -> tuple[str, ...]:
     return tuple(word.lower() for word in re.split(r"[\W\d_]+", spaced) if word)
 
 
-def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
+def unit_of_name(name: str, known: Collection[str] = KNOWN) -> str:
     """The unit in brackets or at the end of a name, in the spelling of `known` (or
     `UNITS`), or "".
 

@@ -38,8 +38,6 @@ from fracsys.checks import Mask, Payload, Real
 from fracsys.errors import printable
 
 _LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
-# [s] Stamps are sums of periods and may differ from the intended end by rounding.
-_ROUNDED = 1e-9
 
 
 def bundled_logs() -> tuple[str, ...]:
@@ -192,7 +190,9 @@ def _kept(stamps: Real, begin: float, end: float) -> tuple[Mask, Finding]:
     that reports the selection (W237).
     """
     since = stamps - stamps[0]
-    inside = (since >= begin - _ROUNDED) & (since <= end + _ROUNDED)
+    # Stamps are sums of periods, each of them rounded, and may miss the intended end.
+    rounding = since.size * float(np.spacing(np.abs(stamps).max()))
+    inside = (since >= begin - rounding) & (since <= end + rounding)
     if not (0.0 <= begin < end) or inside.sum() < 2:
         raise LogError(
             "keep",
@@ -396,7 +396,7 @@ def _summary(table: LogTable, number: int) -> ChannelSummary:
     period = clock_step(values)
     return ChannelSummary(
         name=table.names[number],
-        unit=table.units[number] if table.units else "",
+        unit=table.units[number],
         samples=values.size,
         missing=values.size - finite.size,
         minimum=float(finite.min()) if finite.size else float("nan"),

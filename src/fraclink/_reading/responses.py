@@ -133,26 +133,24 @@ def _columns_of(table: LogTable, stated: Mapping[str, str] | None) -> Given:
     """The columns of a table by their roles."""
     for role in stated or ():
         checked_choice("columns", role, _ROLES)
-    columns = [table.clean(k)[0] for k in range(len(table.names))]
-    names = [table.name(place) for place in range(len(columns))]
-    units = [*table.units] or [""] * len(columns)
-    roles = [_role(name) for name in names]
+    names = [table.name(place) for place in range(len(table.names))]
+    given = [(_role(name), name, place) for place, name in enumerate(names)]
     if stated is not None:
-        roles, names = list(stated), list(stated.values())
-        bare = [re.sub(r"\s*\[[^\]]*\]\s*$", "", name) for name in names]
-        exact = [n if n in table.names else b for n, b in zip(names, bare, strict=True)]
-        places = [table.place(n, r, _CALLED) for n, r in zip(exact, roles, strict=True)]
-        columns = [columns[k] for k in places]
-        units = [units[k] for k in places]
+        given = []
+        for role, name in stated.items():
+            bare = re.sub(r"\s*\[[^\]]*\]\s*$", "", name)
+            exact = name if name in table.names else bare
+            given.append((role, name, table.place(exact, role, _CALLED)))
     by_role: Given = {}
-    for role, name, unit, values in zip(roles, names, units, columns, strict=True):
+    for role, name, place in given:
         if role in by_role:
             what, remedy = f"column of {role}", "rename one, or state columns"
             raise LogError(
                 what, name, "given twice", allowed="one column", remedy=remedy
             )
         if role:
-            by_role[role] = values, _unit(name, role, unit), name
+            unit = _unit(name, role, table.units[place])
+            by_role[role] = table.clean(place)[0], unit, name
     return by_role
 
 
@@ -262,8 +260,7 @@ def _period(table: LogTable, time: str | None) -> float:
     table = table.with_combined([name])
     place = table.place(name, "time", _CALLED)
     stamps, name = table.clean(place)[0], table.names[place]
-    in_file = table.units[place] if table.units else ""
-    unit = _unit(name, "time", in_file) or "s"
+    unit = _unit(name, "time", table.units[place]) or "s"
     seconds = _in_si({"time": (stamps, unit, name)}, "time")
     return time_base(seconds, slowest=math.inf).period
 

@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from fraclink._files.codec import suggestion
-from fraclink._reading.names import names_time, roles_of, unit_of_name
+from fraclink._reading.names import KNOWN, names_time, roles_of, unit_of_name
 from fraclink.errors import FileFormatError, LogError, SizeError
 from fraclink.findings import Finding
 from fracsys.checks import Real
@@ -54,38 +54,42 @@ def check_file(path: Path) -> None:
 def check_bytes(size: int) -> None:
     """Raise SizeError if a log has more bytes than one experiment needs."""
     if size > FILE_LIMIT:
-        raise _too_large(f"{size / 1e6:.0f} MB", f"{FILE_LIMIT / 1e6:.0f} MB")
+        raise too_large(f"{size / 1e6:.0f} MB", f"{FILE_LIMIT / 1e6:.0f} MB")
 
 
 def check_size(values: int, columns: int = 1) -> None:
     """Raise SizeError if there are too many numbers, before an array is allocated."""
     if values > VALUE_LIMIT or columns > COLUMN_LIMIT:
-        raise _too_large(
+        raise too_large(
             f"{values} numbers in {columns} columns",
             f"{VALUE_LIMIT} numbers, {COLUMN_LIMIT} columns",
         )
 
 
-def _too_large(size: str, allowed: str) -> SizeError:
+def too_large(size: str, allowed: str, field: str = "log") -> SizeError:
+    """The error for a log, or a line of it, beyond a limit."""
     remedy = (
         "cut the recording to one experiment, or record at a lower rate; in a text write "
         "one sample a line"
     )
-    return SizeError("log", size, "too large", allowed=allowed, remedy=remedy)
+    return SizeError(field, size, "too large", allowed=allowed, remedy=remedy)
 
 
 @dataclass(frozen=True)
 class CellFaults:
-    """The faults of the cells of one text column: their numbers, and the first of each
-    kind.
+    """The faults of the cells of one text column.
 
-    `first_missing` and `first_bad` are (line number, text).
+    Parameters
+    ----------
+    bad
+        how many are neither numbers nor empty.
+    first
+        line number and text of the first of these, of the first that is missing where
+        there is none.
     """
 
-    missing: int = 0
-    first_missing: tuple[int, str] = (0, "")
-    bad: int = 0
-    first_bad: tuple[int, str] = (0, "")
+    bad: int
+    first: tuple[int, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +104,14 @@ class LogTable:
     values
         one array for each name, shape (N,); binary files may hold columns of different
         lengths.
+    units
+        unit that the file states for each column; "" for none.
     kind
         file format in words.
     notes
         header entries (key, value).
     faults
         what is wrong with the cells of a column, by its place.
-    units
-        unit that the file states for a column, by its place; "" for none.
     remarks
         what was done to the file's form to read it, in sentences.
     hints
@@ -117,12 +121,12 @@ class LogTable:
 
     names: tuple[str, ...]
     values: tuple[Real, ...]
+    units: tuple[str, ...]
     kind: str
     notes: tuple[tuple[str, str], ...] = ()
     faults: Mapping[int, CellFaults] = field(
         default_factory=lambda: MappingProxyType({})
     )
-    units: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     hints: tuple[str, ...] = ()
 
@@ -169,12 +173,12 @@ class LogTable:
         """The role of each column according to its name, and the decisive word."""
         return roles_of([*map(self.name, range(len(self.names)))])
 
-    def unit(self, place: int, known: Collection[str]) -> str:
+    def unit(self, place: int, known: Collection[str] = KNOWN) -> str:
         """The unit of a column stated by the file or else by its name, in the spelling
         of `known`; or "".
         """
-        texts = [f"x [{self.units[place]}]"] if self.units else []
-        units = [unit_of_name(text, known) for text in (*texts, self.name(place))]
+        texts = (f"x [{self.units[place]}]", self.name(place))
+        units = [unit_of_name(text, known) for text in texts]
         return next(filter(None, units), "")
 
     def clock(self) -> str:
@@ -233,7 +237,7 @@ class LogTable:
                 table,
                 names=(*table.names, name),
                 values=(*table.values, values),
-                units=(*table.units, "") if table.units else (),
+                units=(*table.units, ""),
                 hints=(*table.hints, name) if table.hints else (),
                 faults={
                     **table.faults,
@@ -258,7 +262,7 @@ class LogTable:
         if share <= _INTERPOLATED:
             remedy += ", or read with interpolate=True (--interpolate)"
         if faults is not None:
-            line, cell = faults.first_bad if faults.bad else faults.first_missing
+            line, cell = faults.first
             where = f"line {line}"
             if faults.bad:
                 problem = f"not a number ({faults.bad} such cells)"
@@ -309,7 +313,7 @@ class LogTable:
         """
         return [
             f"{self.names[place]}: {each.bad} of its cells are no numbers, the first in line "
-            f"{each.first_bad[0]}, {each.first_bad[1]!r}: {cell_remedy(each.first_bad[1])}"
+            f"{each.first[0]}, {each.first[1]!r}: {cell_remedy(each.first[1])}"
             for place, each in sorted(self.faults.items())
             if each.bad
         ]

@@ -26,7 +26,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import date
+from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
 
@@ -41,8 +41,9 @@ from fraclink._reading.table import (
     LogTable,
     check_file,
     check_size,
+    too_large,
 )
-from fraclink.errors import FileFormatError, LogError, SizeError
+from fraclink.errors import FileFormatError, LogError
 from fracsys.checks import Real
 
 _CLOCK = re.compile(
@@ -57,7 +58,7 @@ _SEPARATORS = ("\t", ";", ",", "")  # "": blanks
 
 LINE_LIMIT = 100_000  # bytes of one line
 _HEAD = 200  # lines in which a table must begin
-_DAY = 86_400.0
+_DAY = timedelta(days=1).total_seconds()
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 
 
@@ -128,10 +129,10 @@ def read_text_table(path: Path) -> LogTable:
     return LogTable(
         names,
         tuple(np.ascontiguousarray(column) for column in values.T),
+        tuple(layout.units.get(name, "") for name in names),
         "text",
         tuple((note[1], note[2]) for note in notes),
         faults,
-        tuple(layout.units.get(name, "") for name in names) if layout.units else (),
         layout.remarks,
         layout.hints,
     )
@@ -189,15 +190,11 @@ def _check_lines(text: bytes) -> None:
     ends = np.flatnonzero(np.frombuffer(text + b"\n", dtype=np.uint8) == ord("\n"))
     lengths = np.diff(ends, prepend=-1) - 1
     longest = int(np.argmax(lengths))
-    size, allowed, remedy = "", "", "write one sample a line"
     if lengths[longest] > LINE_LIMIT:
-        field, allowed = f"line {longest + 1}", f"{LINE_LIMIT} bytes"
-        size = f"{lengths[longest]} bytes"
-    elif ends.size > SAMPLE_LIMIT + _HEAD:
-        field, size, allowed = "log", f"{ends.size} rows", f"{SAMPLE_LIMIT} rows"
-        remedy = "cut the recording to one experiment, or record at a lower rate"
-    if size:
-        raise SizeError(field, size, "too large", allowed=allowed, remedy=remedy)
+        size, line = f"{lengths[longest]} bytes", f"line {longest + 1}"
+        raise too_large(size, f"{LINE_LIMIT} bytes", line)
+    if ends.size > SAMPLE_LIMIT + _HEAD:
+        raise too_large(f"{ends.size} rows", f"{SAMPLE_LIMIT} rows")
 
 
 # --- the form of the table --------------------------------------------------------------
@@ -467,32 +464,19 @@ def _parse_cells(layout: Layout) -> tuple[Real, dict[int, CellFaults]]:
     lines, width = layout.body.decode().split("\n")[:-1], len(layout.names)
     values = np.full((len(lines), width), np.nan)
     faults: dict[int, CellFaults] = {}
-    blanks = "[ \\t]+" if not layout.separator else f" *{re.escape(layout.separator)} *"
-    good = re.compile(" *" + blanks.join([NUMBER.pattern] * width) + "[ \\t]*")
     for row, line in enumerate(lines):
         cells = line.split(layout.separator or None)
         if len(cells) != width:
             raise _ragged(layout, row, len(cells))
-        # Most rows of a faulty file are good: these are matched as a whole, and only
-        # the others are examined cell by cell.
-        if good.fullmatch(line):
-            values[row] = cells
-        if np.isfinite(values[row]).all():
-            continue
         # Blanks only: str.strip would also remove control characters.
         for place, cell in enumerate(cell.strip(" \t") for cell in cells):
-            value = float(cell) if NUMBER.fullmatch(cell) else math.inf
-            values[row, place] = value if math.isfinite(value) else math.nan
+            value = float(cell) if NUMBER.fullmatch(cell) else math.nan
             # 1e999 has the form of a number, but exceeds the range of a double
-            if math.isinf(value):
-                where = (layout.first_line + row, cell)
-                faults[place] = _with_fault(faults.get(place, CellFaults()), where)
+            if math.isfinite(value):
+                values[row, place] = value
+                continue
+            bad, where = cell.lower() not in _MISSING, (layout.first_line + row, cell)
+            earlier = faults.get(place, CellFaults(0, where))
+            first = where if bad and not earlier.bad else earlier.first
+            faults[place] = CellFaults(earlier.bad + bad, first)
     return values, faults
-
-
-def _with_fault(faults: CellFaults, where: tuple[int, str]) -> CellFaults:
-    if where[1].lower() in _MISSING:
-        first = faults.first_missing if faults.missing else where
-        return replace(faults, missing=faults.missing + 1, first_missing=first)
-    first = faults.first_bad if faults.bad else where
-    return replace(faults, bad=faults.bad + 1, first_bad=first)

@@ -18,7 +18,7 @@ import numpy as np
 
 from fraclink._files.containers import UNPACKED_LIMIT, write_archive
 from fraclink._reading.table import check_size
-from fraclink.errors import FieldError, MissingExtraError
+from fraclink.errors import MissingExtraError, SizeError
 from fracsys.checks import Real
 
 # such limits do not exist there; the parent's time limit remains
@@ -58,9 +58,8 @@ def columns_of(
         not isinstance(array, np.ndarray)
         or array.dtype.kind not in "fiub"
         or not 1 <= array.ndim <= 2
+        or array.size < 2
     ):
-        return
-    if array.size < 2:
         return
     check_size(array.size)
     table = array.reshape(-1, 1) if array.ndim == 1 else array
@@ -84,7 +83,7 @@ def columns_of(
 # --- HDF5, and MATLAB v7.3, which is HDF5 with transposed arrays -----------------------------------------
 
 
-def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+def read_hdf5(path: Path) -> list[RawColumn]:
     """Every numeric dataset of one or two dimensions; attributes ``units`` or ``unit``
     give the unit.
     """
@@ -122,7 +121,7 @@ def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
                 )
 
         file.visititems(visit)
-    return columns, {}
+    return columns
 
 
 def _is_plain(item: Any) -> bool:
@@ -144,19 +143,18 @@ def _text(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def read_mat5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+def read_mat5(path: Path) -> list[RawColumn]:
     """Every numeric column of the file, in its order."""
     from scipy.io import loadmat
 
     with path.open("rb") as stream:
         data = loadmat(stream, struct_as_record=True, squeeze_me=False, mat_dtype=False)
-    columns = [
+    return [
         column
         for name, value in data.items()
         if not name.startswith("__")
         for column in _flat(name, value)
     ]
-    return columns, {}
 
 
 def _flat(name: str, value: object) -> Iterator[RawColumn]:
@@ -179,7 +177,7 @@ def _flat(name: str, value: object) -> Iterator[RawColumn]:
 # --- TDMS of LabVIEW -------------------------------------------------------------------------------------
 
 
-def read_tdms(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+def read_tdms(path: Path) -> list[RawColumn]:
     """Every numeric channel as ``group/channel``; ``group/channel.time`` holds its own
     stamps [s].
     """
@@ -196,7 +194,7 @@ def read_tdms(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             for channel in group.channels():
                 check_size(len(channel), len(columns))
                 columns.extend(_channel(f"{group.name}/{channel.name}", channel))
-    return columns, {}
+    return columns
 
 
 def _channel(name: str, channel: Any) -> list[RawColumn]:
@@ -212,7 +210,7 @@ def _channel(name: str, channel: Any) -> list[RawColumn]:
     return columns
 
 
-def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+def read_npy(path: Path) -> list[RawColumn]:
     """An array of NumPy: its fields by their names, its columns by their numbers."""
     with path.open("rb") as stream:
         # No pickle, which would execute code from the file; and a header of 10 kB at
@@ -225,14 +223,11 @@ def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             column
             for name in array.dtype.names
             for column in columns_of(name, array[name])
-        ], {}
-    columns = [column.values for column in columns_of("", array)]
-    return [
-        RawColumn(f"#{place + 1}", "", values) for place, values in enumerate(columns)
-    ], {}
+        ]
+    return [*columns_of("#1", array, indexing=("#{one}", "#{one}"))]
 
 
-PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
+PARSERS: dict[str, Callable[[Path], list[RawColumn]]] = {
     "MAT v5": read_mat5,
     "HDF5": read_hdf5,
     "TDMS": read_tdms,
@@ -254,23 +249,22 @@ def _limit() -> None:
 
 
 def answer(kind: str, path: Path) -> tuple[dict[str, Any], list[RawColumn]]:
-    """The description of a file and its columns: names and notes, or the reason why
+    """The description of a file and its columns: names and units, or the reason why
     there are none.
     """
     try:
-        columns, notes = PARSERS[kind](path)
+        columns = PARSERS[kind](path)
         check_size(sum(column.values.size for column in columns), len(columns))
     except MissingExtraError as error:
         return {"missing": [error.package, error.extra]}, []
-    except FieldError as error:
-        words = [error.field, str(error.value), error.problem]
-        return {"refused": [*words, error.allowed, error.remedy]}, []
+    except SizeError as error:
+        return {"large": [error.value, error.allowed]}, []
     except MemoryError:
         return {"damaged": "it asks for more memory than a log needs"}, []
     except Exception as error:  # noqa: BLE001
         return {"damaged": f"{type(error).__name__}: {error}"[:200]}, []
     pairs = [[column.name[:200], column.unit] for column in columns]
-    return {"columns": pairs, "notes": notes}, columns
+    return {"columns": pairs}, columns
 
 
 def main() -> None:

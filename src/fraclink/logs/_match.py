@@ -189,15 +189,14 @@ class _Matching:
 
     def unit(self, place: int) -> str:
         """The unit that the file or its name states for a column."""
-        symbols = {unit for units in UNITS.values() for unit in units}
-        return self.table.unit(place, symbols)
+        return self.table.unit(place)
 
     def add(self, name: str, unit: str) -> int:
         """Add a column computed from others, such as ``"theta - tip"``; return its
         place.
         """
         table = self.table.with_combined([name])
-        units = [*(table.units or [""] * len(table.names))]
+        units = [*table.units]
         units[table.names.index(name)] = unit
         self.table = replace(table, units=tuple(units))
         return table.names.index(name)
@@ -211,8 +210,11 @@ class _Matching:
     def columns(self) -> LogColumns | None:
         time = self.time()
         if time is not None:
-            stamps = self.stamps(time, 2)
-            self.period = float(np.median(np.abs(np.diff(stamps))))
+            rows = np.arange(2.0)
+            if time.column != ROW_NUMBER:
+                rows = self.cells(self.table.place(time.column, "time"))
+            steps = np.diff(time.in_si(rows, "time"))
+            self.period = float(np.median(np.abs(steps)))
         places = self.signals(time)
         angle, output = places.get("motor_angle"), places.get("output")
         channel = None if angle is None else self.motor_angle(angle)
@@ -298,12 +300,6 @@ class _Matching:
             text += ": in which unit?"
             self.ask("time", "unit", text, ("s", "ms", "us"), f"time={name} [ms]")
         return None
-
-    def stamps(self, time: Channel, rows: int) -> Real:
-        """The stamps in seconds."""
-        if time.column == ROW_NUMBER:
-            return time.in_si(np.arange(rows, dtype=np.float64), "time")
-        return time.in_si(self.cells(self.table.place(time.column, "time")), "time")
 
     # --- which column is the motor angle, which the output ---
 

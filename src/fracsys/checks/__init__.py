@@ -228,16 +228,3 @@ def checked_noun(
     class itself.
     """
     return cast(Instance, rules.instance(kind).check(field, value, remedy=remedy))
-
-
-def checked_series(
-    field: str,
-    value: object,
-    *,
-    error: type[FieldError] = FieldError,
-) -> NDArray[np.float64]:
-    """Return `value` as an array of shape (N,), which may hold NaN."""
-    series = rule(Annotated[NDArray[np.float64], Array(1, finite=False)])
-    # A copy: the data of a fit must not change while the caller goes on recording into
-    # the array.
-    return np.array(series.check(field, value, error=error))

@@ -300,21 +300,6 @@ def whole_number(bounds: Between = Between()) -> Rule:
     return Rule(expected, convert, int, unit=bounds.unit)
 
 
-def complex_number() -> Rule:
-    """Return the rule of a finite complex number."""
-    expected, remedy = "a finite complex number", "give a number"
-
-    def convert(value: Any, form: Form) -> complex:
-        if not isinstance(value, complex | np.complexfloating):
-            value = _as_float(value, expected, remedy)
-        plain = complex(value)
-        if not (math.isfinite(plain.real) and math.isfinite(plain.imag)):
-            raise Refused(plain, "not finite", expected, remedy)
-        return plain
-
-    return Rule(expected, convert, complex)
-
-
 def brief(value: object) -> str:
     """Return a value of the wrong kind for display: small ones as written, the others
     by their type.
