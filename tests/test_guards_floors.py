@@ -187,7 +187,7 @@ CEILINGS = {
     "fracsys": 2658,
     "_arm": 1501,
     "_certify": 861,
-    "_cli": 861,
+    "_cli": 844,
     "_design": 1458,
     "_export": 432,
     "_files": 557,

@@ -56,25 +56,13 @@ class _Group(TyperGroup):
         """The command of that name; its module is imported here and not before."""
         # Only for the program itself: the commands of a group came with its module, and
         # `export c` must not look for a stage of that name.
-        if (
-            ctx.parent is None
-            and cmd_name in _COMMANDS
-            and cmd_name not in self.commands
-        ):
-            app = import_module(f"fraclink._cli.{_COMMANDS[cmd_name][0]}").app
-            self.commands.update(typer.main.get_group(app).commands)
+        if ctx.parent is None and cmd_name not in self.commands:
+            # Of a name that is not there all are loaded, slow, and only on the way to an
+            # error: typer looks for similar names among them ("did you mean").
+            for name in [cmd_name] if cmd_name in _COMMANDS else _COMMANDS:
+                app = import_module(f"fraclink._cli.{_COMMANDS[name][0]}").app
+                self.commands.update(typer.main.get_group(app).commands)
         return super().get_command(ctx, cmd_name)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """As click has it; a name that is not there is looked for among all commands
-        ("did you mean").
-        """
-        # Slow, and only on the way to an error: click looks for similar names among the
-        # loaded commands.
-        if ctx.parent is None and args and args[0] not in _COMMANDS:
-            for name in _COMMANDS:
-                self.get_command(ctx, name)
-        return super().resolve_command(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the commands, without the options that every program has."""

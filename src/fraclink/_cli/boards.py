@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fraclink import lab
-from fraclink._arm.reference import Reference, prbs
+from fraclink._arm.reference import Length, Reference, prbs
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Keywords, Writes, command
@@ -19,7 +19,6 @@ from fraclink._cli.options import (
     Amplitude,
     DesignFile,
     Estimate,
-    MoveTime,
     NominalPayload,
     ReferenceFile,
     load_design,
@@ -212,12 +211,6 @@ def arm_firmware(
 # --- real time --------------------------------------------------------------------------------------------
 
 
-LOOP = Keywords(
-    lab.run_realtime,
-    *("payload", "duration", "patience", "priority", "allowed_overruns"),
-)
-
-
 @command(app)
 def run_realtime(
     design_file: DesignFile,
@@ -226,7 +219,7 @@ def run_realtime(
         "realtime.npz"
     ),
     amplitude: Amplitude = None,
-    move_time: MoveTime = None,
+    move_time: Annotated[Length | None, "Time of the move; default: 1"] = None,
     reference: ReferenceFile = None,
     excitation: Annotated[
         Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
@@ -238,7 +231,13 @@ def run_realtime(
     estimate: Estimate = False,
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
-    **options: Annotated[Any, LOOP],
+    **options: Annotated[
+        Any,
+        Keywords(
+            lab.run_realtime,
+            *("payload", "duration", "patience", "priority", "allowed_overruns"),
+        ),
+    ],
 ) -> Answer:
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a
     safe stop.

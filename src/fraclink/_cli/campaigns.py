@@ -58,8 +58,9 @@ def montecarlo(
     subject = Design.load(design)
     # Both set the payload of the law, and the summary would not show which one was
     # used.
-    if estimate:
-        refuse_beside("--estimate", "the payload it estimates", told=told or None)
+    refuse_beside(
+        "--estimate", "the payload it estimates", told=(told and estimate) or None
+    )
     study = Campaign.of(
         subject.rig,
         subject.model,

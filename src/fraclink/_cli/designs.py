@@ -21,14 +21,10 @@ from fraclink._cli.options import (
     Columns,
     DesignFile,
     Estimate,
-    GivenPayload,
-    LinkMass,
-    ModelFile,
     NominalPayload,
     PhaseMarginDeg,
     ReferenceFile,
     RigName,
-    SeedNumber,
     doubts_of_move,
     in_radians,
     load_design,
@@ -51,7 +47,7 @@ from fraclink.trials._study import load_study
 from fraclink.trials._summary import summarise
 from fraclink.view._arm_page import write_arm_page
 from fraclink.view._report import write_campaign_report, write_report
-from fracsys.checks import Between
+from fracsys.checks import Between, Seed
 
 app = group()
 
@@ -69,9 +65,6 @@ _STUDY = (
     "study.json",
 )
 
-Script = Annotated[
-    bool, "With the arm that moves; without it the report holds no script at all"
-]
 ARMS = Keywords(run_study, "arms")
 
 
@@ -141,8 +134,13 @@ def run(
 @command(app)
 def design(
     rig: RigName,
-    model: ModelFile = None,
-    link_mass: LinkMass = None,
+    model: Annotated[
+        Path | None,
+        "Model of identify, or a design; default: the rig's or the design's own",
+    ] = None,
+    link_mass: Annotated[
+        float | None, "Mass of the link [kg]; default: the rig's"
+    ] = None,
     out: Annotated[Path, "File to write the design to", Writes()] = Path("design.json"),
     phase_margin_deg: PhaseMarginDeg = None,
     box: BoxFlag = None,
@@ -184,13 +182,15 @@ def simulate(
         Length | None, "Time of the move; default: 0.5, on the twin 1"
     ] = None,
     reference: ReferenceFile = None,
-    told: GivenPayload = 0.0,
+    told: Annotated[
+        float, Between(0.0, 1e4, "kg"), "Payload that the law is given; 0: none"
+    ] = 0.0,
     estimate: Estimate = False,
     on: Annotated[
         Literal["model", "twin"],
         "The arm: the identified model, or the twin, an arm with distributed mass that is not the model",
     ] = "model",
-    seed: SeedNumber = 0,
+    seed: Annotated[Seed, "Seed of the noise"] = 0,
     out: Annotated[
         Path | None, "File to write the run to; default: run.npz or twin.npz"
     ] = None,
@@ -213,12 +213,13 @@ def simulate(
         remedy = "give radians, 1.57 for 90°, or state the rig's [moves]"
         Between(-reach, reach, "rad", remedy=remedy).check("amplitude", amplitude)
     mass = payload or subject.rig.payloads.nominal
-    if estimate:
-        # A payload of 0 means none, so that --told 0 together with --estimate is no
-        # contradiction.
-        refuse_beside(
-            "--estimate", "the payload that the law estimates", told=told or None
-        )
+    # A payload of 0 means none, so that --told 0 together with --estimate is no
+    # contradiction.
+    refuse_beside(
+        "--estimate",
+        "the payload that the law estimates",
+        told=(estimate and told) or None,
+    )
     move = run_law(
         subject,
         path,
@@ -297,7 +298,9 @@ def report(
         bool,
         "Only the arm that moves: the same law in one file, for any browser, without a server",
     ] = False,
-    script: Script = True,
+    script: Annotated[
+        bool, "With the arm that moves; without it the report holds no script at all"
+    ] = True,
     force: bool = False,
 ) -> Answer:
     """Gather a folder of results into one self-contained HTML file.

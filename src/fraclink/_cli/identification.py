@@ -57,8 +57,6 @@ Output = Annotated[
     str | None,
     "Transfer function: column of its output; of `driven`: torque, where it is no motor angle",
 ]
-HELD_OUT = Keywords(identification.identify, "heldout")
-TIED = Keywords(identification.identify_payloads, "tied")
 BAND = Keywords(identification.identify_driven_link, "band")
 
 
@@ -71,7 +69,7 @@ def _link(
     payload: Payloads = None,
     column: Columns = None,
     force: bool = False,
-    **options: Annotated[Any, READING, HELD_OUT],
+    **options: Annotated[Any, READING, Keywords(identification.identify, "heldout")],
 ) -> Answer:
     """One log of a link."""
     rig, place = _rig(rig), output_path(out or "model.json", force=force)
@@ -117,7 +115,9 @@ def _several(
     rig: RigFile = None,
     payload: Payloads = None,
     column: Columns = None,
-    **options: Annotated[Any, READING, TIED],
+    **options: Annotated[
+        Any, READING, Keywords(identification.identify_payloads, "tied")
+    ],
 ) -> Answer:
     """Several payloads together, and whether their parameters may be common."""
     arm, reading = load_rig(_rig(rig)), READING.of(options)

@@ -15,7 +15,7 @@ from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import parse_columns
-from fraclink._arm.reference import Length, Reference, smooth_step
+from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._cli.command import Keywords
 from fraclink._design import Design
@@ -39,32 +39,17 @@ DesignFile = Annotated[
 RigName = Annotated[
     str, typer.Option(metavar="RIG"), "A rig file, or a bundled rig such as paper-2023"
 ]
-ModelFile = Annotated[
-    Path | None,
-    "Model of identify, or a design; default: the rig's or the design's own",
-]
 NominalPayload = Annotated[ranges.Payload | None, "Payload; default: nominal"]
-LinkMass = Annotated[float | None, "Mass of the link [kg]; default: the rig's"]
-PayloadRange = Annotated[
-    tuple[float, float] | None,
-    typer.Option(metavar="LOW HIGH"),
-    "Payload range [kg]; default: the rig's",
-]
 BoxFlag = Annotated[
     bool | None,
     "Keep every requirement over all that fit and rig leave open of the arm, or at the model alone; "
     "default: over all of it where neither request nor rig states a crossover or a margin",
 ]
-SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 # None if not given, so that it can be rejected together with an option that replaces it
 Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
-MoveTime = Annotated[Length | None, "Time of the move; default: 1"]
 ReferenceFile = Annotated[
     Path | None,
     "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time",
-]
-GivenPayload = Annotated[
-    float, ranges.Between(0.0, 1e4, "kg"), "Payload that the law is given; 0: none"
 ]
 Estimate = Annotated[
     bool, "The law is given the payload that it estimates while the arm moves"

@@ -24,7 +24,6 @@ from fracsys.checks import Between, Payload
 app = group()
 
 _PICTURE = "fit.svg"
-FILLING = Keywords(read_log, "resample", "interpolate")
 
 
 @command(app)
@@ -48,7 +47,7 @@ def start(
     ] = None,
     payload: Annotated[Payload | None, "Payload of the log, if it is known"] = None,
     force: bool = False,
-    **filling: Annotated[Any, FILLING],
+    **filling: Annotated[Any, Keywords(read_log, "resample", "interpolate")],
 ) -> Answer:
     """Guess columns, units and sign of a log, say why, and fit a first model; asks what
     it cannot know.

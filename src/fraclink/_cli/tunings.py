@@ -15,7 +15,7 @@ from fraclink._cli.app import group
 from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
 from fraclink._cli.command import Answer, command
 from fraclink._cli.console import ask, tell
-from fraclink._cli.options import PayloadRange, in_seconds, load_rig
+from fraclink._cli.options import in_seconds, load_rig
 from fraclink._files import checked_path, load, output_path
 from fraclink.errors import FieldError
 from fraclink.lab._run import RealtimeRun
@@ -43,7 +43,11 @@ def tune(
     payload: Annotated[
         Payload | None, "Payload at the tip while it is tuned [kg]"
     ] = None,
-    payloads: PayloadRange = None,
+    payloads: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LOW HIGH"),
+        "Payload range [kg]; default: the rig's",
+    ] = None,
     angle_deg: Annotated[
         float | None,
         Between(10.0, 5e4, "°"),
