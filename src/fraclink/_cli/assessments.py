@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -37,8 +37,6 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import Between, PhaseMarginDeg
 
 app = group()
-
-_KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,9 @@ def assess(
         design,
         payloads,
         tuple(phase_budget(design, low)),
-        tuple(margin_curve(design, payloads, kind=kind) for kind in _KINDS),
+        tuple(
+            margin_curve(design, payloads, kind=kind) for kind in get_args(CurveKind)
+        ),
         tuple(mode_gains(design, damping_ratio=mode_damping)),
     )
     return Answer(assessment, assessment.passed)

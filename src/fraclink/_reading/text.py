@@ -349,9 +349,11 @@ def _plain_body(layout: Layout) -> Layout:
     if not (quoted or comma or clocks):
         return layout
     lines = body.decode().split("\n")[:-1]
-    rows = [line.split() for line in lines]
-    if separator:
-        rows = list(csv.reader(lines, delimiter=separator))
+    rows = (
+        list(csv.reader(lines, delimiter=separator))
+        if separator
+        else [line.split() for line in lines]
+    )
     # An unclosed quote continues beyond its line; its cell is then rejected unchanged.
     if len(rows) != len(lines) or any(len(row) != len(first) for row in rows):
         return layout

@@ -116,9 +116,8 @@ def read_hdf5(path: Path) -> list[RawColumn]:
                 # there.
                 indexing = (MATLAB[1], MATLAB[0]) if matlab else NUMPY
                 check_size(item.size, len(columns))
-                columns.extend(
-                    columns_of(label, np.asarray(item[()]), _unit_of(item), indexing)
-                )
+                unit = _text(item.attrs.get("units", item.attrs.get("unit", "")))[:20]
+                columns.extend(columns_of(label, np.asarray(item[()]), unit, indexing))
 
         file.visititems(visit)
     return columns
@@ -133,10 +132,6 @@ def _is_plain(item: Any) -> bool:
         and not item.is_virtual
         and item.external is None
     )
-
-
-def _unit_of(item: Any) -> str:
-    return _text(item.attrs.get("units", item.attrs.get("unit", "")))[:20]
 
 
 def _text(value: object) -> str:

@@ -23,7 +23,7 @@ from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
 from fraclink._simulate.damping import Chain, Damping
 from fraclink.errors import FieldError
-from fracsys.checks import Between, NonNegative, Period, Positive, Real, checked
+from fracsys.checks import Between, Period, Positive, Real, checked
 
 __all__ = [
     "LONGEST_STEP",
@@ -170,7 +170,7 @@ def assemble(
     damping: Damping,
     *,
     hub_inertia: Positive,
-    hub_friction: NonNegative = 0.0,
+    hub_friction: Annotated[float, Between(0.0)] = 0.0,
     modes: int | None = None,
     step: Step = LONGEST_STEP,
 ) -> Plant:

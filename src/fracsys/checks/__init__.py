@@ -54,7 +54,6 @@ Mask = NDArray[np.bool_]
 # --- ranges that recur --------------------------------------------------------------------------------
 
 Positive = Annotated[float, Between(0.0, low_open=True)]
-NonNegative = Annotated[float, Between(0.0)]
 Fraction = Annotated[float, Between(0.0, 1.0)]
 Period = Annotated[
     float,

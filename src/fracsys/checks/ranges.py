@@ -102,11 +102,10 @@ class Rule:
         name: str,
         value: object,
         *,
-        error: type[FieldError] = FieldError,
         remedy: str = "",
     ) -> Any:
-        """Return `value` normalised; raise `error`, a FieldError about `name`, if it is
-        rejected, with the rule's own remedy or another one.
+        """Return `value` normalised; raise a FieldError about `name` if it is rejected,
+        with the rule's own remedy or another one.
 
         >>> number(Between(0.0, 1e6, "s")).check("filter_time", -2)
         Traceback (most recent call last):
@@ -119,7 +118,7 @@ class Rule:
             # Without the inner frames: the mistake is at the call, and the internals of
             # the check do not help to find it.
             refused.remedy = remedy or refused.remedy
-            raise refused.error(name, error) from None
+            raise refused.error(name, FieldError) from None
 
 
 ARGUMENTS = Form()
