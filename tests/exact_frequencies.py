@@ -43,7 +43,8 @@ def exact_frequencies(beam: Beam, count: int = 3) -> NDArray[np.float64]:
                 allowed="0 kg·m²",
                 remedy="use Beam.modes",
             )
-        return np.array([beam.lumped_frequency])
+        inertia = beam.payload * beam.length**2 + beam.payload_inertia
+        return np.array([math.sqrt(beam.stiffness / inertia)])
     scale = math.sqrt(beam.flexural_rigidity / (beam.link_mass * beam.length**3))
     mass = beam.payload / beam.link_mass
     inertia = beam.payload_inertia / (beam.link_mass * beam.length**2)

@@ -92,7 +92,8 @@ def test_what_differs_by_more_than_both_intervals_is_a_finding(fit: fl.Fit) -> N
     # The differences between two logs become the box of a design.
     rig = fl.Rig.named("paper-2023")
     box = fl.ParameterBox.of(fit.model, rig, others=found.models)
-    assert all(box.holds(model.at_payload(0.030)) for model in found.models)
+    for model in found.models:
+        assert box.hull(fl.ParameterBox.at(model.at_payload(0.030))) == box
 
 
 def test_a_log_of_another_arm_fails(fit: fl.Fit) -> None:

@@ -132,14 +132,6 @@ class Beam:
             self.link_mass / 3.0 + self.payload
         ) * self.length**2 + self.payload_inertia
 
-    @property
-    def lumped_frequency(self) -> float:
-        """Frequency of the massless link, √(c/(m L²)) of equation (5) [rad/s]; infinite
-        without payload.
-        """
-        inertia = self.payload * self.length**2 + self.payload_inertia
-        return math.sqrt(self.stiffness / inertia) if inertia > 0.0 else math.inf
-
     def with_payload(self, payload: float) -> Beam:
         """Return the same link with another mass [kg] at its tip.
 

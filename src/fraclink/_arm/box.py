@@ -194,10 +194,6 @@ class ParameterBox:
         )
         return ParameterBox(*map(_hull, astuple(first), astuple(second)))
 
-    def holds(self, model: LinkModel) -> bool:
-        """Return whether the model, at the payload that the box is for, lies inside."""
-        return self.hull(ParameterBox.at(model)) == self
-
 
 def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
     """Return the arms at the corners of a box about `model`, each with the ω₀ of the

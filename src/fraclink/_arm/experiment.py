@@ -11,7 +11,14 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fraclink._arm.log_columns import SI, Channel, LogColumns, OutputKind, parse_columns
+from fraclink._arm.log_columns import (
+    QUANTITY_OF,
+    UNITS,
+    Channel,
+    LogColumns,
+    OutputKind,
+    parse_columns,
+)
 from fraclink._arm.timebase import time_base
 from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document, write_text
@@ -144,7 +151,10 @@ class Experiment:
         )
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}
-        channels = {role: Channel(role, symbols.get(role, SI[role])) for role in arrays}
+        usual = {role: next(iter(UNITS[QUANTITY_OF[role]])) for role in arrays}
+        channels = {
+            role: Channel(role, symbols.get(role, unit)) for role, unit in usual.items()
+        }
         columns = LogColumns(**channels)
         return cls.from_frame(arrays, columns, payload=payload, source=source)
 

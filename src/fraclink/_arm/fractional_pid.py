@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -72,10 +72,6 @@ class FractionalPid(Saved):
     filter_time: Annotated[float, Between(0.0, 1e6, "s")] = 0.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            # An integer gain would be written as an integer, and the files of two equal
-            # controllers would differ.
-            object.__setattr__(self, field.name, float(getattr(self, field.name)))
         # Zero gains leave their orders undetermined, and a loop without a controller
         # has no margins.
         if not (self.proportional or self.integral or self.derivative):

@@ -21,7 +21,6 @@ from fracsys.checks import Between, Real, Where, checked, length
 
 __all__ = [
     "QUANTITY_OF",
-    "SI",
     "UNITS",
     "Channel",
     "ColumnStatement",
@@ -32,7 +31,7 @@ __all__ += ["ROW_NUMBER", "drive_columns", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
 
-# Unit -> factor to SI and radians, grouped by quantity.
+# Unit -> factor to SI and radians, grouped by quantity; its unit in SI first.
 UNITS = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -52,13 +51,6 @@ QUANTITY_OF = MappingProxyType(
 )
 # The column of a log without time stamps: 0, 1, 2 …, to be scaled by the period.
 ROW_NUMBER = "#row"
-SI = {
-    "time": "s",
-    "motor_angle": "rad",
-    "torque": "Nm",
-    "deflection": "rad",
-    "voltage": "V",
-}
 
 
 @checked
@@ -350,8 +342,7 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
         channels[statement.role] = Channel(
             statement.column, statement.unit, sign=statement.sign or 1, scale=scale
         )
-    kinds: tuple[OutputKind, ...] = ("torque", "deflection")
-    outputs = [kind for kind in kinds if kind in channels]
+    outputs = {"torque", "deflection"} & channels.keys()
     if len(outputs) != 1 or not {"time", "motor_angle"} <= channels.keys():
         raise FieldError(
             "column",

@@ -4,7 +4,7 @@ frequency response.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -153,33 +153,25 @@ class Recording:
         """Return two channels of a log; the motor angle is at rest at its first sample,
         a voltage at 0.
         """
-        channels = {
-            "motor_angle": log.motor_angle,
-            "voltage": log.voltage,
-            "output": log.output,
-        }
+        channels = {"motor_angle": log.motor_angle}
+        if log.voltage is not None:
+            channels["voltage"] = log.voltage
+        channels["output"] = log.output
         for role in (input, output):
-            if role not in channels or channels[role] is None:
+            if role not in channels:
                 raise LogError(
                     "input",
                     role,
                     "not in the log",
-                    allowed=", ".join(
-                        name for name, values in channels.items() if values is not None
-                    ),
+                    allowed=", ".join(channels),
                     remedy="name another channel",
                 )
         # The first reading of the encoder is the position of the arm, not a step from
         # zero.
-        start = float(log.motor_angle[0])
-        signal = (
-            log.motor_angle
-            if log.voltage is None or input == "motor_angle"
-            else log.voltage
-        )
-        measured = log.motor_angle - start if output == "motor_angle" else log.output
-        rest = start if input == "motor_angle" else 0.0
-        return cls(log.period, signal, measured, rest, log.source, log.sha256)
+        rest = {"motor_angle": float(log.motor_angle[0])}
+        measured = channels[output] - rest.get(output, 0.0)
+        start = rest.get(input, 0.0)
+        return cls(log.period, channels[input], measured, start, log.source, log.sha256)
 
 
 _OUT = "leave the line at zero frequency out"
@@ -285,15 +277,17 @@ class FrequencyResponse:
                 allowed=f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s",
                 remedy="widen the band",
             )
-        columns = {
-            name: getattr(self, name)
-            for name in ("frequency", "response", "magnitude", "coherence")
-        }
-        cut = {
-            name: None if column is None else column[inside]
-            for name, column in columns.items()
-        }
-        return FrequencyResponse(**cut, source=self.source, sha256=self.sha256)  # type: ignore[arg-type]
+        magnitude, coherence = (
+            None if column is None else column[inside]
+            for column in (self.magnitude, self.coherence)
+        )
+        return replace(
+            self,
+            frequency=self.frequency[inside],
+            response=self.response[inside],
+            magnitude=magnitude,
+            coherence=coherence,
+        )
 
 
 def coherence_weights(response: Complex, coherence: Real) -> Real:

@@ -192,7 +192,8 @@ def assemble(
     >>> plant = assemble(rod, PowerLaw(1.92), hub_inertia=0.01)
     >>> s = 12j * np.eye(len(plant.dynamics))
     >>> hub, _, tip, *_ = plant.outputs @ np.linalg.solve(s - plant.dynamics, plant.inputs[:, 0])
-    >>> exact = rod.lumped_frequency**2 / (12j**1.92 + rod.lumped_frequency**2)
+    >>> square = rod.stiffness / (0.030 * 0.65**2)
+    >>> exact = square / (12j**1.92 + square)
     >>> bool(abs(tip / hub - exact) < 1e-6)  # the massless limit is equation (9)
     True
     """
