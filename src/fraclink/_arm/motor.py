@@ -16,6 +16,7 @@ from fraclink._arm.rig_parts import Motor
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._terms import Term
+from fracsys.checks import Period, checked
 
 __all__ = [
     "ContinuousPid",
@@ -111,20 +112,13 @@ class ContinuousPid:
             (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0)),
         )
 
-    def discretize(self, period: float) -> DiscretePid:
+    @checked
+    def discretize(self, period: Period) -> DiscretePid:
         """Return the loop at `period` [s] > 0 by Tustin's rule.
 
         A backward difference and a zero-order hold lag or advance the PID: at 4 ms with
         one sample of delay and p = 80 both are unstable.
         """
-        if not (math.isfinite(period) and period > 0):
-            raise FieldError(
-                "period",
-                period,
-                "not a positive time",
-                allowed="> 0 s",
-                remedy="give the control period in seconds",
-            )
         c, half = self.filter_pole, 0.5 * period
         filtered = half / (1 + c * half)
         return DiscretePid(

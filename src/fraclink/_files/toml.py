@@ -12,7 +12,6 @@ import dataclasses
 import functools
 import json
 import math
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -147,8 +146,8 @@ def table_of(value: Any) -> dict[str, Any]:
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Return a table as TOML that reads back equal, whatever its texts contain:
-    shortest exact numbers.
+    """Return a table with the keys of `keys_of` as TOML that reads back equal, whatever
+    its texts contain: shortest exact numbers.
     """
     return "\n".join(_lines(table, "")) + "\n"
 
@@ -156,19 +155,14 @@ def toml_text(table: Mapping[str, Any]) -> str:
 def _lines(table: Mapping[str, Any], place: str) -> list[str]:
     inner = {key: item for key, item in table.items() if isinstance(item, dict)}
     own = {key: item for key, item in table.items() if key not in inner}
-    lines = [f"{_key(key)} = {toml_value(item)}" for key, item in own.items()]
+    lines = [f"{key} = {toml_value(item)}" for key, item in own.items()]
     for key, item in inner.items():
-        name = f"{place}.{_key(key)}" if place else _key(key)
+        name = f"{place}.{key}" if place else key
         # [a.b] already defines a; a header without keys of its own would be
         # superfluous.
         only_tables = item and all(isinstance(part, dict) for part in item.values())
         lines += ([] if only_tables else ["", f"[{name}]"]) + _lines(item, name)
     return lines
-
-
-def _key(name: str) -> str:
-    # A bare key of TOML; any other name has to be quoted.
-    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
 
 
 def toml_value(value: Any) -> str:
