@@ -18,7 +18,7 @@ from fraclink.errors import LogError
 from fraclink.findings import Finding
 from fracsys.checks import Real
 
-_SILENT = 0.01  # fraction of a period: stamps printed with few digits
+PRINTED = 0.01  # fraction of a period: stamps printed with few digits
 # fraction of a period: jitter that changes no parameter, see the figures above
 _TOLERATED = 0.25
 # [s] no vibrating arm is sampled this slowly: milliseconds labelled as seconds
@@ -85,7 +85,7 @@ def time_base(
         float(stamps[0]),
         _rounded(float((stamps[-1] - stamps[0]) / steps.size)),
     )
-    if _distance(stamps, start, period) > _SILENT * period:
+    if _distance(stamps, start, period) > PRINTED * period:
         # Jitter of the two end stamps would tilt the whole grid: fit a line through all
         # stamps.
         slope, middle = np.polyfit(
@@ -184,7 +184,7 @@ def _gap(
 
 def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
     share = worst / period
-    if share <= _SILENT:
+    if share <= PRINTED:
         return ()
     numbers = f"{worst * 1e3:.4g} ms, {100 * share:.3g} % of the period"
     if share > _TOLERATED and not resample:

@@ -160,14 +160,6 @@ def compare(
 # --- a fractional PID for any plant -----------------------------------------------------------------------
 
 
-WANTED = Keywords(
-    pid_for,
-    *("gain_crossover", "gain_margin", "max_sensitivity", "flat_phase", "form"),
-    *("integral_order", "derivative_order", "filter_time"),
-    *("output_limit", "measurement_limit"),
-)
-
-
 @command(app)
 def tune_pid(
     plant: Annotated[
@@ -182,7 +174,15 @@ def tune_pid(
         "Period of the law, counted as delay",
     ] = None,
     out: Annotated[Path, "File to write the tuning to", Writes()] = Path("pid.json"),
-    **wanted: Annotated[Any, WANTED],
+    **wanted: Annotated[
+        Any,
+        Keywords(
+            pid_for,
+            *("gain_crossover", "gain_margin", "max_sensitivity", "flat_phase", "form"),
+            *("integral_order", "derivative_order", "filter_time"),
+            *("output_limit", "measurement_limit"),
+        ),
+    ],
 ) -> Answer:
     """Tune a fractional PID for any plant: margins met, phase flat, least ITAE; export
     takes the file.

@@ -23,9 +23,6 @@ from fracsys import checks as ranges
 app = group()
 
 
-REQUEST = Keywords(shape_move, "payloads", "voltage", "settle", "on", "over")
-
-
 @command(app)
 def shape(
     design_file: DesignFile,
@@ -39,7 +36,9 @@ def shape(
     table: Annotated[
         Path | None, "Write its samples, too: .csv, or .h for C", Writes()
     ] = None,
-    **request: Annotated[Any, REQUEST],
+    **request: Annotated[
+        Any, Keywords(shape_move, "payloads", "voltage", "settle", "on", "over")
+    ],
 ) -> Answer:
     """Shape the fastest move within the limits, or the gentlest that settles in time,
     for every arm of the fit's box and every payload of a range.

@@ -32,9 +32,9 @@ from fraclink._reading.columns import (
 )
 from fraclink._reading.formats import read_table
 from fraclink._reading.table import LogTable, check_size, clock_step
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import LogError
 from fraclink.findings import Finding
-from fracsys.checks import Mask, Payload, Real
+from fracsys.checks import Mask, Payload, Real, checked_choice
 from fracsys.errors import printable
 
 _LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
@@ -56,15 +56,10 @@ def bundled_log(name: str) -> Path:
     >>> bundled_log("prbs_30g").name
     'prbs_30g.csv'
     """
-    if name not in bundled_logs():
-        raise FieldError(
-            "log",
-            name,
-            "unknown",
-            allowed=", ".join(bundled_logs()),
-            remedy="give one of these, or a path",
-        )
-    return _LOGS / f"{name}.csv"
+    known = checked_choice(
+        "log", name, bundled_logs(), remedy="give one of these, or a path"
+    )
+    return _LOGS / f"{known}.csv"
 
 
 def read_columns(path: Path | str) -> dict[str, Real]:

@@ -14,7 +14,7 @@ import numpy as np
 from fraclink._arm.log_columns import UNITS
 from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, SampledReference, spline
-from fraclink._arm.timebase import time_base
+from fraclink._arm.timebase import PRINTED, time_base
 from fraclink._files import kind_of, load, sha256_of
 from fraclink._reading.formats import read_table
 from fraclink._reading.names import names_time, stated_unit, unit_of_name, words_of
@@ -267,7 +267,6 @@ def _period(table: LogTable, time: str | None) -> float:
 
 COLUMNS = ("time_s", "angle_rad", "velocity_rad_per_s", "acceleration_rad_per_s2")
 _SHAPED = "shaped-move"
-_UNEVEN = 1e-3  # fraction of a period: the rounding of decimal times
 
 
 @checked
@@ -322,7 +321,7 @@ def read_reference(path: Path) -> Reference:
         )
     # A law takes the rows one by one: with another start or another step it would play
     # the move late or at another speed.
-    if len(values) != 3 or time[0] != 0.0 or np.ptp(steps) > _UNEVEN * steps.mean():
+    if len(values) != 3 or time[0] != 0.0 or np.ptp(steps) > PRINTED * steps.mean():
         raise FileFormatError(
             "reference",
             path.name,

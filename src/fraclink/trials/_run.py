@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from fraclink.trials._campaign import (
     is_campaign,
     load_campaign,
 )
-from fracsys.checks import FilePath, Real, Workers, checked
+from fracsys.checks import Between, FilePath, Real, checked
 
 __all__ = [
     "Progress",
@@ -57,7 +58,7 @@ def run_campaign(
     campaign: Campaign,
     folder: FilePath,
     *,
-    workers: Workers = 1,
+    workers: Annotated[int, Between(1, 1024)] = 1,
     watch: Callable[[Progress], None] | None = None,
 ) -> Progress:
     """Compute what is missing of a campaign into `folder`; return how far it is, which

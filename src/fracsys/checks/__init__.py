@@ -93,7 +93,6 @@ PhaseMarginDeg = Annotated[
 Count = Annotated[int, Between(1, 10**9)]
 # the range of NumPy's generators
 Seed = Annotated[int, Between(0, 2**64 - 1)]
-Workers = Annotated[int, Between(1, 1024)]
 FilePath = str | os.PathLike[str]
 
 
