@@ -276,17 +276,6 @@ class LinkModel:
         )
 
     @property
-    def exact_gauge(self) -> bool:
-        """Whether encoder and gauge show θt itself: no gauge delay, unit gauge gain, no
-        second mode.
-        """
-        return (
-            self.gauge_delay == 0.0
-            and self.gauge_gain == 1.0
-            and self.second_mode is None
-        )
-
-    @property
     def structure(self) -> str:
         """The paper's name of the structure: "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
 

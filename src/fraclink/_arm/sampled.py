@@ -98,7 +98,6 @@ def sampled_plant(
     if motor_loop.kind == "sampled":
         sampled = motor_loop.sampled(motor, period, ratio=ratio)
     lag, spring = 1.0 / (motor_loop.pole * ratio), model.natural_frequency**2
-    exact = model.exact_gauge and higher is None
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
@@ -113,15 +112,15 @@ def sampled_plant(
             model.damping * np.exp(model.damping_order * ln_s), dtype=np.complex128
         )
         whole = inertia + drag + spring
-        if exact:
-            return np.asarray((drag + spring) / (whole * drive), dtype=np.complex128)
-        torque: Complex = inertia / whole
-        if higher is not None:
-            torque = torque + higher(s)
-        if model.second_mode is not None:
-            torque = torque + model.second_mode.response(s)
         gauge = model.gauge_gain * np.exp(-model.gauge_delay * s)
-        return np.asarray((1.0 - gauge * torque) / drive, dtype=np.complex128)
+        # One fraction: far above the resonance Γ/(c θm) is close to 1, and its
+        # difference from 1 would cancel.
+        bracket: Complex = (drag + spring + inertia * (1.0 - gauge)) / whole
+        if higher is not None:
+            bracket = bracket - gauge * higher(s)
+        if model.second_mode is not None:
+            bracket = bracket - gauge * model.second_mode.response(s)
+        return np.asarray(bracket / drive, dtype=np.complex128)
 
     # The voltage of the PID already includes the computation delay.
     return SampledPlant(
