@@ -193,7 +193,7 @@ CEILINGS = {
     "_files": 555,
     "_identify": 2604,
     "_law": 962,
-    "_reading": 904,
+    "_reading": 898,
     "_simulate": 1184,
     "lab": 1937,
     "logs": 720,

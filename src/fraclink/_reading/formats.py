@@ -145,7 +145,7 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
             child.wait()
     about = json.loads(text)
     if "missing" in about:
-        raise MissingExtraError(*about["missing"])
+        raise MissingExtraError(f"the reader of {kind}", "io")
     if "large" in about:
         raise too_large(*about["large"])
     if "damaged" in about:

@@ -141,7 +141,14 @@ def read_log(
     # The call takes precedence over the rig, and the rig over the names.
     channels = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if channels is None:
-        raise _unstated(table)
+        raise LogError(
+            "columns",
+            ", ".join(table.names[:12]),
+            "not stated: which column is what, in which unit, is never guessed",
+            allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
+            remedy="`fraclink start` finds them and writes that table; or give --column for each, such as "
+            '"time=t [s]", "motor_angle=theta [deg]" and "torque=gamma [Nm]"',
+        )
     # Units and signs are converted here; from now on all data are in SI, radians, and
     # positive where the motor accelerates.
     data, findings = _channels(table, channels, interpolate)
@@ -204,17 +211,6 @@ def _kept(stamps: Real, begin: float, end: float) -> tuple[Mask, Finding]:
         {"from_s": first, "until_s": last},
         "the rest is neither checked nor fitted; a fit starts its link from the motor angle before the cut, "
         "as far back as the stamps are uniform (of very long logs the last 200 000 samples)",
-    )
-
-
-def _unstated(table: LogTable) -> LogError:
-    return LogError(
-        "columns",
-        ", ".join(table.names[:12]),
-        "not stated: which column is what, in which unit, is never guessed",
-        allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
-        remedy="`fraclink start` finds them and writes that table; or give --column for each, such as "
-        '"time=t [s]", "motor_angle=theta [deg]" and "torque=gamma [Nm]"',
     )
 
 

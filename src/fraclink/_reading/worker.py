@@ -18,7 +18,7 @@ import numpy as np
 
 from fraclink._files.containers import UNPACKED_LIMIT, write_archive
 from fraclink._reading.table import check_size
-from fraclink.errors import MissingExtraError, SizeError
+from fraclink.errors import SizeError
 from fracsys.checks import Real
 
 # such limits do not exist there; the parent's time limit remains
@@ -87,10 +87,7 @@ def read_hdf5(path: Path) -> list[RawColumn]:
     """Every numeric dataset of one or two dimensions; attributes ``units`` or ``unit``
     give the unit.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingExtraError("h5py", "io") from error
+    import h5py
 
     columns: list[RawColumn] = []
     with path.open("rb") as stream, h5py.File(stream, "r") as file:
@@ -176,10 +173,7 @@ def read_tdms(path: Path) -> list[RawColumn]:
     """Every numeric channel as ``group/channel``; ``group/channel.time`` holds its own
     stamps [s].
     """
-    try:
-        from nptdms import TdmsFile
-    except ImportError as error:
-        raise MissingExtraError("npTDMS", "io") from error
+    from nptdms import TdmsFile
 
     columns: list[RawColumn] = []
     # With a stream, the reader does not look for an index file next to the log, which
@@ -250,8 +244,8 @@ def answer(kind: str, path: Path) -> tuple[dict[str, Any], list[RawColumn]]:
     try:
         columns = PARSERS[kind](path)
         check_size(sum(column.values.size for column in columns), len(columns))
-    except MissingExtraError as error:
-        return {"missing": [error.package, error.extra]}, []
+    except ImportError as error:
+        return {"missing": str(error)}, []
     except SizeError as error:
         return {"large": [error.value, error.allowed]}, []
     except MemoryError:
