@@ -58,9 +58,6 @@ _FASTEST, _SLOWEST = 2e-4, 0.1
 # Rank of a name for a role: it matches (0 or 1), has no meaning, or means something
 # else.
 _UNNAMED, _UNLIKELY = 2, 3
-# A deflection θm − θt has a gain of 1 on the motor angle, and of 57 if degrees are
-# taken for radians: the limit is halfway between the two on a logarithmic scale.
-_OTHER_UNIT = math.sqrt(180 / math.pi)
 
 
 @dataclass(frozen=True)
@@ -491,7 +488,11 @@ class _Matching:
         # `LogColumns` rejects a unit of another quantity.
         if unit in UNITS["angle"] or (statement.unit and statement.unit != "raw"):
             calibrated = gain * scale * UNITS["angle"].get(unit, 1.0)
-            odd = gain and not 1 / _OTHER_UNIT < calibrated < _OTHER_UNIT
+            # A deflection θm − θt has a gain of 1 on the motor angle, and of 57 if
+            # degrees are taken for radians: the limit is halfway between the two on a
+            # logarithmic scale.
+            degree = UNITS["angle"]["deg"]
+            odd = gain and not degree < calibrated**2 < 1 / degree
             if odd and not statement.unit:
                 text = f"{name} is in {own} by its name, but {calibrated:.3g} times "
                 text += (

@@ -68,7 +68,8 @@ class Start:
 
     def overview(self) -> Overview:
         """What the log was taken for and why, and the first model."""
-        model, check = self.fit.overview(), len(self.uncertain)
+        model = self.fit.overview()
+        check = sum(each.certainty in ("likely", "assumed") for each in self.guesses)
         guesses = (
             (
                 Row("part", "log", guess.part),
@@ -92,13 +93,6 @@ class Start:
             rows,
             (Table.of("guesses", guesses),),
             (*errors_of(self.findings), *self.fit.findings),
-        )
-
-    @property
-    def uncertain(self) -> tuple[Guess, ...]:
-        """The guesses that a person should check."""
-        return tuple(
-            guess for guess in self.guesses if guess.certainty in ("likely", "assumed")
         )
 
     @property
