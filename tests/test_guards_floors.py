@@ -196,7 +196,7 @@ CEILINGS = {
     "_reading": 898,
     "_simulate": 1184,
     "lab": 1937,
-    "logs": 720,
+    "logs": 716,
     "studio": 1095,
     "trials": 1380,
     "view": 1445,

@@ -521,7 +521,6 @@ def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
         "deg",
     )
     assert (found.columns.output.column, found.columns.output.sign) == ("bridge", -1)
-    assert found.decisions == 2
     assert found.fit.passed
 
 

@@ -49,8 +49,6 @@ class Start:
     rig_file
         text of a rig file with these columns, and blanks for the physics that `design`
         needs.
-    decisions
-        how many of them the user made: statements of the call and answers.
     """
 
     guesses: tuple[Guess, ...]
@@ -59,7 +57,6 @@ class Start:
     findings: tuple[Finding, ...]
     fit: Fit
     rig_file: str
-    decisions: int
 
     @property
     def passed(self) -> bool:
@@ -83,7 +80,6 @@ class Start:
         rows = (
             Row("columns", "", self.columns),
             Row("fit", "", self.fit),
-            Row("decisions", "", self.decisions),
             Row("blanks", "", self.blanks),
             *(replace(row, key="") for row in model.rows),
         )
@@ -173,7 +169,6 @@ def start(
     """
     place = Path(log)
     by_role = statements(column, period)
-    decisions = len(by_role) + (payload is not None)
     table = read_table(place)
     state = match_table(table, by_role, str(log), interpolate)
     while state.questions:
@@ -184,7 +179,6 @@ def start(
         question = state.questions[0]
         answer = question.statement(ask(question), by_role.get(question.role))
         by_role[question.role] = answer
-        decisions += 1
         state = match_table(table, by_role, str(log), interpolate)
     assert state.columns is not None  # without a question  # noqa: S101
     # The common reader is used: it receives the guesses as statements, and rejects or
@@ -211,7 +205,6 @@ def start(
             _remarks(guesses),
             known=_known(experiment, fit, payload),
         ),
-        decisions,
     )
 
 
