@@ -412,7 +412,7 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
     ]
     assert main([*arguments, "--out", str(tmp_path / "run.npz")]) == 1
     told = capsys.readouterr()
-    assert "✗ failed: move with 200 g: not settled" in told.out
+    assert "✗ failed: move with 200 g: tripped: the law goes to hold" in told.out
     assert (tmp_path / "run.npz").exists()
 
 

@@ -27,8 +27,8 @@ def stages() -> Stages:
 
 def rig_of(stages: Stages, **changes: Any) -> fl.Rig:
     _, _, wiring, _, link = stages
-    given = {"centre": 0.2, "rest_torque": 0.3, "stated": None, "name": "mine"}
-    given |= changes
+    given: dict[str, Any] = {"centre": 0.2, "rest_torque": 0.3, "stated": None}
+    given |= {"name": "mine", **changes}
     wiring = given.pop("wiring", wiring)
     return measured_rig(wiring, link, LIMITS, (0.02, 0.04), 0.030, PERIOD, **given)
 

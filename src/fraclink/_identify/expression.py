@@ -237,7 +237,9 @@ def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
 def _check(node: ast.expr, depth: int) -> None:
     """Raise FieldError for the first node of a kind that no transfer function has."""
     if depth > _DEEPEST:
-        raise _refused(node, "nested too deeply", "write it with fewer brackets")
+        raise _refused(
+            node, "nested too deeply", "write it with fewer brackets and terms"
+        )
     if isinstance(node, ast.Constant):
         # Room for a product: with 1e308 the first multiplication would overflow.
         if type(node.value) not in (int, float) or not abs(node.value) < 1e300:  # type: ignore[arg-type]
