@@ -84,7 +84,6 @@ class Made:
     poles: tuple[complex, ...] = ()
     pair: tuple[float, int] = (1.0, 2)
     span: Span = SPAN
-    raw: bytes = b""
     table: Mapping[str, Gear] = dataclasses.field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     notes: tuple[tuple[str, str], ...] = ()
@@ -106,7 +105,6 @@ FULL = Made(
     poles=(complex(-0.0, 1e-308), complex(math.inf, 0.1)),
     pair=(0.1, -3),
     span=Span(-math.inf, 1.7976931348623157e308),
-    raw=b"\x00\xff",
     table={"a": Gear(1.0), "": Gear(2.0, (1,))},
     findings=(Finding("W101", "warning", "c contradicts", {"c": 1.56}, "measure"),),
     notes=(("simulated", "true"),),

@@ -217,10 +217,6 @@ class Loop(GaugedLink):
         """Return L(jω); a complex ω with a positive real part gives L(s) off the axis,
         at s = jω.
         """
-        if self.exact_gauge:
-            return np.asarray(
-                np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128
-            )
         w = np.asarray(frequency)
         bracket, _, _ = self.parts(w, natural_frequency)
         return np.asarray(

@@ -4,7 +4,6 @@
     int, str, bool   themselves
     None             null
     complex          [re, im]
-    bytes            hexadecimal text
     Literal[...]     one of its words
     tuple, list      a list
     Mapping          an object
@@ -66,7 +65,6 @@ class _Encoder(Form):
         self.own = {
             float: self.real,
             complex: self.pair,
-            bytes: lambda rule, value: rule.convert(value, self).hex(),
             np.ndarray: self.array,
             Any: self.anything,
             type: self.fields,
@@ -131,7 +129,6 @@ class Decoder(Form):
         self.own = {
             float: self.real,
             complex: self.pair,
-            bytes: self.bytes,
             np.ndarray: self.array,
             type: self.fields,
         }
@@ -149,11 +146,6 @@ class Decoder(Form):
         if not isinstance(data, list) or len(data) != 2:
             raise _misfit(data, "not a pair [re, im]", rule)
         return complex(self.real(rule, data[0]), self.real(rule, data[1]))
-
-    def bytes(self, rule: Rule, data: Any) -> bytes:
-        if not isinstance(data, str) or not re.fullmatch("([0-9a-f]{2})*", data):
-            raise _misfit(data, "not hexadecimal text", rule)
-        return bytes.fromhex(data)
 
     def array(self, rule: Rule, data: Any) -> NDArray[Any]:
         if isinstance(data, dict) and set(data) == {"array"}:
