@@ -69,10 +69,7 @@ _DRIFT = StatedTolerances(
 # share of the settling time, or [s]: the effect of the noise of a sample
 _AGREEMENT, _LEAST = 0.10, 0.05
 _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoot
-# [s] of rest in which slips of a motor that sticks show, and the peak of the vibration
-# that they keep alive over its standard deviation: of a narrow-band noise, one peak in
-# e⁸ is higher
-_RESTED, _CREST = 20.0, 4.0
+_RESTED = 60.0  # [s] of rest in which the slips of a motor that sticks show
 # Mass of the link relative to the payload: a lighter link has no effect, a much heavier
 # one has hardly any tip motion; without a visible second mode it is at most as heavy as
 # its payload.
@@ -353,14 +350,14 @@ def planned_move(
     if best is None:
         return None, f"no move passes in the simulation: {reason}"
     swing = max(
-        float(np.std(run.tip_angle[run.time > least]))
+        0.5 * float(np.ptp(run.tip_angle[run.time > least]))
         for run in _simulated(law, design, twins, *best, until=best[1] + _RESTED)
     )
-    if _CREST * swing > band:
+    if swing > band:
         return None, (
             f"the motor hunts in the simulation: it slides at {motor.friction:.2g} V and breaks away at "
-            f"{motor.breakaway:.2g} V, which keeps the tip swinging by {math.degrees(swing):.2g}° in the mean, "
-            f"where {math.degrees(band / _CREST):.2g}° is allowed; less friction helps"
+            f"{motor.breakaway:.2g} V, which lets the tip swing by ±{math.degrees(swing):.2g}°, "
+            f"where ±{math.degrees(band):.2g}° is allowed; less friction helps"
         )
     return best, ""
 
