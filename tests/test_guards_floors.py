@@ -188,18 +188,18 @@ CEILINGS = {
     "_arm": 1485,
     "_certify": 861,
     "_cli": 841,
-    "_design": 1458,
+    "_design": 1450,
     "_export": 432,
     "_files": 551,
     "_identify": 2604,
-    "_law": 962,
+    "_law": 958,
     "_reading": 898,
     "_simulate": 1184,
     "lab": 1937,
     "logs": 716,
     "studio": 1095,
     "trials": 1380,
-    "view": 1445,
+    "view": 1417,
 }
 
 

@@ -84,13 +84,12 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     w0 = design.natural_frequency(payload)
     crossings = loop.crossings(w0).frequency
     if crossings.size == 0:
-        allowed, remedy = "a payload at which |L| crosses one", "give the mass in kg"
         raise FieldError(
             "payload",
             payload,
             "without a gain crossover",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="a payload at which |L| crosses one",
+            remedy="give the mass in kg",
         )
     # The highest crossing: at those where |L| rises through one the loop is slow, and a
     # delay costs nothing.
@@ -219,11 +218,7 @@ def mode_gains(
         np.geomspace(*design.payloads, 3),
         damping_ratio=damping_ratio,
     )
-    return (
-        ()
-        if modes is None
-        else tuple(item for _, item in mode_requirements(modes, loop, limit))
-    )
+    return () if modes is None else mode_requirements(modes, loop, limit)
 
 
 @displayed

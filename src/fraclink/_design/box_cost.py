@@ -49,12 +49,14 @@ def cost_of_box(design: Design, solution: Solution) -> Finding:
     for name in _WORDS:
         low, high = getattr(box, name)
         if low < high:
-            variant, frequencies = arm.knowing(name, exact), box.natural_frequency
-            if name == "natural_frequency":
-                frequencies = exact.natural_frequency
-            gains[name] = margin(variant, frequencies) - worst
-    evidence = {"nominal_rad": nominal, "worst_rad": worst}
-    evidence |= {f"{name}_rad": gain for name, gain in gains.items()}
+            known = exact if name == "natural_frequency" else box
+            variant = arm.knowing(name, exact)
+            gains[name] = margin(variant, known.natural_frequency) - worst
+    evidence = {
+        "nominal_rad": nominal,
+        "worst_rad": worst,
+        **{f"{name}_rad": gain for name, gain in gains.items()},
+    }
     if not gains:
         return Finding(
             "W407",

@@ -289,9 +289,12 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
     # positive feedback.
     lowest = own.numerator[-1].coefficient / own.denominator[-1].coefficient
     if lowest < 0.0:
-        remedy = "tune for -plant, and negate the controller's output"
         raise FieldError(
-            "plant", str(own), "of negative gain at rest", allowed="> 0", remedy=remedy
+            "plant",
+            str(own),
+            "of negative gain at rest",
+            allowed="> 0",
+            remedy="tune for -plant, and negate the controller's output",
         )
     return own
 
@@ -316,9 +319,12 @@ def _problem(
     )
     for name, order, used in orders:
         if order is not None and not used:
-            remedy = f"leave it out, or ask for another form than {form}"
             raise FieldError(
-                name, order, f"given for a {form}", allowed="none", remedy=remedy
+                name,
+                order,
+                f"given for a {form}",
+                allowed="none",
+                remedy=f"leave it out, or ask for another form than {form}",
             )
     # ω_c and φ_m determine two gains; a PI or PD has only its order left to make the
     # phase flat.
@@ -387,14 +393,13 @@ def _infeasible(problem: PidProblem) -> InfeasibleError:
     free = replace(problem, spans=(*problem.spans[:4], (OFFER, math.pi - OFFER)))
     nearest = best_of(free, lambda found: math.pi - np.abs(found.places[:, 4] - margin))
     if nearest is not None:
-        explanation = (
-            f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}"
-        )
         return InfeasibleError(
-            "phase_margin", explanation, {"phase_margin": float(nearest.places[0, 4])}
+            "phase_margin",
+            f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}",
+            {"phase_margin": float(nearest.places[0, 4])},
         )
-    explanation = (
+    return InfeasibleError(
+        "gain_crossover",
         f"no {_words(problem)} with gains >= 0 crosses there in a stable loop within "
-        f"every bound; {more}"
+        f"every bound; {more}",
     )
-    return InfeasibleError("gain_crossover", explanation)

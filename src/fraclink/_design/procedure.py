@@ -185,8 +185,7 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     condition, sentence = _in_the_way(solution, result)
     # if a requirement is missed that the user did not state, no other request is known
     # to pass
-    near = nearest and not solution.missed
-    offer = _offer(request, solution, goal) if near else {}
+    offer = _offer(request, solution, goal) if nearest and not solution.missed else {}
     raise InfeasibleError(condition, sentence, offer)
 
 

@@ -359,27 +359,21 @@ class Design(Saved):
             "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no
             computer runs), or Ĉ on the unit circle as a function of ω [rad/s].
         """
-        if not callable(realisation):
+        if callable(realisation):
+            _check_response(realisation)
+            response = realisation
+        else:
             checked_choice(
                 "realisation",
                 realisation,
                 ("law", "exact"),
                 remedy="say 'law' for what is shipped",
             )
-            shipped = realisation == "law"
-            law = (
-                discretize_controller(self.controller, self.rig.period)
-                if shipped
-                else None
-            )
-            realisation = law.frequency_response if law else self.controller.response
-        else:
-            _check_response(realisation)
-        response, plant = (
-            realisation,
-            self.sampled_plant(self.natural_frequency(payload)),
-        )
-        return margins_of(response, plant)
+            response = self.controller.response
+            if realisation == "law":
+                law = discretize_controller(self.controller, self.rig.period)
+                response = law.frequency_response
+        return margins_of(response, self.sampled_plant(self.natural_frequency(payload)))
 
     def law(self, *, order: int | None = None, precision: Precision = "single") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
@@ -403,9 +397,9 @@ class Design(Saved):
         link's mass; a design for the paper's reading (`margins_kind` "ideal") has to be
         stable. A controller that no law of law.c's size follows keeps neither (W410).
         """
-        findings, (margin, modulus) = self.findings, no_law_rows(self)
+        findings, rows = self.findings, no_law_rows(self)
         try:
-            margin, modulus = law_rows(self)
+            rows = law_rows(self)
         except FieldError as error:
             # `modes_from` raises "order" if the fit has more modes than law.c can hold;
             # any other error belongs to the caller.
@@ -413,13 +407,9 @@ class Design(Saved):
                 raise
             findings = tuple(dict.fromkeys((*findings, no_law(error))))
         # Applied twice, each is still a single requirement.
-        others = [
-            item
-            for item in self.requirements
-            if item.name not in (margin.name, modulus.name)
-        ]
-        rows = (*others, margin, modulus)
-        return replace(self, requirements=rows, findings=findings)
+        names = {row.name for row in rows}
+        others = (item for item in self.requirements if item.name not in names)
+        return replace(self, requirements=(*others, *rows), findings=findings)
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:
@@ -431,19 +421,16 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
     except (TypeError, ValueError):
         shape = ()
     if shape != (2,):
-        allowed, remedy = (
-            "Ĉ as a function of ω [rad/s], shape kept",
-            "say 'law' for what is shipped",
-        )
         raise FieldError(
             "realisation",
             repr(response),
             "not a response",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="Ĉ as a function of ω [rad/s], shape kept",
+            remedy="say 'law' for what is shipped",
         )
 
 
 def _checked_frequency(value: object) -> float:
-    allowed = Between(0.0, 1e6, "s^(-λ/2)", low_open=True)
-    return allowed.check("natural_frequency", value)
+    return Between(0.0, 1e6, "s^(-λ/2)", low_open=True).check(
+        "natural_frequency", value
+    )

@@ -128,8 +128,9 @@ def higher_modes(
     if rig.link.mass <= 0.0 and model.second_mode is None:
         return None
     if damping_ratio is not None:
-        allowed = Between(0.0, 0.999, low_open=True)
-        damping_ratio = allowed.check("damping_ratio", damping_ratio)
+        damping_ratio = Between(0.0, 0.999, low_open=True).check(
+            "damping_ratio", damping_ratio
+        )
     else:
         # A fractional or viscous damping law damps the higher modes like the first.
         # Without one their peaks would be infinite, and no filter would suffice.
@@ -223,20 +224,21 @@ def _rest(loop: Loop, w: Real, period: float) -> Complex:
 
 def mode_requirements(
     modes: HigherModes, loop: Loop, limit: float
-) -> tuple[tuple[int, Requirement], ...]:
-    """Return (number, the worst loop gain towards -1 against `limit`) of each higher
-    mode.
-    """
+) -> tuple[Requirement, ...]:
+    """Return the worst loop gain towards -1 of each higher mode, against `limit`."""
     gains = modes.gains(loop)
     result = []
-    for number in map(int, np.unique(modes.number)):
+    for number in np.unique(modes.number):
         rows = np.flatnonzero(modes.number == number)
         worst = rows[int(np.argmax(gains[rows]))]
-        name, payload = f"loop gain at mode {number}", float(modes.payload[worst])
         result.append(
-            (
-                number,
-                Requirement(name, limit, float(gains[worst]), "", payload, "at most"),
+            Requirement(
+                f"loop gain at mode {number}",
+                limit,
+                float(gains[worst]),
+                "",
+                float(modes.payload[worst]),
+                "at most",
             )
         )
     return tuple(result)

@@ -168,28 +168,27 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
     margin = min(abs(at_margin.phase_margin), math.pi)
     margin = margin if at_margin.stable else -margin
     modulus = at_modulus.modulus_margin if at_modulus.stable else 0.0
-    goal, least = _wanted_of_law(design)
-    return (
-        Requirement(LAW_MARGIN, goal, margin, "rad", close[1], "at least"),
-        Requirement(LAW_MODULUS, least, modulus, "", near[1], "at least"),
-    )
+    return _rows_of_law(design, (margin, close[1]), (modulus, near[1]))
 
 
 def no_law_rows(design: Design) -> tuple[Requirement, Requirement]:
     """Return the same requirements if no law represents the controller."""
-    goal, least = _wanted_of_law(design)
     payload = design.payloads[0]
+    return _rows_of_law(design, (-math.pi, payload), (0.0, payload))
+
+
+def _rows_of_law(
+    design: Design, margin: tuple[float, float], modulus: tuple[float, float]
+) -> tuple[Requirement, Requirement]:
+    """The two requirements, from what is achieved and the payload [kg] of each."""
+    goal = least = 0.0
+    if design.margins_kind != "ideal":
+        goal = design.phase_margin - math.radians(TOLERANCE_DEG)
+        least = least_modulus(design.phase_margin)
     return (
-        Requirement(LAW_MARGIN, goal, -math.pi, "rad", payload, "at least"),
-        Requirement(LAW_MODULUS, least, 0.0, "", payload, "at least"),
+        Requirement(LAW_MARGIN, goal, margin[0], "rad", margin[1], "at least"),
+        Requirement(LAW_MODULUS, least, modulus[0], "", modulus[1], "at least"),
     )
-
-
-def _wanted_of_law(design: Design) -> tuple[float, float]:
-    if design.margins_kind == "ideal":
-        return 0.0, 0.0
-    margin = design.phase_margin - math.radians(TOLERANCE_DEG)
-    return margin, least_modulus(design.phase_margin)
 
 
 def _tabled(

@@ -60,8 +60,13 @@ def log_figure(log: Experiment) -> Figure:
         Panel("motor angle θm [rad]", [_record(log.time, log.motor_angle, 0)]),
         Panel(OUTPUT_LABEL[log.output_kind], [_record(log.time, log.output, 1)]),
     )
-    description = "The recorded motor angle and output against time"
-    return Figure("log", description, panels, "time [s]", "log")
+    return Figure(
+        "log",
+        "The recorded motor angle and output against time",
+        panels,
+        "time [s]",
+        "log",
+    )
 
 
 def fit_figure(log: Experiment, fit: Fit) -> Figure:
@@ -77,8 +82,13 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
         Panel(OUTPUT_LABEL[log.output_kind], output, 180.0),
         Panel("residual", _rest(log.time, fit.residual, edge), 80.0),
     )
-    description = "The recorded output under its model, and the residual"
-    return Figure("fit", description, panels, "time [s]", "log")
+    return Figure(
+        "fit",
+        "The recorded output under its model, and the residual",
+        panels,
+        "time [s]",
+        "log",
+    )
 
 
 def _measured(
@@ -105,14 +115,18 @@ def validation_figure(validation: Validation) -> Figure:
         log, rest = each.log, each.log.output - each.predicted
         label = f"{OUTPUT_LABEL[log.output_kind]}, {log.source}".rstrip(", ")
         output = _measured(log.time, log.output, each.predicted, "predicted")
-        bias = Across(each.bias, "bias", limit=False)
-        panels.append(Panel(label, output))
-        marks: list[Mark] = [_record(log.time, rest, 1), bias]
-        panels.append(Panel("prediction error", marks, 60.0))
-    description = (
-        "Logs that the fit has not seen, their predictions and the prediction errors"
+        marks: list[Mark] = [
+            _record(log.time, rest, 1),
+            Across(each.bias, "bias", limit=False),
+        ]
+        panels += [Panel(label, output), Panel("prediction error", marks, 60.0)]
+    return Figure(
+        "validation",
+        "Logs that the fit has not seen, their predictions and the prediction errors",
+        panels,
+        "time [s]",
+        "log",
     )
-    return Figure("validation", description, panels, "time [s]", "log")
 
 
 @figure_of.register
@@ -126,15 +140,17 @@ def structure_figure(fit: StructureFit) -> Figure:
 def _over_time(fit: StructureFit) -> Figure:
     place, rest = fit.place, fit.measured - fit.predicted
     output = _measured(place, fit.measured, fit.predicted, "structure")
-    leaves = _rest(place, rest, float(place[fit.fitted - 1]))
     panels = (
         Panel("output", output, 180.0),
-        Panel("residual", leaves),
+        Panel("residual", _rest(place, rest, float(place[fit.fitted - 1]))),
     )
-    description = (
-        f"The recorded output, its prediction by {fit.expression}, and the residual"
+    return Figure(
+        "structure",
+        f"The recorded output, its prediction by {fit.expression}, and the residual",
+        panels,
+        "time [s]",
+        "log",
     )
-    return Figure("structure", description, panels, "time [s]", "log")
 
 
 def _over_frequency(fit: StructureFit) -> Figure:
@@ -156,14 +172,16 @@ def _over_frequency(fit: StructureFit) -> Figure:
             ("phase [°]", sheets),
         )
     ]
-    share = [Curve(fit.place, error, 1)]
     up = Scale(0.0, 1.05 * float(error.max()))
-    panels.append(Panel("error [%]", share, 70.0, up))
-    description = (
-        f"The measured response (dots), that of {fit.expression}, and their difference"
+    panels.append(Panel("error [%]", [Curve(fit.place, error, 1)], 70.0, up))
+    return Figure(
+        "structure",
+        f"The measured response (dots), that of {fit.expression}, and their difference",
+        panels,
+        "frequency ω [rad/s]",
+        "response",
+        log=True,
     )
-    over = "frequency ω [rad/s]"
-    return Figure("structure", description, panels, over, "response", log=True)
 
 
 def _decibel(response: Complex) -> Real:
@@ -221,8 +239,13 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
             time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0
         )
         panels.append(Panel(label, marks, 70.0, Scale(-common, common)))
-    description = "The residual of each model, all on one scale"
-    return Figure("models", description, panels, "time [s]", "log")
+    return Figure(
+        "models",
+        "The residual of each model, all on one scale",
+        panels,
+        "time [s]",
+        "log",
+    )
 
 
 @figure_of.register
@@ -236,8 +259,13 @@ def detail_figure(fit: Fit) -> Figure:
         Curve(time[part], fit.predicted[part], 1, fit.structure),
     ]
     panel = Panel(OUTPUT_LABEL[fit.output_kind], marks, 210.0)
-    description = f"The first part of the measured output under {fit.structure}"
-    return Figure("detail", description, (panel,), "time [s]", "detail")
+    return Figure(
+        "detail",
+        f"The first part of the measured output under {fit.structure}",
+        (panel,),
+        "time [s]",
+        "detail",
+    )
 
 
 # --- can the model be trusted -----------------------------------------------------------------------------
@@ -332,9 +360,14 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
             halves,
         ),
     )
-    description = "Gain and phase of log (dots) and model (line), with the band that contains 95 % of the noise"
-    over = "frequency ω [rad/s]"
-    return Figure("response", description, panels, over, "response", log=True)
+    return Figure(
+        "response",
+        "Gain and phase of log (dots) and model (line), with the band that contains 95 % of the noise",
+        panels,
+        "frequency ω [rad/s]",
+        "response",
+        log=True,
+    )
 
 
 def residual_figure(fit: Fit) -> Figure | None:
@@ -359,11 +392,14 @@ def residual_figure(fit: Fit) -> Figure | None:
     if mode is not None and frequency[0] < mode.frequency < frequency[-1]:
         marks.append(Upright(mode.frequency, "second mode, part of the model"))
     panel = Panel("density of the residual over that of white noise", marks, 180.0, y)
-    description = (
-        "Spectrum of the residual against the band that contains 99 % of white noise"
+    return Figure(
+        "residual",
+        "Spectrum of the residual against the band that contains 99 % of white noise",
+        (panel,),
+        "frequency ω [rad/s]",
+        "response",
+        log=True,
     )
-    over = "frequency ω [rad/s]"
-    return Figure("residual", description, (panel,), over, "response", log=True)
 
 
 def fit_panels(log: Experiment, fit: Fit) -> dict[str, tuple[Scale, Panel]]:

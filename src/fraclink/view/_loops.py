@@ -84,11 +84,10 @@ def bode_figure(design: Design) -> Figure:
         ]
         for payload in payloads_of(design)
     ]
-    figure = loop_figure(responses, crossings)
-    description = (
-        "Gain and phase of the open loop over frequency; dots mark the gain crossings"
+    return replace(
+        loop_figure(responses, crossings),
+        description="Gain and phase of the open loop over frequency; dots mark the gain crossings",
     )
-    return replace(figure, description=description)
 
 
 @figure_of.register
@@ -164,8 +163,14 @@ def _around_critical(description: str, radius: float, marks: list[Mark]) -> Figu
     ]
     square = Scale(*_REACH)
     panel = Panel("imaginary part of L", marks, 340.0, square)
-    name = "real part of L"
-    return Figure("nyquist", description, (panel,), name, scale=square, rigid=True)
+    return Figure(
+        "nyquist",
+        description,
+        (panel,),
+        "real part of L",
+        scale=square,
+        rigid=True,
+    )
 
 
 def margins_figure(design: Design) -> Figure:
@@ -178,11 +183,10 @@ def margins_figure(design: Design) -> Figure:
     # Below the range the mode is fast and the margin falls quickly; above it the margin
     # changes little. Hence more room on the light side, and geometric steps.
     payloads = np.geomspace(LIGHTER * low, 1.15 * high, _STEPS)
-    last = margin_curve(design, payloads, kind="sampled" if design.has_law else "loop")
     curves = (
         margin_curve(design, payloads, kind="ideal"),
         margin_curve(design, payloads, kind="motor"),
-        last,
+        margin_curve(design, payloads, kind="sampled" if design.has_law else "loop"),
     )
     figure = margin_curves_figure(curves, design.payloads, design.phase_margin)
     (upper,) = figure.panels
@@ -199,10 +203,12 @@ def margins_figure(design: Design) -> Figure:
         replace(upper, marks=(*band, *upper.marks), height=230.0),
         Panel("gain crossover [rad/s]", crossover, 110.0),
     )
-    description = (
-        "Phase margin and gain crossover over the payload; the design range is shaded"
+    return replace(
+        figure,
+        description="Phase margin and gain crossover over the payload; the design range is shaded",
+        panels=panels,
+        link="payload",
     )
-    return replace(figure, description=description, panels=panels, link="payload")
 
 
 def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
@@ -254,9 +260,12 @@ def margin_curves_figure(
     if wanted is not None:
         marks.append(Across(math.degrees(wanted), "requested"))
     panel = Panel("phase margin [°]", marks, 280.0)
-    description = "Phase margin over the payload, for loops from ideal to sampled"
-    name = "payload [g]; shaded: design range"
-    return Figure("margins", description, (panel,), name)
+    return Figure(
+        "margins",
+        "Phase margin over the payload, for loops from ideal to sampled",
+        (panel,),
+        "payload [g]; shaded: design range",
+    )
 
 
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
@@ -311,12 +320,15 @@ def map_figure(region: FeasibilityMap) -> Figure:
         "phase margin at the lightest payload [°]", [Cells(x, y, table)], 330.0, up
     )
     key = ("noise gain", *ranges_of(limits))
-    description = (
-        f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}"
+    return Figure(
+        "map",
+        f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}",
+        (panel,),
+        "gain crossover at the heaviest payload [rad/s]",
+        "map",
+        Scale(float(x[0]), float(x[-1])),
+        key=key,
     )
-    name = "gain crossover at the heaviest payload [rad/s]"
-    across = Scale(float(x[0]), float(x[-1]))
-    return Figure("map", description, (panel,), name, "map", across, key=key)
 
 
 def _edges(middles: Real) -> Real:

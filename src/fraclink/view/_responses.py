@@ -256,8 +256,7 @@ def _bode_figure(
     gain_marks: Sequence[Mark] = (),
     phase_marks: Sequence[Mark] = (),
 ) -> Figure:
-    gain: list[Mark] = list(gain_marks)
-    phase: list[Mark] = list(phase_marks)
+    gain, phase = [*gain_marks], [*phase_marks]
     for k, one in enumerate(responses):
         gain.append(Curve(one.frequency, one.decibels, line_of(k), one.name))
         phase.append(Curve(one.frequency, one.degrees, line_of(k)))
@@ -267,8 +266,14 @@ def _bode_figure(
         Panel("magnitude [dB]", gain, 190.0, Scale.around(*levels, least=2.0)),
         Panel("phase [°]", phase, 190.0, turns),
     )
-    description = "Magnitude and phase over frequency"
-    return Figure("bode", description, panels, "frequency [rad/s]", "loop", log=True)
+    return Figure(
+        "bode",
+        "Magnitude and phase over frequency",
+        panels,
+        "frequency [rad/s]",
+        "loop",
+        log=True,
+    )
 
 
 def _turns(phases: Sequence[Real]) -> Scale:
