@@ -195,9 +195,9 @@ CEILINGS = {
     "_law": 958,
     "_reading": 898,
     "_simulate": 1184,
-    "lab": 1937,
-    "logs": 716,
-    "studio": 1095,
+    "lab": 1927,
+    "logs": 715,
+    "studio": 1074,
     "trials": 1380,
     "view": 1417,
 }

@@ -379,7 +379,6 @@ def _callables(connection: Callback) -> Any:
                 allowed="a callable",
                 remedy="give a function",
             )
-    apply = connection.write
     return _kernels.RealtimeIo.callables(
-        connection.read, lambda *values: apply(Command(*values))
+        connection.read, lambda *values: connection.write(Command(*values))
     )

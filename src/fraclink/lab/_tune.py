@@ -170,7 +170,7 @@ class _Session:
             # mid-motion.
             guard.release()
             awake = measure_wake_ups(guard.period)
-            self._tell((str(awake),))
+            self._tell(str(awake))
             awake.check()
         self.state = self.before or Tuning(
             plan.limits,
@@ -196,14 +196,14 @@ class _Session:
         # From the first guess on, so that moves of the motor cannot exceed the speed
         # limit.
         guard.learn(wiring.gain, wiring.delay)
-        self._tell(wiring.evidence)
+        self._tell(*wiring.evidence)
         if self.before is not None:
             self._carry(guard)
             return
         self._write(guard, wiring=wiring)
         self.begin("motor")
-        motor = tune_motor(guard, wiring, self._told)
-        self._tell((str(motor),))
+        motor = tune_motor(guard, wiring, self._tell)
+        self._tell(str(motor))
         self._write(guard, motor=motor)
         guard.learn(motor.fit.gain, motor.fit.delay)
         link, first, laws = self._link(guard, wiring)
@@ -220,7 +220,7 @@ class _Session:
         built = Built(design.rig, design, law, None, (), move=move)
         if why := why or self._refusal(guard, built):
             self._withhold(guard, why)
-            self._tell(self.state.reasons)
+            self._tell(*self.state.reasons)
 
     def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
         """First moves under the law; a law that fails on the arm is withdrawn, and the
@@ -258,7 +258,7 @@ class _Session:
             return str(error)
         finally:
             guard.release()
-        self._tell(tuple(map(str, moves)))
+        self._tell(*map(str, moves))
         # Moves with other payloads are kept, so that the verdict covers the whole range
         # that was tried.
         others = tuple(
@@ -283,13 +283,12 @@ class _Session:
             with suppress(FraclinkError):
                 moves = experiment_of(guard.record(guard.starts[-1]), payload)
                 reasons = changed_link(moves, fit) or reasons
-        self.state = replace(
-            self.state,
+        self._write(
+            guard,
             certified="",
             design_passed=False,
             reasons=(f"the arm's own moves fail: {why}", *reasons),
         )
-        save(self.state, self.out / FILES[0], force=True)
 
     def _link(
         self, guard: Guard, wiring: Wiring
@@ -298,10 +297,11 @@ class _Session:
         plan = self.plan
         self.begin("link")
         assert self.state.motor is not None  # measured  # noqa: S101
-        link = tune_link(guard, wiring, self.state.motor, plan.payload, self._told)
+        link = tune_link(guard, wiring, self.state.motor, plan.payload, self._tell)
         motor = link.motor
-        self._tell(tuple(str(link.fit).splitlines()))
-        self._tell((f"motor, with the link's torque: {motor}",))
+        self._tell(
+            *str(link.fit).splitlines(), f"motor, with the link's torque: {motor}"
+        )
         self._write(guard, link=link, motor=motor)
         guard.learn(motor.fit.gain, motor.fit.delay)
         self.begin("design, proof and law")
@@ -363,16 +363,15 @@ class _Session:
             else:  # no failed result must remain to be run
                 (place / name).unlink(missing_ok=True)
         proof = built.certificate
-        self.state = replace(
-            self.state,
+        self._write(
+            guard,
             certified=proof.verdict if proof is not None and proof.passed else "",
             design_passed=built.design is not None and built.passed,
             reasons=built.reasons,
             planned=built.move,
             moves=(),
         )
-        self._tell(built.assumptions if built.passed else built.reasons)
-        save(self.state, place / FILES[0], force=True)
+        self._tell(*(built.assumptions if built.passed else built.reasons))
 
     def _same_arm(self, before: Tuning, wiring: Wiring) -> None:
         """Raise an error if this is not the arm that was measured before."""
@@ -402,7 +401,7 @@ class _Session:
             least = BAND * PLANNED * self.plan.limits.angle
             hints += self._unexplained(guard, self.state.link, least)
         self.state = replace(self.state, stopped="; ".join((reason, *hints)))
-        self._tell((reason, *hints))
+        self._tell(reason, *hints)
 
     def keep(self, guard: Guard) -> None:
         """Save the state and the whole record."""
@@ -419,12 +418,9 @@ class _Session:
                 force=True,
             )
 
-    def _tell(self, lines: tuple[str, ...]) -> None:
+    def _tell(self, *lines: str) -> None:
         for line in lines:
-            self._told(line)
-
-    def _told(self, line: str) -> None:
-        self.begin(f"  {line}")
+            self.begin(f"  {line}")
 
 
 def _lateness(guard: Guard) -> str:

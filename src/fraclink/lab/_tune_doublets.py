@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
 from fraclink.lab._tune_guard import Record
@@ -102,19 +103,13 @@ def _shape(half: int, period: float) -> Real:
     """Angle for A = 1 and a doublet of 1 V, one row per friction value, in parts of a
     period.
     """
-    step, angle, speed = (
-        period / _PARTS,
-        np.zeros(_FRICTIONS.size),
-        np.zeros(_FRICTIONS.size),
-    )
-    rows = [angle]
+    step, speed = period / _PARTS, np.zeros(_FRICTIONS.size)
+    speeds = [speed]
     for part in range(2 * half * _PARTS):
         voltage = 1.0 if part < half * _PARTS else -1.0
         # At rest friction acts against the voltage, up to its limit.
         against = np.where(speed != 0.0, np.sign(speed), np.sign(voltage))
         new = speed + step * (voltage - _FRICTIONS * against - _DECAY * speed)
-        new = np.where(new * speed < 0.0, 0.0, new)  # it stops before it reverses
-        angle = angle + 0.5 * step * (speed + new)
-        speed = new
-        rows.append(angle)
-    return np.array(rows).T
+        speed = np.where(new * speed < 0.0, 0.0, new)  # it stops before it reverses
+        speeds.append(speed)
+    return np.asarray(cumulative_trapezoid(speeds, dx=step, axis=0, initial=0.0).T)

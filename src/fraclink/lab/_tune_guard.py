@@ -156,8 +156,7 @@ class Guard:
 
     def step(self, voltage: float) -> Reading:
         """Send one voltage [V], clipped to the limit, and return the next reading."""
-        if self._line is None:
-            self.connect()
+        self.connect()
         # an arm that has not been moved yet breaks no limit, whatever its sensors read
         if self._driven:
             self._check()

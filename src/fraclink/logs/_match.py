@@ -101,8 +101,9 @@ def match(
     >>> result.columns.motor_angle.column, result.questions
     ('motor_angle_rad', ())
     """
-    by_role = statements(column, period)
-    return match_table(read_table(Path(log)), by_role, str(log), interpolate)
+    return match_table(
+        read_table(Path(log)), statements(column, period), str(log), interpolate
+    )
 
 
 def match_table(

@@ -47,16 +47,16 @@ def _go(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
-    history = session.history
-    head = {
-        "ok": True,
-        "state": session.state,
-        "states": history.states,
-        "at": history.at,
-        **(session.subject.axes() if session.subject else {}),
-        **session.overview(),
-    }
-    return Reply(head)
+    return Reply(
+        {
+            "ok": True,
+            "state": session.state,
+            "states": session.history.states,
+            "at": session.history.at,
+            **(session.subject.axes() if session.subject else {}),
+            **session.overview(),
+        }
+    )
 
 
 def _subject(session: Session) -> Subject:

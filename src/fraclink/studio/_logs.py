@@ -63,9 +63,9 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
         "ok": True,
         "bundled": bundled_logs(),
         "rigs": Rig.names(),
+        "rig": session.study.rig.name if session.study.rig else "",
         "log": None,
     }
-    head["rig"] = session.study.rig.name if session.study.rig else ""
     more, signals = _experiment(session)
     if session.source is None:
         return Reply(head | more, signals)
@@ -226,12 +226,11 @@ def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
         study = examined(study.rig, before.experiment)
     session.become(study)
     session.renew()
-    axes = session.subject.axes() if session.subject else {}
     return Reply(
         {
             "ok": True,
             "state": session.state,
-            **axes,
+            **(session.subject.axes() if session.subject else {}),
             **session.overview(),
         }
     )
@@ -276,15 +275,15 @@ def fit_answer(session: Session) -> Reply:
         "fits": [],
         "conclusion": "",
         "said": sentence,
+        **(session.subject.axes() if session.subject else {}),
     }
-    head |= session.subject.axes() if session.subject else {}
     curves: dict[str, Real] = {}
     if not fits:
         return Reply(head, curves)
     structure = study.fit.structure if study.fit else ""
     if study.comparison:
         head["table"] = grid_of(study.comparison.table)
-    head["conclusion"] = study.comparison.verdict if study.comparison else ""
+        head["conclusion"] = study.comparison.verdict
     head["fits"] = [_card(name, fit, name == structure) for name, fit in fits.items()]
     if log is not None and study.fit is not None:
         fit = study.fit

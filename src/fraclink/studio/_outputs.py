@@ -98,8 +98,15 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     # Files of an earlier design stay in the folder, but do not belong to this export.
     session.written = session.written | names if session.current else names
     session.exported = design
-    head = {"ok": True, "target": target, "written": names, "export_command": command}
-    return Reply(head | session.overview())
+    return Reply(
+        {
+            "ok": True,
+            "target": target,
+            "written": names,
+            "export_command": command,
+            **session.overview(),
+        }
+    )
 
 
 def _board(session: Session, given: Mapping[str, Any]) -> Reply:

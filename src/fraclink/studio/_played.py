@@ -104,10 +104,10 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     bench = Bench.of(design, design.rig)
     # Seed 1, as in the campaign of this page.
     run = observe(bench, case).faulty
-    what = (
-        f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}"
+    sentence = (
+        f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}. "
+        f"Required: {fault.required}"
     )
-    sentence = f"{what}. Required: {fault.required}"
     return _reply(sentence, run, math.degrees(1.0))
 
 

@@ -223,8 +223,13 @@ def map_of(
     """
     request = checked_request(state)
     # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the corresponding frequency [rad/s].
-    slowest = float(subject.link_frequencies.min()) ** (2.0 / subject.model.order)
-    fastest = float(subject.link_frequencies.max()) ** (2.0 / subject.model.order)
+    slowest, fastest = (
+        float(frequency) ** (2.0 / subject.model.order)
+        for frequency in (
+            subject.link_frequencies.min(),
+            subject.link_frequencies.max(),
+        )
+    )
     crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)
     margins = np.linspace(10.0, _WIDEST, _MARGINS)
     names = ("payloads", "filter_time")

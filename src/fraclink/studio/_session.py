@@ -22,7 +22,7 @@ from fraclink._files import load
 from fraclink._identify import Fit
 from fraclink._law import Law
 from fraclink.errors import FieldError, required
-from fraclink.findings import Finding, errors_of
+from fraclink.findings import errors_of
 from fraclink.studio._copied import copies
 from fraclink.studio._history import History
 from fraclink.studio._messages import Reply, checked_request, wanted_of
@@ -118,9 +118,9 @@ class Session:
             values = {
                 "payloads": design.payloads,
                 "box": design.box is not None,
+                "gain_crossover": design.gain_crossover,
+                "phase_margin_deg": round(math.degrees(design.phase_margin), 9),
             }
-            values["gain_crossover"] = design.gain_crossover
-            values["phase_margin_deg"] = round(math.degrees(design.phase_margin), 9)
         elif rig is not None:
             values["payloads"] = (rig.payloads.low, rig.payloads.high)
             if rig.design is not None:
@@ -258,7 +258,6 @@ class Session:
         """The state of each step, as words of a verdict."""
         study = self.study
         verdict = study.verdict
-        log: tuple[Finding, ...] = study.findings
         proof = (
             "passed"
             if study.certificate
@@ -270,7 +269,7 @@ class Session:
             "log": "not run"
             if study.experiment is None
             else "failed"
-            if errors_of(log)
+            if errors_of(study.findings)
             else "passed",
             "channels": "not run" if study.experiment is None else "passed",
             "model": "not run" if study.fit is None else state_of(study.fit.passed),
@@ -336,13 +335,12 @@ class Session:
         """
         # Only files that this session read or kept: other files in the folder belong to
         # the user.
-        old = [
-            p
+        gone = [
+            path
             for pattern in _OUTDATED
-            for p in self.folder.glob(pattern)
-            if p.name not in names
+            for path in self.folder.glob(pattern)
+            if path.name in self._kept and path.name not in names
         ]
-        gone = [path for path in old if path.name in self._kept]
         for path in gone:
             path.unlink()
         if self.study.arms is None and self._kept and (self.folder / "arms").is_dir():
@@ -357,14 +355,12 @@ def opened(
 
     Raises the errors of reading the file.
     """
-    if place is None:
-        return Session(Study(rig=rig or Rig.named("paper-2023")), out)
-    if place.is_dir():
+    if place is not None and place.is_dir():
         study = load_study(place)
         return Session(
             study if rig is None else replace(study, rig=rig), place, kept=True
         )
-    if place.suffix in (".json", ".toml"):
+    if place is not None and place.suffix in (".json", ".toml"):
         return Session(begun(place, rig), out)
     return Session(Study(rig=rig or Rig.named("paper-2023")), out, source=place)
 
@@ -406,9 +402,8 @@ def _digests(folder: Path) -> dict[str, str]:
     """SHA-256 of every file of a study in `folder`, by name."""
     if not folder.is_dir():
         return {}
-    kinds = (".json", ".npz", ".toml")
     return {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.iterdir())
-        if path.suffix in kinds
+        if path.suffix in (".json", ".npz", ".toml")
     }

@@ -202,12 +202,14 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     ]
     nyquist = np.pi / law.period
     w = np.geomspace(2e-3 * nyquist, 0.999 * nyquist, _POINTS)
-    loops = []
     three = (low, 0.5 * (low + high), high)
-    for mass in three:
-        for late in (0.0, 0.5 * float(more[-1])):
-            loops.append(law.frequency_response(w) * _plant(design, mass, late)(w))
-    values = np.array(loops)
+    values = np.array(
+        [
+            law.frequency_response(w) * _plant(design, mass, late)(w)
+            for mass in three
+            for late in (0.0, 0.5 * float(more[-1]))
+        ]
+    )
     # Projected onto a circle of radius 10 instead of being cut off: the page draws a
     # single line, and beyond 10 only the direction matters.
     values = np.where(np.abs(values) > 10.0, 10.0 * values / np.abs(values), values)

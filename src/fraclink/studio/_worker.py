@@ -77,11 +77,23 @@ def _with_faults(study: Study) -> Study:
     def watch(outcome: Outcome) -> None:
         nonlocal done
         done += 1
-        text = f"{done} of {len(plan)} runs, {outcome.case.fault}"
-        _tell({"said": text, "done": done, "all": len(plan), **cell_of(outcome)})
+        _tell(
+            {
+                "said": f"{done} of {len(plan)} runs, {outcome.case.fault}",
+                "done": done,
+                "all": len(plan),
+                **cell_of(outcome),
+            }
+        )
 
-    text = f"0 of {len(plan)} runs"
-    _tell({"said": text, "done": 0, "all": len(plan), "payloads": bench.payloads})
+    _tell(
+        {
+            "said": f"0 of {len(plan)} runs",
+            "done": 0,
+            "all": len(plan),
+            "payloads": bench.payloads,
+        }
+    )
     return replace(study, faults=run_faults(bench, plan, watch=watch))
 
 
