@@ -271,12 +271,11 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     # The address instead of the name, which may resolve to anything.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
     if not loopback and not connection.unsafe_remote:
-        without = "not this machine: commands carry no password: any host that can send there moves the arm"
         raise _error(
             connection,
             "not this machine: what is sent can be read and held up"
             if connection.key is not None
-            else without,
+            else "not this machine: commands carry no password: any host that can send there moves the arm",
             "127.0.0.1, ::1 or localhost",
             "on a dedicated network give --unsafe-remote (unsafe_remote=True), and a key",
         )

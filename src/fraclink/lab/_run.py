@@ -176,14 +176,16 @@ class RealtimeRun:
         """Periods in which the law did not run: of the planned ones where the run went to
         its end, else up to the last one that ran.
         """
-        last = int(self.tick[-1]) if len(self.tick) else 0
-        return (self.planned if self.stopped == "finished" else last) - len(self.tick)
+        return self.unfinished + self._last - len(self.tick)
 
     @property
     def unfinished(self) -> int:
         """Planned periods behind the last one that ran, of a run that went to its end."""
-        last = int(self.tick[-1]) if len(self.tick) else 0
-        return self.planned - last if self.stopped == "finished" else 0
+        return self.planned - self._last if self.stopped == "finished" else 0
+
+    @property
+    def _last(self) -> int:
+        return int(self.tick[-1]) if len(self.tick) else 0
 
     @property
     def overruns(self) -> int:
@@ -313,7 +315,7 @@ class RealtimeRun:
         # A sample is lost as a whole: if one channel is missing, the time of the other
         # is unknown.
         came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
-        count = int(self.tick[-1]) if len(self.tick) else 0
+        count = self._last
         missing = count - int(np.count_nonzero(came))
         if count == 0 or missing > LOST_SHARE * count:
             raise LogError(

@@ -293,8 +293,7 @@ def _proved(
     motor: MotorResult,
 ) -> Built:
     """The law of a design, its proof, and its moves on the model and on heavier links."""
-    reasons = tuple(str(item) for item in design.missed)
-    reasons += tuple(str(item) for item in design.doubts)
+    reasons = tuple(map(str, (*design.missed, *design.doubts)))
     if reasons:
         return Built(rig, design, None, None, reasons)
     law = design.law()

@@ -209,12 +209,12 @@ class Tuning:
             )
         # Compared with the promise instead of the arm: this scope is that of the model.
         last = {move.payload: move for move in self.moves}
-        settles = all(
-            move.promised_settling <= move.duration + _LATEST for move in last.values()
-        )
         model = (
             Scope("passed")
-            if settles
+            if all(
+                move.promised_settling <= move.duration + _LATEST
+                for move in last.values()
+            )
             else Scope("failed", ("the model's move does not settle",))
         )
         return Verdict(promise, model, Scope("not run"), self._arm())

@@ -61,9 +61,10 @@ def dead_end(
     table, file = matching.table, shlex.quote(matching.source)
     period = matching.period
     names = {place: shlex.quote(matching.label(place)) for place in free}
-    sensors = [place for place in free if roles[place][0] == "an acceleration"]
-    voltages = [place for place in free if roles[place][0] == "voltage"]
-    speeds = [place for place in free if roles[place][0] == "a speed"]
+    sensors, voltages, speeds = (
+        [place for place in free if roles[place][0] == meaning]
+        for meaning in ("an acceleration", "voltage", "a speed")
+    )
     rings = [place for place in free if roles[place][0] in _RINGS]
     steps = [matching.label(place) for place in free if table.is_switched(place)]
     mode, channels = '"k/(s**a + w)*exp(-L*s)"', ""
@@ -113,12 +114,11 @@ def dead_end(
             f"--period-ms {1e3 * period:.6g}"
         )
         return _without_model(table, problem, f"{remedy} {command}")
-    what = "the motor angle"
-    if missing == "output":
-        what = "the output of the link (torque or deflection)"
     return _without_model(
         table,
-        f"without {what}",
+        "without the output of the link (torque or deflection)"
+        if missing == "output"
+        else "without the motor angle",
         "record both signals together: a link is identified from the motor's motion to its output",
     )
 

@@ -393,8 +393,11 @@ class _Matching:
         if time is not None and time.column != ROW_NUMBER:
             clock = table.place(time.column, "time")
         of_length = clock if clock is not None else stated
-        length = max(values.size for values in table.values)
-        length = length if of_length is None else table.values[of_length].size
+        length = (
+            max(values.size for values in table.values)
+            if of_length is None
+            else table.values[of_length].size
+        )
         places: list[int] = []
         # Columns with names first: of two equal columns the one with the better name is
         # kept.
@@ -457,8 +460,10 @@ class _Matching:
         if explicit or channel.scale != 1 or channel.sign != 1 or difference == name:
             return output
         if length := length_of_name(self.table.name(output)):
-            text = f"{name} moves with the motor, so it sees the tip in space: "
-            text += f"how far does 1 {length} of it turn the arm?"
+            text = (
+                f"{name} moves with the motor, so it sees the tip in space: how far does "
+                f"1 {length} of it turn the arm?"
+            )
             example = f"deflection={channel.column} - K * {name} [{channel.unit}]"
             self.ask("output", "column", text, (name,), example)
             return None
@@ -495,11 +500,11 @@ class _Matching:
             degree = UNITS["angle"]["deg"]
             odd = gain and not degree < calibrated**2 < 1 / degree
             if odd and not statement.unit:
-                text = f"{name} is in {own} by its name, but {calibrated:.3g} times "
-                text += (
-                    "what the motor turns: in which unit? (Or state motor_angle=NAME "
+                text = (
+                    f"{name} is in {own} by its name, but {calibrated:.3g} times what the "
+                    "motor turns: in which unit? (Or state motor_angle=NAME * 1/N, if "
+                    "that angle is measured before a gear.)"
                 )
-                text += "* 1/N, if that angle is measured before a gear.)"
                 example = f"deflection={name} [deg]"
                 self.ask("output", "unit", text, ("rad", "deg", "raw"), example)
                 return None

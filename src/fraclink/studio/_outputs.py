@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from fraclink import _kernels
-from fraclink._design import Design
 from fraclink._export import export_c, export_fmu
 from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
@@ -32,7 +31,7 @@ _COUNTED, _OF_MODES, _A_MODE = (409, 495), 8, 8
 
 
 def _c(
-    session: Session, made: Design, law: Law, precision: Any, force: bool
+    session: Session, law: Law, precision: Any, force: bool
 ) -> tuple[list[Path], str]:
     folder = session.folder / "firmware"
     paths = list(export_c(law.in_precision(precision), folder, force=force))
@@ -43,7 +42,7 @@ def _c(
 
 
 def _fmu(
-    session: Session, made: Design, law: Law, precision: Any, force: bool
+    session: Session, law: Law, precision: Any, force: bool
 ) -> tuple[list[Path], str]:
     path = session.folder / "arm_law.fmu"
     made_path = export_fmu(law, path, precision=precision, compilers=(), force=force)
@@ -53,7 +52,7 @@ def _fmu(
 
 
 def _share(
-    session: Session, made: Design, law: Law, precision: Any, force: bool
+    session: Session, law: Law, precision: Any, force: bool
 ) -> tuple[list[Path], str]:
     path = output_path(session.folder / "arm.html", force=force)
     return [
@@ -62,16 +61,14 @@ def _share(
 
 
 def _report(
-    session: Session, made: Design, law: Law, precision: Any, force: bool
+    session: Session, law: Law, precision: Any, force: bool
 ) -> tuple[list[Path], str]:
     path = output_path(session.folder / "report.html", force=force)
     write_report(session.study, path)
     return [path], f"fraclink report {session.folder} --out {path}"
 
 
-_TARGETS: dict[
-    str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path], str]]
-] = {
+_TARGETS: dict[str, Callable[[Session, Law, Any, bool], tuple[list[Path], str]]] = {
     "c": _c,
     "fmu": _fmu,
     "share": _share,
@@ -89,7 +86,7 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     design, law = session.shippable()
     session.folder.mkdir(parents=True, exist_ok=True)
     paths, command = _TARGETS[target](
-        session, design, law, precision, given.get("force") is True
+        session, law, precision, given.get("force") is True
     )
     names = {
         path.relative_to(session.folder).as_posix(): path.stat().st_size
