@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1450,
     "_export": 432,
     "_files": 551,
-    "_identify": 2604,
+    "_identify": 2575,
     "_law": 958,
     "_reading": 898,
     "_simulate": 1184,

@@ -208,11 +208,8 @@ def parse_expression(text: str) -> Expression:
 
 
 def _operands(node: ast.expr) -> list[ast.expr]:
-    if isinstance(node, ast.UnaryOp):
-        return [node.operand]
-    if isinstance(node, ast.BinOp):
-        return [node.left, node.right]
-    return node.args if isinstance(node, ast.Call) else []
+    inner = node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node)
+    return [child for child in inner if isinstance(child, ast.expr)]
 
 
 def _names(tree: ast.expr) -> list[str]:

@@ -221,8 +221,13 @@ class Fit(Saved):
 
     def overview(self) -> Overview:
         """The link in words, its parameters, and how well they predict."""
+        heldout = (
+            "nothing held out"
+            if self.heldout_nmse is None
+            else f"held-out error {number(100 * self.heldout_nmse, 2)} %"
+        )
         return Overview(
-            f"{self.structure} {self.model.sentence}; {_share(self.heldout_nmse)}",
+            f"{self.structure} {self.model.sentence}; {heldout}",
             "passed" if self.passed else "not shown",
             self.rows,
             findings=self.findings,
@@ -283,14 +288,6 @@ class Fit(Saved):
 
 
 OUTPUT_UNITS = {"torque": "N·m", "deflection": "rad"}
-
-
-def _share(value: float | None) -> str:
-    return (
-        "nothing held out"
-        if value is None
-        else f"held-out error {number(100 * value, 2)} %"
-    )
 
 
 def coincidence(fits: Mapping[str, Fit]) -> tuple[str, ...]:

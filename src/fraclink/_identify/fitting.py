@@ -108,11 +108,7 @@ def make_search(
         # In a deflection log the gain is that of the gauge, whatever the stiffness of
         # the link.
         values.setdefault("gain", stiffness)
-    count = (
-        fitted_samples(log)
-        if heldout is None
-        else log.output.size - round(heldout * log.output.size)
-    )
+    count = fitted_samples(log.motor_angle, log.output, heldout)
     # Motion before the cut counts as well: a ring-down after it determines the link
     # completely.
     window = fitted_window(log, count, chosen_hold(moving_angle(log), hold))
@@ -183,40 +179,47 @@ def _activity(signal: Real) -> Real:
     )
 
 
-def motion_after(log: Experiment, count: int) -> tuple[float, float]:
+def _activities(angle: Real, output: Real) -> tuple[Real, Real]:
+    """Those of the motor's motion and of the output's vibration."""
+    # Steps of the angle instead of the angle: a motor that rests away from zero does
+    # not move.
+    return _activity(np.diff(angle)), _activity(output - np.median(output))
+
+
+def motion_after(angle: Real, output: Real, count: int) -> tuple[float, float]:
     """Shares of the motor's motion and of the output's vibration that lie after sample
     `count`.
     """
-    if count >= log.output.size:
+    if count >= output.size:
         return 0.0, 0.0
-    places = np.linspace(0, log.output.size, _BLOCKS + 1)
-    swing = log.output - np.median(log.output)
-    motor, output = (
-        float(np.interp(count, places, _activity(x)))
-        for x in (np.diff(log.motor_angle), swing)
+    places = np.linspace(0, output.size, _BLOCKS + 1)
+    motion, vibration = (
+        float(np.interp(count, places, activity))
+        for activity in _activities(angle, output)
     )
-    return motor, output
+    return motion, vibration
 
 
-def fitted_samples(log: Experiment) -> int:
-    """Number of samples to fit, so that both the fitted and the held-out part contain
-    motion.
+def fitted_samples(angle: Real, output: Real, heldout: float | None) -> int:
+    """Number of samples to fit: all but the share `heldout`, by default so that both the
+    fitted and the held-out part contain motion.
 
     The last 40 % are held out if the motor moves enough on both sides. Otherwise the
     border moves to the rest before the last moves that contain a quarter of the motion;
     a log of one move is cut within its ring-down, with a quarter of the vibration still
     to come.
     """
-    total = log.output.size
-    count = total - round(_HELDOUT * total)
+    total = output.size
+    count = total - round((_HELDOUT if heldout is None else heldout) * total)
     # Blocks of one or two samples have no meaningful mean square.
-    if total < 2 * _BLOCKS or _MOVES <= motion_after(log, count)[0] <= 1 - _MOVES:
+    if (
+        heldout is not None
+        or total < 2 * _BLOCKS
+        or _MOVES <= motion_after(angle, output, count)[0] <= 1 - _MOVES
+    ):
         return count
     places = np.linspace(0, total, _BLOCKS + 1).astype(int)
-    # Steps of the angle instead of the angle: a motor that rests away from zero does
-    # not move.
-    motor = _activity(np.diff(log.motor_angle))
-    swing = _activity(log.output - np.median(log.output))
+    motor, swing = _activities(angle, output)
     borders = [k for k in range(1, _BLOCKS) if places[k] >= LEAST_SAMPLES]
     # A border at rest: the held-out part then begins like the model, without earlier
     # vibration.
@@ -274,8 +277,8 @@ def fit_from(
     if like is not None:
         mode = like.model.second_mode, like.model.unseen_up_to
     elif details:
-        whole = fitted_window(log, log.output.size, window.hold)
-        mode = find_second_mode(search, solution, whole.angle, residual)
+        mode = find_second_mode(search, solution, moving_angle(log), residual)
+    stuck = {*solution.at_bound, *((1,) if solution.on_edge else ())}
     fit = Fit(
         structure=name,
         model=_identified(solution, log, covariance.errors, intervals, mode, stiffness),
@@ -288,7 +291,7 @@ def fit_from(
         **_figures(log, residual, window.samples, solution),
         standard_errors=covariance.errors,
         intervals=intervals,
-        at_bound=_bounds(solution),
+        at_bound=tuple(name for name, place in COORDINATE.items() if place in stuck),
         effective_parameters=covariance.effective,
         tests=tests,
         converged=solution.status == 0,
@@ -297,7 +300,7 @@ def fit_from(
         source=log.source,
         sha256=log.sha256,
     )
-    shares = motion_after(log, window.samples)
+    shares = motion_after(log.motor_angle, log.output, window.samples)
     sure = (resonance, covariance.unseen.size > 0)
     findings = findings_of(fit, solution, sure, stiffness, shares, log)
     # Errors that make the log unusable make the model unusable.
@@ -375,8 +378,3 @@ def _identified(
         unseen_up_to=mode[1],
         intervals=tuple(rows),
     )
-
-
-def _bounds(solution: Solution) -> tuple[str, ...]:
-    stuck = {*solution.at_bound, *((1,) if solution.on_edge else ())}
-    return tuple(name for name, place in COORDINATE.items() if place in stuck)

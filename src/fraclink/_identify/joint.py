@@ -33,7 +33,11 @@ from fracsys.checks import Real
 
 # The columns of which θ holds the logarithm.
 _LOGARITHMS = [NAMES.index(name) for name in ("natural_frequency", "damping")]
-_LIMITS = {"order": ORDER_LIMITS, "damping_order": ALPHA_LIMITS}
+_LIMITS = {
+    **dict.fromkeys(NAMES, (-math.inf, math.inf)),
+    "order": ORDER_LIMITS,
+    "damping_order": ALPHA_LIMITS,
+}
 
 
 def weight_of(search: Search, solution: Solution) -> float:
@@ -140,14 +144,12 @@ class JointProblem(Problem):
     @cached_property
     def low(self) -> Real:
         """See `Problem`."""
-        free = (-math.inf, math.inf)
-        return self._of_each([_LIMITS.get(name, free)[0] for name in self.names])
+        return self._of_each([_LIMITS[name][0] for name in self.names])
 
     @cached_property
     def high(self) -> Real:
         """See `Problem`."""
-        free = (-math.inf, math.inf)
-        return self._of_each([_LIMITS.get(name, free)[1] for name in self.names])
+        return self._of_each([_LIMITS[name][1] for name in self.names])
 
     @cached_property
     def reach(self) -> Real:

@@ -328,10 +328,11 @@ class _Bumps:
         self.acceleration = (np.correlate(angle, second, "valid") * period)[self.places]
         self.velocity = slope[self.places]
         self.area = float(np.sum(_BUMP(x)) * period)
-        weighted = (
-            None if load is None else np.correlate(load, _BUMP(x), "valid") * period
+        self.load = (
+            None
+            if load is None
+            else (np.correlate(load, _BUMP(x), "valid") * period)[self.places]
         )
-        self.load = None if weighted is None else weighted[self.places]
         self.angle = (np.correlate(angle, _BUMP(x), "valid") * period)[self.places]
 
     def driven(self, u: Real, delay: float) -> Real:
@@ -375,10 +376,15 @@ class _Bumps:
             columns += [-self.angle, np.full(self.sign.size, self.area)]
         return np.column_stack(columns)
 
-    def cost(self, u: Real, delay: float, zone: float) -> float:
+    def solved(self, u: Real, delay: float, zone: float) -> tuple[Real, Real, Real]:
+        """The matrix, the least-squares values of its columns, and the error."""
         matrix = self.matrix(u, delay, zone)
-        solution = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
-        return float(np.sum((self.acceleration - matrix @ solution) ** 2))
+        values = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
+        return (
+            matrix,
+            np.asarray(values, dtype=np.float64),
+            self.acceleration - matrix @ values,
+        )
 
 
 def _search(
@@ -397,7 +403,7 @@ def _search(
     steps = np.array([0.5 * period, top / 8 or 1.0])
 
     def cost(place: Real) -> float:
-        return bumps.cost(u, *(place * steps).tolist())
+        return float(np.sum(bumps.solved(u, *(place * steps).tolist())[2] ** 2))
 
     grid = np.array([[d, z] for d in delays for z in zones]) / steps
     best = grid[np.argmin([cost(place) for place in grid])]
@@ -423,9 +429,7 @@ def _search(
 def _result(
     bumps: _Bumps, u: Real, delay: float, zone: float, inertia: float | None
 ) -> MotorFit:
-    matrix = bumps.matrix(u, delay, zone)
-    values = np.linalg.lstsq(matrix, bumps.acceleration, rcond=None)[0]
-    error = bumps.acceleration - matrix @ values
+    matrix, values, error = bumps.solved(u, delay, zone)
     # A motor without friction in its log makes a column small, not wrong; with the
     # pseudo-inverse this shows in its error.
     inverse = np.linalg.pinv(matrix.T @ matrix)

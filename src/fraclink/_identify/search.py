@@ -361,10 +361,10 @@ class Search:
         first = math.floor(row[4] / period)
         for k in range(first, first + 3):
             row[4] = (k - 0.5) * period
-            low, high = (k - 1 + 1e-6) * period, k * period
-            if max(low, shortest) <= min(high, longest):
-                box = max(low, shortest), min(high, longest)
-                ends.append(self._descended(name, row, box))
+            low = max((k - 1 + 1e-6) * period, shortest)
+            high = min(k * period, longest)
+            if low <= high:
+                ends.append(self._descended(name, row, (low, high)))
         best = min(ends, key=lambda each: each.cost)
         if not held and -1.5 * period < best.shape[4] < 0:
             row[4] = 0.5 * period

@@ -103,7 +103,7 @@ class Signals:
     """
 
     input: Real
-    output: Real
+    measured: Real
     period: float
     hold: Literal["zero", "first"]
     earlier: Real = field(default_factory=lambda: np.zeros(0))
@@ -141,15 +141,10 @@ class Signals:
         """The input from before the cut on, shape (H + N,)."""
         return np.concatenate([self.earlier, self.input])
 
-    @property
-    def measured(self) -> Real:
-        """See `Lines`."""
-        return self.output
-
     @cached_property
     def constant(self) -> Real:
         """The effect of an offset of one on `measured`, shape (R,)."""
-        return np.ones(self.output.size)
+        return np.ones(self.measured.size)
 
     @property
     def shortest(self) -> float:
@@ -159,7 +154,7 @@ class Signals:
     @property
     def screen(self) -> Blocks:
         """The recording in blocks, for many candidates at once."""
-        return Blocks(self, math.ceil(self.output.size / _BLOCKS))
+        return Blocks(self, math.ceil(self.measured.size / _BLOCKS))
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """See `Lines`: each the exact one to the held input."""
@@ -204,7 +199,7 @@ class Blocks:
     @cached_property
     def measured(self) -> Real:
         """Sums of the blocks, scaled so that white noise keeps its variance."""
-        output, width = self.data.output, self.width
+        output, width = self.data.measured, self.width
         sums = output[: output.size // width * width].reshape(-1, width).sum(axis=1)
         return np.asarray(sums / math.sqrt(width))
 

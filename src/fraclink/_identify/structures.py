@@ -128,7 +128,9 @@ def identify_structure(
         whole, fitted = samples, data.frequency.size
     else:
         record = data if isinstance(data, Recording) else Recording.of(data)
-        fitted = _fitted(record, heldout)
+        # A single step: its end cannot be predicted from its beginning.
+        share = 0.0 if heldout is None and np.ptp(record.input) == 0 else heldout
+        fitted = fitted_samples(record.input, record.output, share)
         earlier = data.earlier_angle if isinstance(data, Experiment) else None
         samples, whole = (
             Signals.of(record, hold, count, earlier)
@@ -137,7 +139,7 @@ def identify_structure(
         longest = _LONGEST_DELAY * record.period * fitted
         # From rest on: a step at the first sample excites everything.
         moved = np.append(0.0, samples.whole_input)
-        check_motion(input=moved, output=samples.output)
+        check_motion(input=moved, output=samples.measured)
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)
     places = [
@@ -153,7 +155,7 @@ def identify_structure(
     power = samples.measured - best.offset * samples.constant
     if isinstance(whole, Signals):
         heldout_error = _heldout(whole, fitted, best.offset, predicted)
-        place = whole.period * np.arange(whole.output.size, dtype=np.float64)
+        place = whole.period * np.arange(whole.measured.size, dtype=np.float64)
         weight = np.ones(1)
     else:
         heldout_error = _lines_held(problem, whole, best)
@@ -186,15 +188,6 @@ def identify_structure(
     return dataclasses.replace(
         fit, findings=structure_findings(fit, certain, places, samples)
     )
-
-
-def _fitted(record: Recording, heldout: float | None) -> int:
-    total = record.input.size
-    if heldout is not None:
-        return total - round(heldout * total)
-    if np.ptp(record.input) == 0:
-        return total  # a single step: its end cannot be predicted from its beginning
-    return fitted_samples(Experiment(record.period, record.input, record.output))
 
 
 def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines:
@@ -265,13 +258,18 @@ def _check_names(
 ) -> None:
     # `offset` is the constant of the output and occurs in no formula: it may be fixed,
     # but has neither range nor start.
-    remedy = "name a parameter of the expression"
-    for name in fixed:
-        checked_choice("fixed", name, (*structure.names, "offset"), remedy=remedy)
-    for name in bounds:
-        checked_choice("bounds", name, structure.names, remedy=remedy)
-    for name in start:
-        checked_choice("start", name, structure.names, remedy=remedy)
+    for field, given, others in (
+        ("fixed", fixed, ("offset",)),
+        ("bounds", bounds, ()),
+        ("start", start, ()),
+    ):
+        for name in given:
+            checked_choice(
+                field,
+                name,
+                (*structure.names, *others),
+                remedy="name a parameter of the expression",
+            )
     for name in bounds:
         if name in fixed:
             raise FieldError(
@@ -360,8 +358,8 @@ def _heldout(
     """Error over the samples not used for the parameters."""
     # Relative to (output − offset)² as for the fitted part, so that a constant error of
     # the gauge explains nothing.
-    error = whole.output[count:] - predicted[count:]
-    power = whole.output[count:] - offset
+    error = whole.measured[count:] - predicted[count:]
+    power = whole.measured[count:] - offset
     if not np.any(power) or not np.isfinite(error).all():
         return None
     return float(error @ error / (power @ power))

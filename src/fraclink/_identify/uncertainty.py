@@ -187,7 +187,14 @@ def link_intervals(
     """
     problem = LinkProblem.of(search, solution, inside=False)
     if solution.cost <= RESOLUTION * problem.power:
-        return _straight_intervals(search, solution, covariance)
+        # The likelihood of a perfect fit is rounding noise.
+        at = LinkProblem.of(search, solution, inside=True)
+        values = at.parameters(at.place[None, :], at.names)[0][0].tolist()
+        return {
+            name: Interval(value - reach, value + reach, False, False)
+            for name, value in zip(at.names, values, strict=True)
+            for reach in (QUANTILE * covariance.errors[name],)
+        }
     selection = {*covariance.names, "damping_order"}
     if solution.on_edge:
         selection.add("natural_frequency")
@@ -209,19 +216,6 @@ def link_intervals(
             low, high, low_open, squares.high_open
         )
     return intervals
-
-
-def _straight_intervals(
-    search: Search, solution: Solution, covariance: Covariance
-) -> dict[str, Interval]:
-    """Those of a perfect fit, whose likelihood is rounding noise."""
-    at = LinkProblem.of(search, solution, inside=True)
-    values = at.parameters(at.place[None, :], at.names)[0][0].tolist()
-    return {
-        name: Interval(value - reach, value + reach, False, False)
-        for name, value in zip(at.names, values, strict=True)
-        for reach in (QUANTILE * covariance.errors[name],)
-    }
 
 
 # --- criteria: which structure? --------------------------------------------------------------------------
@@ -274,23 +268,19 @@ def structure_criteria(
         1.0,
     )
     samples = search.window.samples
-    floor = RESOLUTION * float(np.var(search.window.output))
+    floor = max(RESOLUTION * float(np.var(search.window.output)), 1e-300)
     return {
         name: (
             # A parameter at its limit counts, since it was free to leave it.
-            samples * _log(max(solution.cost / samples, floor))
+            samples * math.log(max(solution.cost / samples, floor))
             + 2.0 * (effective[name] + len(solution.at_bound) + solution.on_edge),
             series[name][1].size
-            * _log(float(np.mean(series[name][1] ** 2)))
+            * math.log(max(float(np.mean(series[name][1] ** 2)), 1e-300))
             / inflation
             + 2.0 * len(structure(name).free),
         )
         for name, solution in solutions.items()
     }
-
-
-def _log(value: float) -> float:
-    return math.log(max(value, 1e-300))
 
 
 def _innovations(
@@ -299,10 +289,9 @@ def _innovations(
     """Regressors and residual after the whitening filter, with one Gauss–Newton step."""
     regressors, residual = LinkProblem.of(search, solution, inside=True).linearised()
     # scipy.signal has such a filter, but its import takes as long as the fit.
-    whitened = [
-        np.convolve(row, coefficients, "valid")[1:] for row in (*regressors, residual)
-    ]
-    rows = np.stack(whitened)
+    rows = np.stack(
+        [np.convolve(row, coefficients, "valid")[1:] for row in (*regressors, residual)]
+    )
     size = np.linalg.norm(rows[:-1], axis=1)
     columns = rows[:-1] / np.where(size > 0, size, 1.0)[:, None]
     # One step is enough: the fit without the filter is within a few standard errors of
