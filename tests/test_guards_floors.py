@@ -188,18 +188,18 @@ CEILINGS = {
     "_arm": 1485,
     "_certify": 861,
     "_cli": 841,
-    "_design": 1450,
-    "_export": 432,
+    "_design": 1445,
+    "_export": 431,
     "_files": 551,
     "_identify": 2575,
-    "_law": 958,
+    "_law": 954,
     "_reading": 898,
     "_simulate": 1184,
     "lab": 1924,
     "logs": 706,
     "studio": 1074,
     "trials": 1380,
-    "view": 1417,
+    "view": 1410,
 }
 
 

@@ -180,8 +180,9 @@ def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
     """A number or a list of numbers as an array of shape (N,), N > 0, each in the range
     of its annotation.
     """
-    series = rule(Annotated[Real, Array(min_size=1)])
-    axis = series.check(field, np.atleast_1d(np.asarray(values)))
+    axis = rule(Annotated[Real, Array(min_size=1)]).check(
+        field, np.atleast_1d(np.asarray(values))
+    )
     return np.array([rule(annotation).check(field, float(value)) for value in axis])
 
 

@@ -109,11 +109,6 @@ class PidProblem:
     spans: tuple[Span, ...]
     filter_time: float | None
 
-    @property
-    def has_order_for_phase(self) -> bool:
-        """Whether, with two gains, the order is left to make the phase flat."""
-        return self.flat and not (self.integral and self.derivative)
-
     @cached_property
     def integrators(self) -> float:
         """Order of the plant's pole at the origin; negative for a zero."""
@@ -140,8 +135,9 @@ class PidProblem:
         low, high = self.spans[4]
         if low < high:  # an offer: people specify whole degrees
             places[:, 4] = OFFER * np.round(places[:, 4] / OFFER)
-        if not self.has_order_for_phase:
+        if not self.flat or (self.integral and self.derivative):
             return self._at(places)
+        # with two gains, the order is left to make the phase flat
         axis = 0 if self.integral else 1
 
         def slope_of(order: Real) -> Real:

@@ -235,9 +235,12 @@ class PidTuning(Saved):
         for name, value in values.items():
             if value is None:
                 option = "period-ms" if name == "period" else name.replace("_", "-")
-                remedy = f"give {name}= here or to tune_pid (--{option})"
                 raise FieldError(
-                    name, None, "missing", allowed="a number > 0", remedy=remedy
+                    name,
+                    None,
+                    "missing",
+                    allowed="a number > 0",
+                    remedy=f"give {name}= here or to tune_pid (--{option})",
                 )
         step = Between(0.0, 1e3, "s", low_open=True).check("period", values["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / step
@@ -267,8 +270,9 @@ class PidTuning(Saved):
         coefficients.
         """
         # exact from ω_c/1000 upwards
-        span = REACH / self.margins.gain_crossover
-        modes = discrete_modes(self.plant, law.period, span=span)
+        modes = discrete_modes(
+            self.plant, law.period, span=REACH / self.margins.gain_crossover
+        )
 
         def loop(s: Complex) -> Complex:
             w = np.imag(s)

@@ -43,11 +43,11 @@ def identifier(field: str, name: object) -> str:
     """
     # C99 guarantees 31 characters for external names; names with a leading _ are
     # reserved for the compiler.
-    fits = (
-        isinstance(name, str)
-        and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name) is not None
-    )
-    if not isinstance(name, str) or not fits or name in _KEYWORDS:
+    if (
+        not isinstance(name, str)
+        or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name)
+        or name in _KEYWORDS
+    ):
         raise FieldError(
             field,
             name,

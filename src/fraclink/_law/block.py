@@ -122,8 +122,12 @@ PID = MOTOR_LOOP[: MOTOR_LOOP.index("wanted_limit")]
 
 def real_type(precision: Precision) -> Literal["f", "d"]:
     """The struct code of a real number; FieldError for an unknown precision."""
-    remedy = "use single for a microcontroller with a single-precision FPU"
-    checked_choice("precision", precision, ("single", "double"), remedy=remedy)
+    checked_choice(
+        "precision",
+        precision,
+        ("single", "double"),
+        remedy="use single for a microcontroller with a single-precision FPU",
+    )
     return "f" if precision == "single" else "d"
 
 
@@ -287,13 +291,15 @@ def block_values(
     return (
         asdict(limits)
         | correction_values(correction)
-        | _feedforward(feedforward)
         | _tracking(tracking, period)
         | _motor_loop(motor_loop, limits, motor_loop_pole)
         | {
             "options": (WITH_INNER if motor_loop is not None else 0)
             | (LATE_GAUGE if late else 0)
             | (STOP_RINGING if limits.stop_ringing else 0),
+            "forward_modes": len(feedforward.poles),
+            "forward_direct": feedforward.direct,
+            "forward": _listed(feedforward),
             "period": period,
             "compliance": 1 / stiffness,
             # Infinite without a gauge; but a block holds finite numbers, and no torque
@@ -323,14 +329,6 @@ def correction_values(modes: Modes) -> dict[str, Any]:
 
 def _listed(modes: Modes) -> list[float]:
     return [x for mode in zip(modes.poles, modes.gains, strict=True) for x in mode]
-
-
-def _feedforward(modes: Modes) -> dict[str, Any]:
-    return {
-        "forward_modes": len(modes.poles),
-        "forward_direct": modes.direct,
-        "forward": _listed(modes),
-    }
 
 
 def _tracking(tracking: Tracking | None, period: float) -> dict[str, float]:

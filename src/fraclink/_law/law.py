@@ -356,10 +356,9 @@ class Law(Saved):
             for x in (reference, reference_acceleration, motor_angle, torque)
         ]
         if four[0].ndim != 1 or any(x.shape != four[0].shape for x in four):
-            shapes = [x.shape for x in four]
             raise FieldError(
                 "inputs",
-                shapes,
+                [x.shape for x in four],
                 "not four signals",
                 allowed="four of one shape (N,)",
                 remedy="give arrays",

@@ -117,9 +117,10 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
 def _simulated(design: Design) -> list[str]:
     """Sentences on the effects that a run in the page includes."""
     rig, model = design.rig, design.model
-    link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
-    link += f" at {grams(model.payload)}"
-    link += f", stiffness {number(model.stiffness, 4)} N·m/rad"
+    link = (
+        f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)} "
+        f"at {grams(model.payload)}, stiffness {number(model.stiffness, 4)} N·m/rad"
+    )
     if model.second_mode is not None:
         link += f", and a second mode at {number(model.second_mode.frequency, 4)} rad/s in the gauge"
     counts = rig.encoder.counts_per_revolution

@@ -110,9 +110,15 @@ def failures_figure(
     key = ("runs that fail [%]", *ranges_of(_SHARES))
     sides = Scale(float(x[0]), float(x[-1])), Scale(float(y[0]), float(y[-1]))
     panel = Panel(names[1], [Cells(x, y, levels)], 260.0, sides[1])
-    description = f"Share of failing runs over two parameters; cells of fewer than {_FEWEST} runs are empty"
-    xlabel = f"{names[0]}; cells of fewer than {_FEWEST} runs are empty"
-    return Figure("failures", description, (panel,), xlabel, scale=sides[0], key=key)
+    remark = f"cells of fewer than {_FEWEST} runs are empty"
+    return Figure(
+        "failures",
+        f"Share of failing runs over two parameters; {remark}",
+        (panel,),
+        f"{names[0]}; {remark}",
+        scale=sides[0],
+        key=key,
+    )
 
 
 def drivers_table(summary: Summary) -> Table:

@@ -254,10 +254,7 @@ def write_campaign_report(
         if m.name != "saturated"
     )
     failures = fleets.failures_figure(
-        first,
-        second,
-        passed == 0.0,
-        (titles[0], titles[1]),
+        first, second, passed == 0.0, (titles[0], titles[1])
     )
     text = rendered(
         "campaign.html",

@@ -53,15 +53,19 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
             Curve(*envelope(run.time, run.torque_measured), line, weight="thin")
         )
         voltage.append(Curve(*envelope(run.time, run.voltage), line, weight="thin"))
-    rows = (
-        ("tip angle θt [rad]; shaded: within 2 % of the move", tip, 200.0),
-        ("tip error [mrad]", error, 110.0),
-        ("gauge Γ [N·m]", torque, 90.0),
-        ("motor [V]", voltage, 90.0),
+    panels = (
+        Panel("tip angle θt [rad]; shaded: within 2 % of the move", tip, 200.0),
+        Panel("tip error [mrad]", error, 110.0),
+        Panel("gauge Γ [N·m]", torque, 90.0),
+        Panel("motor [V]", voltage, 90.0),
     )
-    panels = [Panel(*row) for row in rows]
-    description = "Tip angle, tip error, torque and voltage of the simulated moves"
-    return Figure("moves", description, panels, "time [s]", "time")
+    return Figure(
+        "moves",
+        "Tip angle, tip error, torque and voltage of the simulated moves",
+        panels,
+        "time [s]",
+        "time",
+    )
 
 
 @figure_of.register
@@ -105,10 +109,13 @@ def shaped_figure(move: ShapedMove) -> Figure:
         Panel("acceleration of the reference [rad/s²]", push, 100.0),
         Panel("motor [V]", voltage, 100.0),
     )
-    description = (
-        "Tip angle, acceleration of the reference and voltage of a shaped move"
+    return Figure(
+        "shaped",
+        "Tip angle, acceleration of the reference and voltage of a shaped move",
+        panels,
+        "time [s]",
+        "time",
     )
-    return Figure("shaped", description, panels, "time [s]", "time")
 
 
 def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
@@ -141,8 +148,14 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
         replace(panel, marks=[*panel.marks, Upright(event, "" if k else "fault")])
         for k, panel in enumerate(rows)
     )
-    description, under = f"{title}; {verdict}", f"time [s]; {verdict}"
-    return Figure("outcome", description, panels, under, "time", left=66.0)
+    return Figure(
+        "outcome",
+        f"{title}; {verdict}",
+        panels,
+        f"time [s]; {verdict}",
+        "time",
+        left=66.0,
+    )
 
 
 def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
