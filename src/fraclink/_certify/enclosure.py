@@ -49,7 +49,6 @@ AXES: tuple[str, ...] = (
 )
 LETTERS = "wmtgdoupfa"
 LEAVES = ".,"  # proved by L, proved by 1/L
-_DETUNING = AXES.index("detuning")
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
 
@@ -110,7 +109,7 @@ class BoxLoop:
         """
         low, high = low.copy(), high.copy()
         first, last = self.second
-        k = _DETUNING
+        k = AXES.index("detuning")
         least = first / high[:, 0] * (1 - 4 * ROUNDING)
         most = last / low[:, 0] * (1 + 4 * ROUNDING)
         low[:, k], high[:, k] = (
@@ -161,11 +160,11 @@ class BoxLoop:
         # tightly than its terms.
         middle = box["frequency"].middle
         at_motor = Disc(box["motor"].middle).inverse()
-        centre = self.closing(
-            self._window(Span(middle, middle)), Disc(late.c), at_motor
-        )
+        point = self._window(Span(middle, middle))
+        centre = self.closing(point.back, point.both, Disc(late.c), at_motor)
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
-        lag = self.closing(window, late, slow).closer(centre, steps).inverse()
+        wide = self.closing(window.back, window.both, late, slow)
+        lag = wide.closer(centre, steps).inverse()
         # The transfer function from Ĉ to the voltage is C/X, X = A (y²/A + Z); the sum
         # contains A itself.
         return [rest * lag for rest in rests], alias * lag.most() * slow.most()
@@ -239,17 +238,17 @@ class BoxLoop:
             over_lag(p["inner_direct"] + p["inner_angle"], now, before),
         )
 
-    def closing(self, window: FrequencyWindow, late: Disc, slow: Disc) -> Disc:
+    def closing(self, x: Disc, both: Disc, late: Disc, slow: Disc) -> Disc:
         """X/A = y²/A + Z, Z = y² (Cm1 + Cm2) P_τ/A with ``P_τ = A x (n x + y (n0 − n2
         x))/(y (1 − e x))``.
         """
-        x, y = window.back, 1 - window.back
+        y = 1 - x
         n, n0, n2 = self.held_motor(late)
         e = math.exp(-self.statement.decay * self.period)
         tail = x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
         for _ in range(self.statement.whole):
             tail = tail * x
-        return y * y * slow + window.both * tail
+        return y * y * slow + both * tail
 
     def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
         """(n, n0, n2) of the motor under a held voltage that is delayed by a fraction
@@ -499,9 +498,8 @@ class BoxLoop:
         """The factor of the sampled motor loop in it."""
         first, both = self.controllers(arc)
         box = self.box(*self.root())
-        window = FrequencyWindow((both,), np.zeros(1), arc, both)
         closing = self.closing(
-            window, box["delay"].disc(), box["motor"].inverse().disc()
+            arc, both, box["delay"].disc(), box["motor"].inverse().disc()
         )
         size = first.most() * closing.inverse().most() / self.low["motor"]
         return float(size[0]) * (
@@ -522,9 +520,8 @@ class BoxLoop:
         count = 6 + self.statement.whole
         x = Disc(np.exp(2j * math.pi / count * np.arange(count)))
         both = self.controllers(x)[1]
-        window = FrequencyWindow((both,), np.zeros(count), x, both)
         late = Disc(np.array(self.low["delay"]))
-        closing = self.closing(window, late, Disc(np.array(1 / self.low["motor"])))
+        closing = self.closing(x, both, late, Disc(np.array(1 / self.low["motor"])))
         decay = math.exp(-self.statement.decay * self.period)
         poles = (1 - x.c * decay) * (1 - x.c * self.pid["filter_decay"])
         coefficients = np.fft.fft(closing.c * poles).real / count

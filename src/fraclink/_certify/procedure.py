@@ -16,10 +16,10 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
-from fraclink._certify.enclosure import BoxLoop
+from fraclink._certify.enclosure import LEAVES, BoxLoop
 from fraclink._certify.guards import check_guards
 from fraclink._certify.numeric import corner_loops, unstable_corner, worst_distance
-from fraclink._certify.search import MarginFailure, MarginProof, prove
+from fraclink._certify.search import MarginFailure, prove
 from fraclink._certify.statement import PARAMETERS, Certificate, Statement, state
 from fraclink._law import Law, discretize_controller
 from fraclink._law.design import Design
@@ -145,7 +145,7 @@ def _largest_claim(
         last = modulus == LEAST_MODULUS
         claim = replace(claim, modulus=modulus)
         outcome = prove(BoxLoop(claim), most=_MOST if last else _USUAL)
-        if isinstance(outcome, MarginProof):
+        if isinstance(outcome, str):
             break
         # If the claim is refuted, the next one is the distance at that place. Otherwise
         # some bounds are too wide by an unknown amount: the step is doubled.
@@ -159,10 +159,10 @@ def _largest_claim(
 
 
 def _certificate(
-    claim: Statement, outcome: MarginProof | MarginFailure, distance: float
+    claim: Statement, outcome: str | MarginFailure, distance: float
 ) -> Certificate:
-    if isinstance(outcome, MarginProof):
-        return Certificate(claim, outcome.tree, outcome.leaves)
+    if isinstance(outcome, str):
+        return Certificate(claim, outcome, sum(map(outcome.count, LEAVES)))
     if outcome.refuted:
         return _too_close(claim, outcome.distance, outcome.place)
     reason = f"{outcome.reason}, while a search finds |1 + L| = {distance:.4g},"

@@ -18,7 +18,7 @@ from fraclink._certify.discs import ROUNDING, Disc
 from fraclink._certify.enclosure import AXES, LEAVES, LETTERS, BoxLoop
 from fracsys.checks import Complex, Mask, Real
 
-__all__ = ["MarginFailure", "MarginProof", "prove"]
+__all__ = ["MarginFailure", "prove"]
 
 _DEPTH = 80
 # The proof is for slightly more than the claim, so that a different arithmetic confirms
@@ -29,16 +29,6 @@ _SLACK = 1.0 + 1e-6
 # leaves, with 50 a tenth more.
 _FIRST = 8.0
 _TURNED = (AXES.index("delay"), AXES.index("gauge_delay"))
-
-
-@dataclass(frozen=True)
-class MarginProof:
-    """A tree that covers the box: one letter per node in preorder, for an axis to cut
-    along or for a leaf.
-    """
-
-    tree: str
-    leaves: int
 
 
 @dataclass(frozen=True)
@@ -91,20 +81,12 @@ def _plane_of_inverse(value: Complex, m: Real) -> tuple[Complex, Real]:
     return normal, np.maximum(m * centre - centre * normal.real, 0.0)
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """For each box: whether it is proved, by 1/L or by L; the axis to cut; a point in
-    it and the value there.
+def _judge(
+    loop: BoxLoop, low: Real, high: Real
+) -> tuple[Mask, Mask, NDArray[np.int64], Real, Complex]:
+    """(whether it is proved, whether by 1/L, axis to cut, a point in it, value of L
+    there) for each box.
     """
-
-    proved: Mask
-    loud: Mask
-    axis: NDArray[np.int64]
-    point: Real
-    value: Complex
-
-
-def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
     with np.errstate(
         all="ignore"
     ):  # a box that is too wide gives infinities and NaN, which prove nothing
@@ -143,7 +125,7 @@ def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
         quiet = plain.most() < 1.0 - limit
         proved = quiet | (front & (distance > least + (_SLACK - 1.0)))
         axis = _widest(low, high, weight)
-        return _Judged(proved, loud & ~quiet, axis, point, at_plain.c)
+        return proved, loud & ~quiet, axis, point, at_plain.c
 
 
 def _downhill(
@@ -221,12 +203,13 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
     return np.concatenate([low, bottom]), np.concatenate([top, high])
 
 
-def prove(loop: BoxLoop, *, most: int) -> MarginProof | MarginFailure:
+def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
     """Cut the box of the statement until every leaf is proved, or give up at `most`
     nodes and report the place.
 
-    It is cut generation by generation; the letters of the tree are put into preorder at
-    the end.
+    The proof is a tree that covers the box: one letter per node in preorder, for an
+    axis to cut along or for a leaf. The box is cut generation by generation, and the
+    letters are put into preorder at the end.
     """
     s = loop.statement
     corner = loop.place(np.array([loop.low[name] for name in AXES]))
@@ -249,27 +232,26 @@ def prove(loop: BoxLoop, *, most: int) -> MarginProof | MarginFailure:
     nodes = 0
     while low.size:
         low, high, possible = loop.possible(low, high)
-        verdict = _judge(loop, low, high)
+        proved, loud, axis, point, value = _judge(loop, low, high)
         nodes += low.shape[0]
         # A point of the box whose value violates the claim ends the search: further
         # cuts cannot help.
-        wrong = possible & (np.abs(1.0 + verdict.value) < s.modulus)
-        wrong &= loop.possible(verdict.point, verdict.point)[2]
+        wrong = possible & (np.abs(1.0 + value) < s.modulus)
+        wrong &= loop.possible(point, point)[2]
         if wrong.any():
-            k = int(np.argmin(np.where(wrong, np.abs(1.0 + verdict.value), np.inf)))
-            distance = float(abs(1.0 + verdict.value[k]))
-            place = loop.place(verdict.point[k])
+            k = int(np.argmin(np.where(wrong, np.abs(1.0 + value), np.inf)))
+            distance = float(abs(1.0 + value[k]))
+            place = loop.place(point[k])
             return MarginFailure("the loop is too close", place, distance)
-        rest = possible & ~verdict.proved
-        leaves = np.where(verdict.loud, len(AXES) + 1, len(AXES))
-        generations.append(np.where(rest, verdict.axis, leaves))
+        rest = possible & ~proved
+        leaves = np.where(loud, len(AXES) + 1, len(AXES))
+        generations.append(np.where(rest, axis, leaves))
         if rest.any() and (nodes > most or len(generations) > _DEPTH):
             k = int(np.argmax(rest))
             place = loop.place(0.5 * (low[k] + high[k]))
             return MarginFailure("the bound is not met", place)
-        low, high = cut(low[rest], high[rest], verdict.axis[rest])
-    letters = _preorder(generations)
-    return MarginProof(letters, sum(map(letters.count, LEAVES)))
+        low, high = cut(low[rest], high[rest], axis[rest])
+    return _preorder(generations)
 
 
 def _preorder(generations: list[NDArray[np.int64]]) -> str:

@@ -468,14 +468,16 @@ def state(
         "pole": motor,
         "gain": gain,
     }
-    fields = (
-        "order",
-        "gauge_gain",
-        "gauge_delay",
-        "mode_frequency",
-        "mode_gain",
-    )
-    intervals |= {name: outward(*getattr(box, name)) for name in fields}
+    intervals |= {
+        name: outward(*getattr(box, name))
+        for name in (
+            "order",
+            "gauge_gain",
+            "gauge_delay",
+            "mode_frequency",
+            "mode_gain",
+        )
+    }
     ends = {
         f"{name}_{end}": pair[k]
         for name, pair in intervals.items()

@@ -178,12 +178,19 @@ class ArmSet:
 
     @property
     def linear(self) -> ArmSet:
-        """The set with linear loops: without friction, its compensation, and limits."""
+        """The set with linear loops: without friction, its compensation, and limits, and
+        with sensors without quantisation, noise and offset; the gauge's delay remains.
+        """
         drive = self.law.motor_loop
         assert drive is not None  # a design's law drives its motor  # noqa: S101
         free = replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED)
         law = replace(self.law, motor_loop=free).in_precision("double")
-        return replace(self, rig=_without_friction(self.rig), law=law)
+        rig = self.rig
+        motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
+        gauge = replace(rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
+        encoder = replace(rig.encoder, counts_per_revolution=None)
+        ideal = replace(rig, motor=motor, gauge=gauge, encoder=encoder)
+        return replace(self, rig=ideal, law=law)
 
     @cached_property
     def unstable(self) -> tuple[tuple[str, float], ...]:
@@ -265,16 +272,6 @@ class ArmSet:
                 )
             )
         return tuple(rows)
-
-
-def _without_friction(rig: Rig) -> Rig:
-    """Return the rig with an amplifier without limit, a motor without friction, and
-    sensors without quantisation, noise and offset; the delay of the gauge remains.
-    """
-    motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
-    gauge = replace(rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
-    encoder = replace(rig.encoder, counts_per_revolution=None)
-    return replace(rig, motor=motor, gauge=gauge, encoder=encoder)
 
 
 def _guarded(run: Run) -> bool:

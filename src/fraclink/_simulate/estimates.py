@@ -45,19 +45,19 @@ def estimated_over(
     torque: Real,
     ticks: NDArray[np.integer[Any]],
     called: Mask,
-) -> tuple[bytes, Estimates]:
+) -> Estimates:
     """Run the estimator over the sensors of a run, with the same bits as in the loop.
 
     `called` is False in periods that the control missed, which keep the previous
     values.
     """
-    after, columns = estimator.run(
+    _, columns = estimator.run(
         state, motor_angle[called], torque[called], ticks=ticks[called]
     )
     # Number of the latest call at each period; before the first call the first one is
     # used.
     row = np.maximum(np.cumsum(called) - 1, 0)
-    return after, Estimates(*(column[row] for column in columns))
+    return Estimates(*(column[row] for column in columns))
 
 
 def estimate_signals(estimates: Estimates) -> dict[str, Real]:

@@ -344,9 +344,7 @@ class ArmState:
             np.isfinite(tip),
         )
         state = before or estimator.initial_state()
-        return record, [
-            estimated_over(estimator, state, angle, torque, ticks, active)[1]
-        ]
+        return record, [estimated_over(estimator, state, angle, torque, ticks, active)]
 
     def sense(self, inputs: Real) -> tuple[float, float]:
         """Return the present readings of encoder and gauge."""

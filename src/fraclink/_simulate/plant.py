@@ -58,7 +58,6 @@ class StepMatrices:
     vectors; `hub` and `tip` are the columns of b, `outputs` is C, padded alike.
     """
 
-    step: float
     order: int
     transition: Real
     hub: Real
@@ -120,7 +119,7 @@ class Plant:
         )
         for array in (columns, drives, outputs):
             array.flags.writeable = False
-        return StepMatrices(step, n, columns, drives[0], drives[1], outputs)
+        return StepMatrices(n, columns, drives[0], drives[1], outputs)
 
 
 @checked

@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import linprog
 
 from fraclink._arm.reference import Path
@@ -194,10 +195,9 @@ class Programme:
 
     def _moved(self, answer: Real, count: int) -> Real:
         """A response in columns, each delayed by one more knot; shape (N, count)."""
-        columns = np.zeros((len(answer), count))
-        for j in range(count):
-            columns[j * self.knot :, j] = answer[: len(answer) - j * self.knot]
-        return columns
+        late = np.pad(answer, ((count - 1) * self.knot, 0))
+        columns = sliding_window_view(late, len(answer))[:: -self.knot].T
+        return np.ascontiguousarray(columns)
 
 
 def _differences(count: int) -> Real:

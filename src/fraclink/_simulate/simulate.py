@@ -281,8 +281,8 @@ def _on_model(
         "stiffness": link.stiffness,
         "noise": about["gauge_noise"],
         "gauge_delay": delay,
+        "payload_given": 0.0 if estimator else about["payload_given"],
     }
-    values["payload_given"] = 0.0 if estimator else about["payload_given"]
     same = ("gauge_offset", "gauge_gain", "delay_samples")
     as_is = ("motor_gain", "viscous_friction", "coulomb_torque", "amplitude")
     values |= {name: float(about[name]) for name in same} | dict.fromkeys(as_is, 1.0)
@@ -340,7 +340,7 @@ def model_run(
         angle, torque = signals["motor_angle_measured"], signals["torque_measured"]
         missed = np.zeros(angle.size) if faults is None else faults[:, FAULT_BITS]
         active = (missed.astype(int) & FAULTS["tick missed"][0]) == 0
-        _, estimates = estimated_over(
+        estimates = estimated_over(
             estimator,
             estimator.initial_state(),
             angle,

@@ -36,8 +36,9 @@ __all__ = [
     "moved",
     "proved",
     "run",
+    "subject",
+    "tried",
 ]
-__all__ += ["subject", "tried"]
 
 _MOVE, _WATCHED = smooth_step(1.0, duration=0.5), 4.0
 
@@ -256,10 +257,10 @@ def proved(study: Study) -> Study:
     missing = {
         name: why for name, why in study.missing.items() if name != "certificate"
     }
-    if certificate.passed:
-        return replace(study, certificate=certificate, missing=missing)
-    missing["certificate"] = certificate.verdict.removeprefix("Not certified: ")
-    return replace(study, certificate=None, missing=missing)
+    if not certificate.passed:
+        missing["certificate"] = certificate.verdict.removeprefix("Not certified: ")
+    proof = certificate if certificate.passed else None
+    return replace(study, certificate=proof, missing=missing)
 
 
 def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
