@@ -186,7 +186,7 @@ def test_only_extras_are_imported_late() -> None:
 CEILINGS = {
     "fracsys": 2656,
     "_arm": 1485,
-    "_certify": 861,
+    "_certify": 847,
     "_cli": 841,
     "_design": 1445,
     "_export": 431,
@@ -194,11 +194,11 @@ CEILINGS = {
     "_identify": 2575,
     "_law": 954,
     "_reading": 898,
-    "_simulate": 1184,
+    "_simulate": 1178,
     "lab": 1924,
     "logs": 706,
     "studio": 1074,
-    "trials": 1380,
+    "trials": 1370,
     "view": 1410,
 }
 

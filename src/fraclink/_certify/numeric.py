@@ -187,10 +187,11 @@ def _corners(statement: Statement) -> dict[str, Real]:
     # it, where no corner lies.
     levels = [(0.0, 0.4, 1.0) if name == "softness" else (0.0, 1.0) for name in names]
     ends = np.array([*itertools.product(*levels), [0.5] * len(names)])
-    place = {name: np.full(len(ends), low[name]) for name in PARAMETERS}
-    for k, name in enumerate(names):
-        place[name] = low[name] + (high[name] - low[name]) * ends[:, k]
-    return place
+    shares = dict.fromkeys(PARAMETERS, np.zeros(len(ends)))
+    shares |= dict(zip(names, ends.T, strict=True))
+    return {
+        name: low[name] + (high[name] - low[name]) * shares[name] for name in shares
+    }
 
 
 def worst_distance(
@@ -248,10 +249,9 @@ def unstable_corner(loops: CornerLoops) -> dict[str, float] | None:
     # From 0 to the Nyquist frequency 1 + L runs from 1 to a real number: half the
     # encirclements of the whole unit circle.
     phase = np.unwrap(np.angle(value), axis=-1)
-    encircling = np.round((phase[:, -1] - phase[:, 0]) / np.pi) != 0
-    if not np.any(encircling):
+    rows = np.flatnonzero(np.round((phase[:, -1] - phase[:, 0]) / np.pi))
+    if not rows.size:
         return None
-    rows = np.flatnonzero(encircling)
     row = int(rows[np.argmax(loops.place["softness"][rows])])
     crossing = np.nonzero((value[row, :-1].imag > 0) != (value[row, 1:].imag > 0))[0]
     beyond = [i for i in crossing if value[row, i].real < 0.0]

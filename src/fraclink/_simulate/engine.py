@@ -82,12 +82,6 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     # since a response has to be stored for one.
     weights = link_weights(model, period, max(span, 2 * period))
     second = weights.second.ravel()
-    pair = (
-        weights.pair.real,
-        weights.pair.imag,
-        weights.pair_weight.real,
-        weights.pair_weight.imag,
-    )
     parts = (
         model.stiffness,
         weights.first,
@@ -95,7 +89,10 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
         second if second.size else np.zeros(15),
         weights.decay,
         weights.weight,
-        *pair,
+        weights.pair.real,
+        weights.pair.imag,
+        weights.pair_weight.real,
+        weights.pair_weight.imag,
     )
     numbers = np.concatenate([np.ravel(part) for part in parts])
     return EngineLink(

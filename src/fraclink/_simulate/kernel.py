@@ -271,7 +271,7 @@ class ArmState:
         self.fine = period / self.count
         self.rig = twin_numbers(twin, period)
         self.plant, self.step = _discretised(twin, self.fine)
-        self.state = self.step.rest()
+        self.state = np.zeros_like(self.step.hub)
         # A straight link at rest: the hub at its angle, and the absolute coordinate of
         # each mode at Γi θm.
         self.state[0] = start_angle
@@ -396,7 +396,7 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     # orthogonal.
     mass, _ = matrices(new.beam)
     projection = new.modes.shapes.T @ mass @ old.modes.shapes
-    result = step.rest()
+    result = np.zeros_like(step.hub)
     result[:2] = state[:2]
     bending, moved = old.modal(state).copy(), new.modal(result)
     # From absolute to bending coordinates and back, because the rigid rotation Γi θm

@@ -69,10 +69,6 @@ class StepMatrices:
         """The first arguments of the kernel."""
         return self.transition, self.hub, self.tip, self.outputs
 
-    def rest(self) -> Real:
-        """Return the state of a straight link at rest with its hub at 0."""
-        return np.zeros(self.hub.size)
-
 
 @dataclass(frozen=True)
 class Plant:

@@ -18,7 +18,7 @@ from fraclink._arm.rig import Encoder
 from fraclink._law import MODES, Modes
 from fraclink._law import block as layout
 from fraclink._simulate import events as columns
-from fraclink._simulate.events import Obstacle
+from fraclink._simulate.events import Obstacle, PayloadChange
 from fraclink._simulate.kernel import ArmState
 from fraclink.trials._fault_trial import MEMORY_WORDS, Case, FaultTrial
 
@@ -357,8 +357,7 @@ def arm(
 
 
 def change_payload(trial: FaultTrial, factor: float) -> None:
-    payload = factor * trial.case.payload
-    trial.at(trial.row, lambda state: state.change_payload(payload))
+    trial.at(trial.row, PayloadChange(0.0, factor * trial.case.payload).act)
 
 
 def stand(trial: FaultTrial, away: float) -> None:

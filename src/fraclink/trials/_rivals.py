@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import block_diag, solve_discrete_are
 from scipy.signal import cont2discrete, tf2ss
 
 from fraclink._arm.controller import Controller
@@ -298,10 +298,14 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     w, ratio = abs(link.pole), link.damping_ratio
     # Motor reference to tip angle: M(s) and the mode of the link, states θm, θ̇m, θt,
     # θ̇t.
-    a = np.zeros((4, 4))
-    a[0, 1] = a[2, 3] = 1.0
-    a[1] = [-(pole**2), -2.0 * pole, 0.0, 0.0]
-    a[3] = [w**2, 0.0, -(w**2), -2.0 * ratio * w]
+    a = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [-(pole**2), -2.0 * pole, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+            [w**2, 0.0, -(w**2), -2.0 * ratio * w],
+        ]
+    )
     b = np.array([[0.0], [pole**2], [0.0], [0.0]])
     transition, drive, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), period)
     if delay > 1:
@@ -310,28 +314,28 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
         raise InfeasibleError("delay_samples", f"{delay} periods, of which LQG has one")
     # The delay is a queue of held inputs; the oldest one drives the arm.
     n = 4 + delay
-    queue = np.zeros((n, n + 1))
-    queue[:4, :4], queue[:4, 4:5] = transition, drive
-    queue[4:, 5:] = np.eye(delay)
+    queue = np.block(
+        [
+            [transition, drive, np.zeros((4, delay))],
+            [np.zeros((delay, 5)), np.eye(delay)],
+        ]
+    )
     whole, enter = queue[:, :n], queue[:, n]
-    row = np.zeros(n)
-    row[2] = 1.0
+    row = np.eye(n)[2]
     # One knob: `weight` is the cost of the tip relative to that of the motor reference.
     cost = solve_discrete_are(
         whole, enter[:, None], np.outer(row, row), np.array([[1.0 / weight]])
     )
     gain = (enter @ cost @ whole) / (1.0 / weight + enter @ cost @ enter)
 
-    wide = np.eye(n + 1)
-    wide[:n, :n] = whole
+    wide = block_diag(whole, 1.0)
     output = np.append(row, 1.0)
     # 1e-12 keeps the Riccati equation well posed for states that the input does not
     # reach within one step.
-    process = np.zeros((n + 1, n + 1))
-    process[:n, :n] = np.outer(enter, enter) * 0.01**2 + 1e-12 * np.eye(n)
-    # slower than any move: with a faster offset state the filter would take the
-    # deflection of a move for an offset
-    process[n, n] = 3e-3**2 * period / 10.0
+    driven = np.outer(enter, enter) * 0.01**2 + 1e-12 * np.eye(n)
+    # The offset is slower than any move: with a faster state the filter would take the
+    # deflection of a move for an offset.
+    process = block_diag(driven, 3e-3**2 * period / 10.0)
     spread = solve_discrete_are(
         wide.T, output[:, None], process, np.array([[noise**2]])
     )
