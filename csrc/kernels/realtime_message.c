@@ -164,8 +164,7 @@ static int write_command(void *self, const arm_command *command)
 
 realtime_io realtime_io_of(realtime_channel *channel)
 {
-    /* A tag needs the interpreter, for which a fault handler cannot wait. */
-    const realtime_io io = {channel, 1, channel->seal == NULL, read_sample, write_command};
+    const realtime_io io = {channel, 1, 1, read_sample, write_command};
     return io;
 }
 
