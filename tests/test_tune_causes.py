@@ -136,32 +136,47 @@ def test_what_slows_the_motor_loop_is_named() -> None:
     assert "the voltage acts" in said(vibration(), motor=motor(4 * PERIOD))
 
 
-def test_the_voltage_that_a_motor_at_rest_withstands_is_measured() -> None:
-    """A motor with K/J = 11 that slides at 0.5 V and breaks away at 0.9 V, under a voltage
-    that rises and falls with noise.
+@pytest.mark.parametrize(
+    ("gain", "slides", "breaks", "jump"),
+    [(11.0, 0.5, 0.9, 0.0), (11.0, 0.45, 0.55, 3.0), (67.0, 0.17, 0.2, 1.2)],
+)
+def test_the_voltage_that_a_motor_at_rest_withstands_is_measured(
+    gain: float, slides: float, breaks: float, jump: float
+) -> None:
+    """Under a voltage that rises and falls: with noise beyond the one that breaks away,
+    or nearly to it and then with a jump back and forth, which moves the motor a few
+    periods later.
     """
     rng, step = np.random.default_rng(3), PERIOD / 8
     time = PERIOD * np.arange(3000)
-    voltage = 1.2 * np.sin(3.0 * time) + 0.1 * rng.standard_normal(time.size)
+    wave = np.sin(3.0 * time)
+    if jump:
+        crests = np.flatnonzero((wave[1:-1] > wave[:-2]) & (wave[1:-1] > wave[2:]))
+        voltage = 0.95 * breaks * wave
+        for k in crests:
+            voltage[k : k + 6] = np.repeat([jump, -jump], 3)
+    else:
+        voltage = breaks * (1.33 * wave + 0.1 * rng.standard_normal(time.size))
     speed, angle, angles = 0.0, 0.0, []
     for value in voltage:
         angles.append(angle)
         for _ in range(8):
-            driven = speed + step * (11.0 * value - 15.0 * speed)
-            held = 11.0 * step * (0.9 if speed == 0.0 else 0.5)
+            driven = speed + step * (gain * value - 15.0 * speed)
+            held = gain * step * (breaks if speed == 0.0 else slides)
             if abs(driven) <= held or driven * speed < 0.0:
                 speed = 0.0
             else:
-                speed = driven - np.sign(driven) * 11.0 * step * 0.5
+                speed = driven - np.sign(driven) * gain * step * slides
             angle += step * speed
     found = motor(0.0)
-    fit = replace(found.fit, coulomb_voltage=0.5, dead_zone=0.0, inertia=0.02)
-    slides = replace(found, fit=fit)
+    fit = replace(
+        found.fit, gain=gain, coulomb_voltage=slides, dead_zone=0.0, inertia=0.02
+    )
     count = 2.0 * np.pi / 16384.0
     reading = count * np.floor(np.array(angles) / count)
     record = Record(PERIOD, voltage, reading, np.zeros(time.size))
-    shown = breakaway_voltage(record, slides, count, 0.0)
-    assert shown == pytest.approx(0.9, rel=0.1)
+    shown = breakaway_voltage(record, replace(found, fit=fit), count, 0.0)
+    assert shown == pytest.approx(breaks, rel=0.1)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from fraclink._arm.motor_loop import MotorGain, MotorLoop
 from fraclink._design.rows import NOISE_SHARE
@@ -209,8 +210,9 @@ def breakaway_voltage(
     """The largest voltage, with the torque of the link, that left the encoder of steps
     `count` [rad] where it was [V]: the friction that a motor at rest overcomes.
 
-    A mean over so many periods that a tenth of the sliding friction more would have
-    moved the motor by a count, ½ΔV·A·t².
+    The median over so many periods that a tenth of the sliding friction more would have
+    moved the motor by a count, ½ΔV·A·t²: a voltage that jumps in the last of them has
+    moved nothing yet, however large it is.
     """
     fit, period = motor.fit, record.period
     excess = 0.1 * motor.friction * fit.gain
@@ -221,15 +223,11 @@ def breakaway_voltage(
     torque = np.interp(time + gauge_delay, time, record.torque)
     voltage = np.interp(time - fit.delay, time, record.voltage)
     push = voltage - torque / (fit.gain * fit.inertia)
-    still = (
-        np.ptp(
-            np.lib.stride_tricks.sliding_window_view(record.angle, width + 1), axis=1
-        )
-        < count
-    )
-    held = np.abs(np.convolve(push, np.full(width, 1.0 / width), "valid"))
+    turned = np.ptp(sliding_window_view(record.angle, width + 1), axis=1)
+    held = np.abs(np.median(sliding_window_view(push, width), axis=1))
     return max(
-        motor.friction, float(np.max(held[: still.size], where=still, initial=0.0))
+        motor.friction,
+        float(np.max(held[: turned.size], where=turned < count, initial=0.0)),
     )
 
 
