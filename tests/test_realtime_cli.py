@@ -68,9 +68,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Board:
     """The board used by every --io of `run-realtime`; each run is a new session."""
     made = Board()
     monkeypatch.setattr(
-        boards.lab,
-        "parse_connection",
-        lambda *given, **options: Callback(made.read, made.write),
+        boards, "connection_of", lambda *given: Callback(made.read, made.write)
     )
     return made
 
@@ -153,6 +151,22 @@ def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_move
     ), err
     assert "21.0 ms at most" in err and "20 ms cannot be kept" in err
     assert board.last is None
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("virtual")
+def test_a_key_comes_from_a_file_and_only_for_datagrams(
+    fraclink: Line, tmp_path: Path
+) -> None:
+    (tmp_path / "short").write_bytes(b"secret")
+    for options, said in (
+        ("--io udp:127.0.0.1:5005 --key-file short", "key: not a key (got 6 bytes)"),
+        ("--io udp:127.0.0.1:5005 --key-file nowhere", "nowhere"),
+        ("--io serial:/dev/ttyACM0 --key-file short", "key: of no use here"),
+    ):
+        for command in ("run-realtime", "serve-arm"):
+            code, _, err = fraclink(f"{command} design.json {options}")
+            assert (code, said in err, "secret" in err) == (2, True, False), err
 
 
 @pytest.mark.slow

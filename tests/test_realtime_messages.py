@@ -9,6 +9,8 @@ virtual clock, so that the load of the machine has no effect.
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import hmac
 import math
 import random
 import socket
@@ -133,6 +135,7 @@ class Peer(socket.socket):
             serving.clock,
             0,
         )
+        self.key: bytes | None = None
         self.setblocking(False)
 
     def say(
@@ -147,6 +150,7 @@ class Peer(socket.socket):
         sent = message(
             2, sequence, 0.0, voltage, mode, self.run if run is None else run
         )
+        sent = sent if self.key is None else tagged(sent, self.key)
         self.pass_on(sent)
         return sent
 
@@ -350,6 +354,86 @@ def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) 
     assert set(served.voltage) == {0.0}
     assert served.rejected == 2 * len(wrong)
     assert (served.controllers, served.silences) == (1, 0)
+
+
+KEY = bytes(range(32))
+
+
+def tagged(message: bytes, key: bytes = KEY) -> bytes:
+    return message + hmac.new(key, message, hashlib.sha256).digest()[:16]
+
+
+def test_with_a_shared_key_both_ends_agree_to_the_last_bit(
+    law: Law, twin: Twin
+) -> None:
+    move, port = fl.smooth_step(0.3, 1.0), free_port()
+    with Serving(twin, Udp("127.0.0.1", port, key=KEY)) as serving:
+        keyed = serving.control(law, move, duration=0.5)
+    with Serving(twin, Udp("127.0.0.1", port)) as open_to_all:
+        run = open_to_all.control(law, move, duration=0.5)
+    assert keyed.passed and serving.arm.passed and serving.arm.rejected == 0
+    assert keyed.voltage.tobytes() == run.voltage.tobytes()
+
+
+@pytest.mark.slow
+def test_without_the_key_nothing_moves_the_arm(law: Law, twin: Twin) -> None:
+    way = Udp("127.0.0.1", free_port(), key=KEY)
+    assert "\\x01" not in repr(way)
+    with (
+        Serving(twin, way, duration=30.0) as serving,
+        Peer(serving) as peer,
+        Peer(serving) as stranger,
+    ):
+        peer.key = KEY
+        assert len(sample := peer.greet()) == 72
+        assert sample == tagged(sample[:56])
+        drive = message(2, 10_000, 0.0, 5.0, 1, peer.run)
+        other = tagged(message(2, 9_000, 0.0, 5.0, 1, peer.run))
+        wrong = [
+            drive,
+            tagged(drive, bytes(32)),
+            drive + other[56:],
+            drive + bytes(16),
+            tagged(drive)[:-1],
+        ]
+        wrong += [
+            tagged(drive)[:at]
+            + bytes([tagged(drive)[at] ^ 1])
+            + tagged(drive)[at + 1 :]
+            for at in (0, 56, 71)
+        ]
+        for number, bad in enumerate(wrong):
+            peer.say(1001 + number)
+            stranger.pass_on(tagged(drive), 0.0)
+            peer.pass_on(bad)
+        peer.say(2000, mode=OFF)
+    served = serving.arm
+    assert set(served.voltage) == {0.0}
+    assert (served.rejected, served.controllers, served.silences) == (
+        2 * len(wrong),
+        1,
+        0,
+    )
+    # a controller without the key or with another one gets no answer
+    for key in (None, bytes(32)):
+        with Serving(twin, way) as serving, pytest.raises(FieldError, match="silent"):
+            run_realtime(
+                law,
+                fl.extend.hold(0.0),
+                replace(way, key=key),
+                patience=0.1,
+                clock=serving.clock,
+            )
+        assert (serving.arm.controllers, set(serving.arm.voltage)) == (0, {0.0})
+
+
+@pytest.mark.parametrize("key", [b"", bytes(15), "a password of 32 characters ....."])
+def test_what_is_no_key_is_refused_and_not_shown(key: object) -> None:
+    with pytest.raises(
+        FieldError,
+        match=r"key: not a key \(got \d+ (bytes|str)\); expected 16 bytes or more",
+    ):
+        Udp("127.0.0.1", 5005, key=key)  # type: ignore[arg-type]
 
 
 def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(

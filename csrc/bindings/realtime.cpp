@@ -33,12 +33,12 @@ using Marks = nb::ndarray<std::uint32_t, nb::ndim<2>, nb::c_contig, nb::device::
 // callables.
 struct Io {
     realtime_channel *channel = nullptr;
-    nb::object read, write;
+    nb::object read, write, seal;
     std::exception_ptr failure;  // exception of a callable; C cannot pass it on
 
     Io() = default;
     Io(Io &&other) noexcept
-        : channel(std::exchange(other.channel, nullptr)), read(std::move(other.read)), write(std::move(other.write)) {}
+        : channel(std::exchange(other.channel, nullptr)), read(std::move(other.read)), write(std::move(other.write)), seal(std::move(other.seal)) {}
     ~Io() {
         if (channel) channel->close(channel);
     }
@@ -84,6 +84,29 @@ Io channel_of(realtime_channel *channel) {
     if (!channel) throw std::system_error(errno, std::generic_category());
     Io io;
     io.channel = channel;
+    return io;
+}
+
+// The tag of a message, computed by a Python function that has the key.
+int seal_message(void *sealer, const std::uint8_t *bytes, std::uint8_t *tag) {
+    const nb::gil_scoped_acquire acquire;
+    try {
+        const nb::bytes made(nb::handle(static_cast<PyObject *>(sealer))(nb::bytes(bytes, MESSAGE_BYTES)));
+        if (made.size() != MESSAGE_TAG) return -1;
+        std::memcpy(tag, made.data(), MESSAGE_TAG);
+        return 0;
+    } catch (...) {
+        return -1;  // the message is neither sent nor accepted
+    }
+}
+
+Io socket_io(int file, bool arm, nb::object seal) {
+    Io io = channel_of(realtime_open_socket(file, arm));
+    if (!seal.is_none()) {
+        io.channel->seal = seal_message;
+        io.channel->sealer = seal.ptr();
+        io.seal = std::move(seal);
+    }
     return io;
 }
 
@@ -229,7 +252,7 @@ void bind_realtime(nb::module_ &m) {
 #ifdef __linux__
     m.attr("REALTIME") = true;
     nb::class_<Io>(m, "RealtimeIo")
-        .def_static("socket", [](int file, bool arm) { return channel_of(realtime_open_socket(file, arm)); })
+        .def_static("socket", &socket_io, nb::arg("file"), nb::arg("arm"), nb::arg("seal").none() = nb::none())
         .def_static("serial", [](int file, bool arm) { return channel_of(realtime_open_serial(file, arm)); })
         .def_static("callables", &callables)
         .def("read", &read_once)

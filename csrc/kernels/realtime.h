@@ -139,6 +139,7 @@ void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome 
 /* ---- messages of MESSAGE_BYTES, by a datagram or a serial line; docs/reference/file-formats.md ---- */
 
 #define MESSAGE_BYTES 56
+#define MESSAGE_TAG 16 /* bytes of the tag after it, where both sides share a key */
 #define MESSAGE_SAMPLE 1U
 #define MESSAGE_COMMAND 2U
 
@@ -164,6 +165,9 @@ typedef struct realtime_channel {
     void (*keep)(struct realtime_channel *self);
     void (*forget)(struct realtime_channel *self);
     void (*close)(struct realtime_channel *self);
+    /* Compute the tag of a datagram with the shared key; 0, or -1. NULL without a key. */
+    int (*seal)(void *sealer, const uint8_t bytes[MESSAGE_BYTES], uint8_t tag[MESSAGE_TAG]);
+    void *sealer;
     uint32_t sent;
     uint32_t taken;    /* sequence of the last message that was used; 0: none yet */
     uint32_t rejected; /* messages that were damaged, of another kind or run, or too old */

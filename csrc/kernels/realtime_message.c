@@ -164,7 +164,8 @@ static int write_command(void *self, const arm_command *command)
 
 realtime_io realtime_io_of(realtime_channel *channel)
 {
-    const realtime_io io = {channel, 1, 1, read_sample, write_command};
+    /* A tag needs the interpreter, for which a fault handler cannot wait. */
+    const realtime_io io = {channel, 1, channel->seal == NULL, read_sample, write_command};
     return io;
 }
 

@@ -49,7 +49,21 @@ Motor = Annotated[bool, "With the motor loop, or for a robot with its own servo"
 UnsafeRemote = Annotated[
     bool, "Allow another host: any host that can send there moves the arm"
 ]
+KeyFile = Annotated[
+    Path | None, "File with a key of 16 bytes or more that both ends share (udp only)"
+]
 Address = typer.Option(metavar="ADDRESS")
+
+
+def connection_of(
+    io: str, unsafe_remote: bool, key_file: Path | None
+) -> lab.Serial | lab.Udp:
+    """Return the way to an arm that the options of a command name."""
+    # From a file and never from the command line, which `ps` and the shell's history
+    # reveal. The bytes are used as they are: a line break belongs to the key at both
+    # ends.
+    key = None if key_file is None else key_file.read_bytes()
+    return lab.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
 
 def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
@@ -216,6 +230,7 @@ def run_realtime(
     motor: Motor = True,
     estimate: Estimate = False,
     unsafe_remote: UnsafeRemote = False,
+    key_file: KeyFile = None,
     **options: Annotated[
         Any,
         Keywords(
@@ -254,7 +269,7 @@ def run_realtime(
         )
     else:
         move = reference_of(reference, amplitude, move_time)
-    connection = lab.parse_connection(io, unsafe_remote=unsafe_remote)
+    connection = connection_of(io, unsafe_remote, key_file)
     design = load_design(design_file)
     law = _law(design, motor=motor)
     estimator = design.estimator() if estimate else None
@@ -310,6 +325,7 @@ def serve_arm(
     design_file: DesignFile,
     io: Annotated[str, Address, "serial:pty or udp:HOST:PORT"],
     unsafe_remote: UnsafeRemote = False,
+    key_file: KeyFile = None,
     out: Annotated[
         Path | None,
         "File for the true motion of the arm (npz); default: none",
@@ -326,7 +342,7 @@ def serve_arm(
 
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
-    connection = lab.parse_connection(io, unsafe_remote=unsafe_remote)
+    connection = connection_of(io, unsafe_remote, key_file)
     design = load_design(design_file)
     arm = Twin.from_rig(design.rig, payload=payload)
     # Before serving, since the command may run for hours and later output would not be

@@ -12,13 +12,12 @@ import typer
 
 from fraclink._arm.experiment import Experiment
 from fraclink._cli.app import group
-from fraclink._cli.boards import Address, UnsafeRemote
+from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
 from fraclink._cli.command import Answer, command
 from fraclink._cli.console import ask, tell
 from fraclink._cli.options import in_seconds, load_rig
 from fraclink._files import checked_path, load, output_path
 from fraclink.errors import FieldError
-from fraclink.lab._connections import parse_connection
 from fraclink.lab._run import RealtimeRun
 from fraclink.lab._tune import tune as tune_arm
 from fraclink.lab._tune_guard import MotionLimits
@@ -80,6 +79,7 @@ def tune(
     ] = False,
     yes: Annotated[bool, "Do not ask before the arm moves"] = False,
     unsafe_remote: UnsafeRemote = False,
+    key_file: KeyFile = None,
     force: bool = False,
 ) -> Answer:
     """Tune an unknown arm within limits: wiring, motor, link, design, proof, law and
@@ -92,7 +92,7 @@ def tune(
 
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
-    connection = parse_connection(io, unsafe_remote=unsafe_remote)
+    connection = connection_of(io, unsafe_remote, key_file)
     answers = {
         "angle_deg": angle_deg,
         "speed": speed,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import ipaddress
 import os
 import re
@@ -9,7 +10,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from fraclink import _kernels
@@ -34,6 +35,8 @@ __all__ = [
 ]
 
 _FORMS = "serial:PORT@BAUD or udp:HOST:PORT"
+_KEY_BYTES = 16  # a length that cannot be guessed
+_TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
 _PTY = "pty"  # a pseudo-terminal on which an arm is served
 
 
@@ -63,8 +66,10 @@ class Udp:
     """An arm that is reached by datagrams: `host`, a name or an address, and `port`, 1
     to 65535.
 
-    Any host but this machine needs `unsafe_remote`: everybody who can send to the arm
-    can move it.
+    Any host but this machine needs `unsafe_remote`: datagrams are not encrypted, and
+    without a `key` everybody who can send to the arm can move it. With the same `key`
+    of 16 bytes or more at both ends, messages carry the first 16 bytes of their
+    HMAC-SHA-256 (RFC 2104), and others are dropped.
 
     >>> str(Udp("127.0.0.1", 5005))
     'udp:127.0.0.1:5005'
@@ -73,6 +78,7 @@ class Udp:
     host: str
     port: int
     unsafe_remote: bool = False
+    key: bytes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         # The socket library takes an empty host as all addresses of this machine, which
@@ -80,6 +86,18 @@ class Udp:
         if not isinstance(self.host, str) or not self.host:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
         whole_number(Between(1, 65535)).check("port", self.port)
+        if self.key is not None and not (
+            isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES
+        ):
+            # never show the key itself
+            text = f"{len(self.key)} {type(self.key).__name__}"
+            raise FieldError(
+                "key",
+                text,
+                "not a key",
+                allowed=f"{_KEY_BYTES} bytes or more",
+                remedy="head -c 32 /dev/urandom > arm.key",
+            )
 
     def __str__(self) -> str:
         return f"udp:{self.host}:{self.port}"
@@ -131,11 +149,13 @@ Connection = Serial | Udp | Callback
 
 
 @checked
-def parse_connection(io: str, *, unsafe_remote: bool = False) -> Serial | Udp:
+def parse_connection(
+    io: str, *, unsafe_remote: bool = False, key: bytes | None = None
+) -> Serial | Udp:
     """Return the connection that the command line names: serial:PORT@BAUD or
     udp:HOST:PORT.
 
-    `unsafe_remote` is that of `Udp`.
+    `unsafe_remote` and `key` are those of `Udp`; a key for another way is refused.
 
     >>> parse_connection("udp:localhost:5005")
     Udp(host='localhost', port=5005, unsafe_remote=False)
@@ -145,6 +165,12 @@ def parse_connection(io: str, *, unsafe_remote: bool = False) -> Serial | Udp:
     or udp:HOST:PORT. Start with serial: or udp:.
     """
     kind, _, rest = io.partition(":")
+    # Rejected instead of ignored: a user who gives a key relies on it to keep strangers
+    # out.
+    if key is not None and kind != "udp":
+        raise FieldError(
+            "key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out"
+        )
     if kind == "serial":
         port, at, baud = rest.rpartition("@")
         if not at:
@@ -163,7 +189,7 @@ def parse_connection(io: str, *, unsafe_remote: bool = False) -> Serial | Udp:
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"[0-9]{1,5}", port):
         raise _error(io, "without a port", "1 to 65535", "udp:127.0.0.1:5005")
-    return Udp(host.removeprefix("[").removesuffix("]"), int(port), unsafe_remote)
+    return Udp(host.removeprefix("[").removesuffix("]"), int(port), unsafe_remote, key)
 
 
 # ---- opening and closing -----------------------------------------------------------------------------
@@ -177,7 +203,7 @@ def controller_end(connection: Connection) -> Iterator[Any]:
             # Connected, so that the kernel drops datagrams from other senders before
             # they are read.
             plug.connect(address)
-            yield _kernels.RealtimeIo.socket(plug.fileno(), False)
+            yield _kernels.RealtimeIo.socket(plug.fileno(), False, _seal(connection))
     elif isinstance(connection, Serial):
         with _port(connection) as file:
             yield _kernels.RealtimeIo.serial(file, False)
@@ -200,7 +226,7 @@ def arm_end(
                 raise _refused(
                     connection, error, "a free port of this machine"
                 ) from error
-            yield _kernels.RealtimeIo.socket(plug.fileno(), True)
+            yield _kernels.RealtimeIo.socket(plug.fileno(), True, _seal(connection))
     elif isinstance(connection, Serial):
         with _terminal(begin) if connection.port == _PTY else _port(connection) as file:
             yield _kernels.RealtimeIo.serial(file, True)
@@ -211,6 +237,16 @@ def arm_end(
             "serial:pty or udp:HOST:PORT",
             "a callback is the arm itself",
         )
+
+
+def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
+    """Return the function that computes the tag of a message; None without a key."""
+    key = connection.key
+    if key is None:
+        return None
+    # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, leave a
+    # forger a chance of 2^-128 per message.
+    return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
 
 
 def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError:
@@ -237,9 +273,11 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     if not loopback and not connection.unsafe_remote:
         raise _error(
             connection,
-            "not this machine: commands carry no password: any host that can send there moves the arm",
+            "not this machine: what is sent can be read and held up"
+            if connection.key is not None
+            else "not this machine: commands carry no password: any host that can send there moves the arm",
             "127.0.0.1, ::1 or localhost",
-            "on a network of its own, or through WireGuard, give --unsafe-remote (unsafe_remote=True)",
+            "on a dedicated network give --unsafe-remote (unsafe_remote=True), and a key",
         )
     with socket.socket(family, kind, protocol) as plug:
         yield plug, address
