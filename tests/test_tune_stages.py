@@ -571,6 +571,37 @@ def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_late_gauge_on_a_heavy_link_has_the_sign_that_it_has(sign: int) -> None:
+    # The second mode, which the doublets excite most, turns by 2.4 rad until the gauge
+    # shows it: nearly the opposite sign of a gauge that leads.
+    late = outside_arm(
+        L=0.459,
+        c=0.641,
+        link=0.0491,
+        payload=0.0858,
+        J=0.0226,
+        K=0.117,
+        visc=0.188,
+        Fc=0.0423,
+        Fs=0.0471,
+        zeta=0.0926,
+        zeta2=0.0488,
+        gdelay=0.0338,
+        gnoise=0.00133,
+        counts=5290,
+        sg=sign,
+    )
+    guard = guarded(Callback(late.read, late.write))
+    if sign < 0:
+        with pytest.raises(FraclinkError, match="gauge reversed"):
+            check_wiring(guard, None)
+    else:
+        wiring = check_wiring(guard, None)
+        assert wiring.stiffness > 0.0
+        assert wiring.gauge_delay == pytest.approx(0.0338, rel=0.2)
+
+
 @pytest.mark.slow
 def test_a_link_that_still_swings_does_not_hide_the_motors_sign(tmp_path: Path) -> None:
     # Stiff, hardly damped, half as heavy as the hub: what is left of a doublet turns the
