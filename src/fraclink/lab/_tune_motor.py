@@ -172,13 +172,15 @@ def _moved(
     # For the first fit of the link, which takes the beginning of the record as rest.
     guard.quiet(wiring.gauge_noise, _RINGING)
     # Uncompensated friction makes the arm lag: the moves are slow enough for the loop
-    # to follow.
-    fast = min(speed, 0.35 * pole * reach)
-    # From the position in which a swinging link has left the motor, back to about its
-    # first position.
-    here = guard.angle
+    # to follow. From the position in which a swinging link has left the motor, back to
+    # about its first position.
     path = random_moves(
-        size * reach, size * fast, 3.0, guard.period, seed=seed, start=here
+        size * reach,
+        size * min(speed, 0.35 * pole * reach),
+        3.0,
+        guard.period,
+        seed=seed,
+        start=guard.angle,
     )
     return follow(guard, law, path, origin=guard.origin)
 

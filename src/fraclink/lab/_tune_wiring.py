@@ -442,10 +442,12 @@ def _link(
     # A fit without standard errors, for example with its gain at a bound, gets one from
     # its residual.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
-    gain, delay, model = fit.gain, fit.delay, fit.model
     # Of the two channels either may be sampled first, but none shows a motion before it
     # happens: a vibration that leads is one of the opposite sign, later by half of its
     # period, as the second mode shows it behind a late gauge.
-    if delay < -record.period:
-        gain, delay = -gain, delay + math.pi / abs(model.pole)
-    return gain, error, model.natural_frequency, delay, fit.nmse
+    gain, delay = (
+        (-fit.gain, fit.delay + math.pi / abs(fit.model.pole))
+        if fit.delay < -record.period
+        else (fit.gain, fit.delay)
+    )
+    return gain, error, fit.model.natural_frequency, delay, fit.nmse
