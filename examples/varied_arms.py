@@ -22,8 +22,9 @@ def main(folder: Path) -> None:
     campaign = fl.trials.Campaign.of(
         rig, rig.model, fl.discretize(design), runs=2000, seed=1
     )
-    fl.trials.run_campaign(campaign, folder / "arms")  # resumes where it was stopped
-    summary = fl.trials.summarise(folder / "arms")
+    runs = fl.trials.run_campaign(campaign)
+    fl.save(runs, folder / "arms.npz", force=True)
+    summary = runs.summary
     print(summary.failure.sentence)
     settling = next(
         metric for metric in summary.metrics if metric.name == "settling_time"

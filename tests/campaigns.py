@@ -1,15 +1,12 @@
-"""A small campaign, and its command line as a process that can be killed."""
+"""A small campaign, and the bench of the faults."""
 
 from __future__ import annotations
 
 import functools
-import subprocess
-import sys
-from pathlib import Path
 
 import fraclink as fl
 from fraclink.extend import geared
-from fraclink.trials import Bench, Campaign, run_campaign
+from fraclink.trials import Bench, Campaign
 
 
 @functools.cache
@@ -42,34 +39,3 @@ def fault_bench() -> Bench:
         phase_margin=fl.deg(50),
     )
     return Bench.of(design, link_mass=0.00735)
-
-
-def computed(campaign: Campaign, folder: Path) -> Path:
-    """Every part of a campaign, computed one after the other in this process without
-    interruption.
-    """
-    run_campaign(campaign, folder)
-    return folder
-
-
-def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
-    """`run_campaign` for the campaign in `folder`, as a process in a session of its
-    own.
-    """
-    code = (
-        "import sys; from fraclink.trials import load_campaign, run_campaign; f = sys.argv[1]; "
-        ""
-        f"run_campaign(load_campaign(f), f, workers={workers})"
-    )
-    return subprocess.Popen(  # noqa: S603
-        [sys.executable, "-c", code, str(folder)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def parts_of(folder: Path) -> dict[str, bytes]:
-    """Bytes of every finished part by name."""
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("part-*.npz"))}

@@ -12,7 +12,7 @@ import pytest
 import fraclink as fl
 from campaigns import small
 from fraclink import SecondMode
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.extend import equip
 from fraclink.trials import Campaign, Distribution, replay_run, simulate_part
 from fraclink.trials._arms import arm_of
@@ -79,7 +79,7 @@ def test_impossible_draws_are_refused(name):
     [
         ("runs", 0, FieldError),
         ("runs", 2.5, FieldError),
-        ("runs", 10**10, SizeError),
+        ("runs", 10**7, FieldError),
         ("seed", -1, FieldError),
         ("duration", 0.1, FieldError),
     ],

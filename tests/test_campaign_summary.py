@@ -15,18 +15,17 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from campaigns import computed, small
+from campaigns import small
 from fraclink import main
-from fraclink.errors import FieldError
-from fraclink.trials import run_campaign, summarise
+from fraclink.trials import CampaignRuns, run_campaign
 from fraclink.trials._summary import _quantile
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("campaign")
-    run_campaign(small(), place)
-    return place
+def file(tmp_path_factory):
+    return fl.save(
+        run_campaign(small()), tmp_path_factory.mktemp("campaign") / "campaign.npz"
+    )
 
 
 @pytest.mark.parametrize(
@@ -53,12 +52,11 @@ def test_quantile_intervals_cover_and_are_the_narrowest_that_do(n, p):
 
 
 @pytest.mark.slow
-def test_a_summary_is_that_of_all_runs(folder):
+def test_a_summary_is_that_of_all_runs(file):
     from scipy.stats import spearmanr
 
-    parts = [fl.load(path).columns for path in sorted(folder.glob("part-*"))]
-    column = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    found = summarise(folder)
+    runs = CampaignRuns.load(file)
+    column, found = runs.columns, runs.summary
     assert found.failure.runs == 2500 and found.failure.count == int(
         (column["passed"] == 0).sum()
     )
@@ -86,22 +84,8 @@ def test_a_summary_is_that_of_all_runs(folder):
 
 
 @pytest.mark.slow
-def test_an_unfinished_campaign_is_summarised_as_far_as_it_is(folder, tmp_path):
-    import shutil
-
-    place = tmp_path / "half"
-    shutil.copytree(folder, place)
-    (place / "part-0000001.npz").unlink()
-    assert summarise(place).failure.runs == 1500
-    for path in place.glob("part-*"):
-        path.unlink()
-    with pytest.raises(FieldError, match="at least one"):
-        summarise(place)
-
-
-@pytest.mark.slow
-def test_the_command_reports_and_replays(folder, tmp_path, capsys):
-    report = ["report", str(folder), "--out", str(tmp_path / "page.html"), "--force"]
+def test_the_command_reports_and_replays(file, tmp_path, capsys):
+    report = ["report", str(file), "--out", str(tmp_path / "page.html"), "--force"]
     assert main(report) == 1  # some runs fail
     printed = capsys.readouterr()
     assert "of 2500 runs failed" in printed.out and "fraclink replay" in printed.err
@@ -112,7 +96,7 @@ def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     out = tmp_path / "run.npz"
     line = [
         "replay",
-        str(folder),
+        str(file),
         "--run",
         str(number),
         "--out",
@@ -130,7 +114,7 @@ def test_the_command_reports_and_replays(folder, tmp_path, capsys):
         main(
             [
                 "replay",
-                str(folder),
+                str(file),
                 "--run",
                 str(holding),
                 "--out",
@@ -152,21 +136,21 @@ def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, option, value, field):
-    out = tmp_path / "parts"
+    out = tmp_path / "campaign.npz"
     rig = fl.Rig.named("paper-2023")
     fl.design(rig.model, rig, filter_time=0.0, law=False).save(tmp_path / "d.json")
     line = ["campaign", "montecarlo", "--design", str(tmp_path / "d.json")]
     assert main([*line, "--out", str(out), option, value]) == 2
     text = capsys.readouterr().err
     assert field in text and len(text.strip().splitlines()) == 1
-    assert not list(tmp_path.rglob("part-*"))
+    assert not out.exists()
 
 
 @pytest.mark.slow
-def test_a_run_that_is_not_there_is_bad_input(folder, tmp_path, capsys):
+def test_a_run_that_is_not_there_is_bad_input(file, tmp_path, capsys):
     line = [
         "replay",
-        str(folder),
+        str(file),
         "--run",
         "2500",
         "--out",
@@ -188,12 +172,12 @@ def is_one_closed_page(text: str) -> None:
 
 @pytest.mark.slow
 def test_a_campaigns_page_names_its_worst_runs(tmp_path, capsys):
-    campaign = small(runs=300)
-    folder, page = computed(campaign, tmp_path / "parts"), tmp_path / "page.html"
-    line = ["report", str(folder), "--out", str(page)]
+    runs, page = run_campaign(small(runs=300)), tmp_path / "page.html"
+    file = fl.save(runs, tmp_path / "campaign.npz")
+    line = ["report", str(file), "--out", str(page)]
     assert main(line) == 1
     assert "written" in capsys.readouterr().err
-    text, summary = page.read_text(), summarise(folder)
+    text, summary = page.read_text(), runs.summary
     is_one_closed_page(text)
     assert summary.failure.sentence in text and text.count("data-x=") == 6 + 1
     assert f"--run {summary.metrics[0].worst[0][0]}" in text

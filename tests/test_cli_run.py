@@ -152,7 +152,7 @@ def test_every_scope_of_the_demo_passes() -> None:
     # no part of the request had to be given up
     assert study.assumptions == rig.assumptions
     assert study.arms is not None
-    assert study.arms.failure.count == 0
+    assert study.arms.summary.failure.count == 0
 
 
 @pytest.mark.slow
@@ -199,9 +199,9 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     assert study.arms is not None
     replay = [
         "replay",
-        str(place / "arms"),
+        str(place / "arms.npz"),
         "--run",
-        str(study.arms.failed[0]),
+        str(study.arms.summary.failed[0]),
     ]
     assert main([*replay, "--out", str(tmp_path / "run.npz")]) == 1
 

@@ -187,7 +187,7 @@ CEILINGS = {
     "fracsys": 2656,
     "_arm": 1485,
     "_certify": 847,
-    "_cli": 841,
+    "_cli": 840,
     "_design": 1445,
     "_export": 431,
     "_files": 551,
@@ -197,8 +197,8 @@ CEILINGS = {
     "_simulate": 1178,
     "lab": 1924,
     "logs": 706,
-    "studio": 1074,
-    "trials": 1370,
+    "studio": 1067,
+    "trials": 1300,
     "view": 1410,
 }
 

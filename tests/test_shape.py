@@ -325,7 +325,6 @@ def test_a_campaign_follows_it_and_comes_back(
     found = fl.trials.simulate_part(asked, 0)
     assert found["passed"].all() and found["settling_time"].max() < 0.65
     assert np.all(found["amplitude"] == 1.0)
-    assert asked.fingerprint != Campaign.of(RIG, design.model, law, runs=60).fingerprint
     run = fl.trials.replay_run(asked, 17)
     assert run.metrics.settling_time == found["settling_time"][17]
     assert np.array_equal(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,11 @@ def summary(failed: int, runs: int = 1000) -> Summary:
     )
 
 
+def arms(failed: int) -> Any:
+    """Runs of which so many failed."""
+    return SimpleNamespace(summary=summary(failed))
+
+
 def faults(failed: int, passed: int) -> FaultTable:
     outcomes = tuple(
         Outcome(
@@ -65,13 +71,13 @@ def faults(failed: int, passed: int) -> FaultTable:
 
 
 def test_arms_that_fail_are_counted_with_what_they_depend_on() -> None:
-    assert Study(arms=summary(0)).verdict.twin == Scope("passed")
-    found = Study(arms=summary(15)).verdict.twin
+    assert Study(arms=arms(0)).verdict.twin == Scope("passed")
+    found = Study(arms=arms(15)).verdict.twin
     assert found == Scope(
         "failed",
         ("15 of 1000 arms fail (1.5 %); most depends on payload and motor gain",),
     )
-    both = Study(arms=summary(15), faults=faults(2, 3)).verdict.twin
+    both = Study(arms=arms(15), faults=faults(2, 3)).verdict.twin
     assert both.reasons[1] == "2 of 5 faults miss their requirement"
     assert Study(faults=faults(0, 3)).verdict.twin == Scope("passed")
 

@@ -81,8 +81,8 @@ COMMANDS: dict[str, str] = {
     "run": f"run {RIG} --log demo --out results",
     "report": "report results --out page.html",
     "compare": "compare geared.json --only ZV",
-    "campaign-montecarlo": "campaign montecarlo --design design.json --runs 200 --seed 7 --out carlo",
-    "replay-of-a-campaign": "replay carlo --run 65 --out replayed.npz",
+    "campaign-montecarlo": "campaign montecarlo --design design.json --runs 200 --seed 7 --out carlo.npz",
+    "replay-of-a-campaign": "replay carlo.npz --run 65 --out replayed.npz",
     "campaign-faults": "campaign faults --design geared.json --only F02 --severity 2 --payload 0.03 "
     "--phase mid --seed 1 --out faults",
     "campaign-faults-open": "campaign faults --design geared.json --only F07 --severity 3 "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -18,13 +19,12 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._files import save
 from fraclink._reading.responses import read_reference
-from fraclink.errors import FieldError
 from fraclink.trials._arms import replay_run
-from fraclink.trials._campaign import Campaign, is_campaign, load_campaign
+from fraclink.trials._campaign import Campaign
 from fraclink.trials._fault_trial import PHASES, Bench, Phase
 from fraclink.trials._faults import cases, observe, run_faults
-from fraclink.trials._run import Progress, run_campaign
-from fraclink.trials._summary import Summary, summarise
+from fraclink.trials._run import run_campaign
+from fraclink.trials._summary import CampaignRuns
 from fraclink.view._runs import draw_outcome
 
 app = group()
@@ -36,8 +36,10 @@ DesignOption = Annotated[Path, "Design whose law is run"]
 
 @command(campaign)
 def montecarlo(
-    out: Annotated[Path, "Folder for the parts; a started one goes on"],
     design: DesignOption,
+    out: Annotated[Path, "File to write the runs to (.npz)", Writes()] = Path(
+        "campaign.npz"
+    ),
     runs: Annotated[int, "Number of runs"] = 10_000,
     seed: Annotated[int, "Seed of everything that is drawn"] = 0,
     told: Annotated[bool, "The law is given the payload of each arm"] = False,
@@ -50,10 +52,9 @@ def montecarlo(
     ] = None,
     **machines: Annotated[Any, Keywords(run_campaign, "workers")],
 ) -> Answer:
-    """Run a law on many varied arms; resumes, and gives the same result whatever
-    the workers.
+    """Run a law on many varied arms, with the same result whatever the workers.
 
-    $ fraclink campaign montecarlo --design design.json --runs 10000 --out mc
+    $ fraclink campaign montecarlo --design design.json --runs 10000 --out mc.npz
     """
     subject = Design.load(design)
     # Both set the payload of the law, and the summary would not show which one was
@@ -74,27 +75,27 @@ def montecarlo(
     )
     with steps(runs) as begin:
 
-        def watch(progress: Progress) -> None:
-            # The failure rate excludes runs that a resumed campaign finds finished.
-            share = progress.failed / max(progress.done - progress.before, 1)
-            begin(f"{100 * share:.1f} % failed", progress.done)
+        def watch(done: int, failed: int) -> None:
+            begin(f"{100 * failed / done:.1f} % failed", done)
 
-        run_campaign(study, out, watch=watch, **machines)
-    return summary_answer(summarise(out), out)
+        arms = run_campaign(study, watch=watch, **machines)
+    return replace(campaign_answer(arms, out), saved={out: arms})
 
 
-def summary_answer(
-    summary: Summary, parts: Path, written: tuple[Path, ...] = ()
-) -> Answer:
-    following = (
-        f"fraclink replay {parts} --run {summary.failed[0]}" if summary.failed else ""
+def campaign_answer(runs: CampaignRuns, place: Path) -> Answer:
+    """The summary of a campaign that is saved in a file, and how to repeat a failure."""
+    summary = runs.summary
+    again = (
+        f"fraclink replay {place} --run {summary.failed[0]}" if summary.failed else ""
     )
-    return Answer(summary, summary.passed, written=written, following=following)
+    return Answer(summary, summary.passed, following=again)
 
 
 @command(app)
 def replay(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of a campaign"],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE"), "File of `campaign montecarlo`"
+    ],
     run: Annotated[int, "Number of the run, as the campaign lists it"],
     out: Annotated[Path, "File for the signals of that run (.npz)", Writes()] = Path(
         "run.npz"
@@ -102,17 +103,9 @@ def replay(
 ) -> Answer:
     """Repeat one run of a campaign on varied arms, with all its signals.
 
-    $ fraclink replay mc --run 65
+    $ fraclink replay mc.npz --run 65
     """
-    if not is_campaign(folder):
-        raise FieldError(
-            "folder",
-            str(folder),
-            "without a campaign",
-            allowed="a folder that `fraclink campaign montecarlo` has written",
-            remedy="give its --out",
-        )
-    move = replay_run(load_campaign(folder), run)
+    move = replay_run(CampaignRuns.load(file).campaign, run)
     return Answer(move, move.verdict.passed, values={"run": run}, saved={out: move})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,7 +11,7 @@ import typer
 from fraclink._arm.reference import Length
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
-from fraclink._cli.campaigns import summary_answer
+from fraclink._cli.campaigns import campaign_answer
 from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
@@ -37,14 +38,13 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._design.rows import ROWS
-from fraclink._files import output_path
+from fraclink._files import kind_of, output_path
 from fraclink._law.design import Specification
 from fraclink._simulate import Twin
 from fraclink._simulate import simulate as run_law
-from fraclink.trials._campaign import is_campaign, load_campaign
 from fraclink.trials._stages import run as run_study
 from fraclink.trials._study import load_study
-from fraclink.trials._summary import summarise
+from fraclink.trials._summary import CampaignRuns
 from fraclink.view._arm_page import write_arm_page
 from fraclink.view._report import write_campaign_report, write_report
 from fracsys.checks import Between, Seed
@@ -120,8 +120,10 @@ def run(
     following = export if study.law else ""
     # Failing arms come before the export: the first thing to look at is a worst case
     # that can be replayed.
-    if study.arms and study.arms.failure.count:
-        following = f"fraclink replay {out / 'arms'} --run {study.arms.failed[0]}"
+    if study.arms and study.arms.summary.failed:
+        following = (
+            f"fraclink replay {out / 'arms.npz'} --run {study.arms.summary.failed[0]}"
+        )
     return Answer(
         study,
         study.verdict.passed,
@@ -289,7 +291,7 @@ def report(
     folder: Annotated[
         Path,
         typer.Argument(metavar="FOLDER"),
-        "Folder of results, or of a campaign of `campaign montecarlo`",
+        "Folder of results, or the file of `campaign montecarlo`",
     ],
     out: Annotated[
         Path | None, "File to write; default: report.html or arm.html there"
@@ -307,12 +309,13 @@ def report(
 
     $ fraclink report results --out report.html
     """
+    if kind_of(folder) == "campaign-runs":
+        place = output_path(out or folder.with_suffix(".html"), force=force)
+        runs = CampaignRuns.load(folder)
+        write_campaign_report(runs, folder, place)
+        return replace(campaign_answer(runs, folder), written=(place,))
     default = folder / ("arm.html" if arm else "report.html")
     place = output_path(out or default, force=force)
-    if is_campaign(folder):
-        summary = summarise(folder)
-        write_campaign_report(load_campaign(folder), folder, summary, place)
-        return summary_answer(summary, folder, (place,))
     study = load_study(folder)
     if arm:
         write_arm_page(study, place)

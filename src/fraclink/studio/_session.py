@@ -39,6 +39,7 @@ _OUTDATED = (
     "run-*g.npz",
     "twin-*g.npz",
     "certificate.json",
+    "arms.npz",
     "faults.json",
     "model-*.json",
 )
@@ -320,10 +321,6 @@ class Session:
         self.folder.mkdir(parents=True, exist_ok=True)
         save_study(self.study, self.folder)
         removed = self._remove_outdated(names)
-        if self.study.arms is not None and (self.draft / "arms").is_dir():
-            shutil.copytree(
-                self.draft / "arms", self.folder / "arms", dirs_exist_ok=True
-            )
         self._kept = _digests(self.folder)
         return Reply(
             {"ok": True, "kept": sorted(names), "removed": removed, **self.overview()}
@@ -343,8 +340,6 @@ class Session:
         ]
         for path in gone:
             path.unlink()
-        if self.study.arms is None and self._kept and (self.folder / "arms").is_dir():
-            shutil.rmtree(self.folder / "arms")
         return [path.name for path in gone]
 
 

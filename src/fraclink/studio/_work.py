@@ -26,7 +26,7 @@ from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session
 from fraclink.studio._worker import cell_of
 from fraclink.trials._arms import replay_run
-from fraclink.trials._campaign import Campaign, load_campaign
+from fraclink.trials._campaign import Campaign
 from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view._loops import payloads_about
 from fraclink.view._text import grams, grid_of, sentence
@@ -165,8 +165,6 @@ class Job:
                 certificate, missing = result.certificate, result.missing
                 session.become(replace(now, certificate=certificate, missing=missing))
             elif self.verb == "arms":
-                shutil.rmtree(session.draft / "arms", ignore_errors=True)
-                shutil.move(place / "arms", session.draft / "arms")
                 session.become(replace(now, arms=result.arms))
             else:
                 session.become(replace(now, faults=result.faults))
@@ -284,12 +282,12 @@ def proof_of(study: Study) -> dict[str, Any]:
             "text": sentence(study.certificate.sentence),
         }
     if study.arms is not None:
-        content["spread"] = grid_of(study.arms.overview().tables[0])
-        failure = study.arms.failure
+        arms = study.arms.summary
+        content["spread"], failure = grid_of(arms.overview().tables[0]), arms.failure
         content["failures"] = {
             "count": failure.count,
             "runs": failure.runs,
-            "failed": study.arms.failed[:12],
+            "failed": arms.failed[:12],
         }
     if study.faults is not None:
         content["faults"] = grid_of(study.faults.overview().tables[0])
@@ -305,13 +303,8 @@ def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
     if study.design is None or study.law is None:
         return Reply(head)
     near, curves = swept(study.design, study.law)
-    folders = [
-        place
-        for place in (session.draft / "arms", session.folder / "arms")
-        if place.is_dir()
-    ]
-    if study.arms is not None and folders:
-        curves |= moves_of_arms(load_campaign(folders[0]), study.arms.failed)
+    if study.arms is not None:
+        curves |= moves_of_arms(study.arms.campaign, study.arms.summary.failed)
     return Reply(head | {"swept": near}, curves)
 
 

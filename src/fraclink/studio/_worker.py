@@ -47,7 +47,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
         return proved(replace(study, certificate=None))
     if verb == "arms":
         _tell({"said": f"simulating {options['runs']:g} varied arms"})
-        return tried(study, int(options["runs"]), folder=place / "arms")
+        return tried(study, int(options["runs"]))
     return _with_faults(study)
 
 

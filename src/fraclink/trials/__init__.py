@@ -1,8 +1,8 @@
 """Many runs and their joint result: rivals, varied arms, faults, the study of a
 log.
 
-A campaign is one law on up to a million arms; it can be resumed, and a seed gives the
-same result on any machine.
+A campaign is one law on up to a million arms; a seed gives the same result on any
+machine.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from fraclink.trials._campaign import Campaign as Campaign
 from fraclink.trials._campaign import Distribution as Distribution
 from fraclink.trials._campaign import Draws as Draws
 from fraclink.trials._campaign import draws_for as draws_for
-from fraclink.trials._campaign import load_campaign as load_campaign
 from fraclink.trials._fault_checks import Check as Check
 from fraclink.trials._fault_checks import Evidence as Evidence
 from fraclink.trials._fault_trial import PHASES as PHASES
@@ -22,14 +21,13 @@ from fraclink.trials._faults import run_case as run_case
 from fraclink.trials._faults import run_faults as run_faults
 from fraclink.trials._rivals import Rival as Rival
 from fraclink.trials._rivals import builders as builders
-from fraclink.trials._run import Progress as Progress
 from fraclink.trials._run import run_campaign as run_campaign
 from fraclink.trials._stages import run as run
 from fraclink.trials._study import Study as Study
 from fraclink.trials._study import load_study as load_study
 from fraclink.trials._study import save_study as save_study
+from fraclink.trials._summary import CampaignRuns as CampaignRuns
 from fraclink.trials._summary import Summary as Summary
-from fraclink.trials._summary import summarise as summarise
 from fraclink.trials._tournament import Standing as Standing
 from fraclink.trials._tournament import Tournament as Tournament
 from fraclink.trials._tournament import compare as compare

@@ -4,7 +4,6 @@ simulation, and a thousand different arms.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,6 @@ from fraclink.logs import diagnose
 from fraclink.trials._campaign import PART_RUNS, Campaign
 from fraclink.trials._run import run_campaign
 from fraclink.trials._study import Refusal, Study, save_study
-from fraclink.trials._summary import summarise
 from fracsys.checks import Between, Seed, checked, checked_choice
 
 __all__ = [
@@ -78,7 +76,7 @@ def run(
     arms
         varied arms to try; 0 leaves them out.
     out
-        folder to write the study to, with the arms below it.
+        folder to write the study to.
     begin
         called with the name of each step as it begins.
     wanted
@@ -99,9 +97,6 @@ def run(
         checked_choice("structure", structure, STRUCTURES)
     begin("examining the log")
     study = examined(rig, log)
-    # Kept where they are computed: an interrupted campaign of a million arms continues
-    # from its parts.
-    folder = None if out is None else Path(out) / "arms"
     steps: dict[str, Callable[[Study], Study]] = {
         "identifying": lambda study: identified(study, structure, heldout),
         "designing": lambda study: designed(study, **wanted),
@@ -110,7 +105,7 @@ def run(
     steps |= {"proving": proved} if certified else {}
     trying = f"trying {arms} arms"
     if arms:
-        steps[trying] = lambda study: tried(study, arms, seed, folder)
+        steps[trying] = lambda study: tried(study, arms, seed)
     for name, step in steps.items():
         begin(name)
         try:
@@ -263,17 +258,12 @@ def proved(study: Study) -> Study:
     return replace(study, certificate=proof, missing=missing)
 
 
-def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
-    """Return the study with `arms` runs of varied arms, kept in
-    `folder` if given.
-    """
+def tried(study: Study, arms: int, seed: int = 0) -> Study:
+    """Return the study with `arms` runs of varied arms."""
     assert study.rig is not None and study.design is not None and study.law is not None  # noqa: S101
     # The model of the design, which differs from that of the fit if the log stated no
     # payload.
     campaign = Campaign.of(
         study.rig, study.design.model, study.law, runs=arms, seed=seed
     )
-    with tempfile.TemporaryDirectory() as scratch:
-        place = Path(scratch) if folder is None else folder
-        run_campaign(campaign, place)
-        return replace(study, arms=summarise(place))
+    return replace(study, arms=run_campaign(campaign))

@@ -2,7 +2,7 @@
 for each part:
 
 rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json
-certificate.json  run-20g.npz …  arms/  faults.json  study.json
+certificate.json  run-20g.npz …  arms.npz  faults.json  study.json
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ from fraclink._simulate import Run
 from fraclink.errors import FileFormatError
 from fraclink.findings import Finding, Scope, Verdict
 from fraclink.trials._faults import FaultTable
-from fraclink.trials._run import PARTS
-from fraclink.trials._summary import Summary, summarise
+from fraclink.trials._summary import CampaignRuns
 
 __all__ = ["Refusal", "Study", "load_study", "save_study"]
 
-# The parts with their own file or folder next to study.json.
+# The parts with their own file next to study.json.
 _FILES = ("rig", "experiment", "fit", "design", "law", "certificate", "arms", "faults")
 
 
@@ -70,7 +69,7 @@ class Study:
     nearest that can be met, where it was the request that ended the study;
     runs: simulated moves, one for each payload; twins: the same moves of the twin, under
     the law's own compensation;
-    arms: the summary of varied arms; faults: a fault campaign; assumptions:
+    arms: the runs of varied arms; faults: a fault campaign; assumptions:
     sentences on everything that was not stated.
 
     >>> Study().verdict.state
@@ -89,7 +88,7 @@ class Study:
     certificate: Certificate | None = None
     runs: tuple[Run, ...] = ()
     twins: tuple[Run, ...] = ()
-    arms: Summary | None = None
+    arms: CampaignRuns | None = None
     faults: FaultTable | None = None
     assumptions: tuple[str, ...] = ()
 
@@ -168,7 +167,7 @@ class Study:
             clearance = self.certificate.statement.clearance
             rows.append(Row("", "Proved for every arm of the box", clearance))
         if self.arms is not None:
-            failure = self.arms.failure
+            failure = self.arms.summary.failure
             count = f"{failure.runs - failure.count} of {failure.runs} passed"
             rows.append(Row("", "Varied arms", count))
         if self.faults is not None:
@@ -188,8 +187,9 @@ class Study:
             Row("fits", "", tuple(self.fits.values())),
             *(
                 Row(name, "", getattr(self, name))
-                for name in ("design", "runs", "arms", "assumptions")
+                for name in ("design", "runs", "assumptions")
             ),
+            Row("arms", "", self.arms and self.arms.summary),
         )
         tables = [table for part in parts for table in part.tables]
         if self.runs:
@@ -235,11 +235,10 @@ class Study:
 
     def _failures(self) -> list[str]:
         sentences = []
-        if self.arms is not None and self.arms.failure.count:
-            count, runs = self.arms.failure.count, self.arms.failure.runs
-            settling = next(
-                metric for metric in self.arms.metrics if metric.name == "settling_time"
-            )
+        arms = self.arms.summary if self.arms else None
+        if arms is not None and arms.failure.count:
+            count, runs = arms.failure.count, arms.failure.runs
+            settling = next(m for m in arms.metrics if m.name == "settling_time")
             # The first two: with a thousand runs, chance alone gives correlations of 3
             # %, which the third soon reaches.
             causes = " and ".join(
@@ -289,6 +288,7 @@ def save_study(study: Study, folder: Path | str) -> None:
         "design.json": study.design,
         "law.json": study.law,
         "certificate.json": study.certificate,
+        "arms.npz": study.arms,
     }
     for name, fit in study.fits.items():
         # The fit that the design used is model.json, so that commands that take a model
@@ -390,7 +390,6 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         certificate=certificate,
         runs=tuple(move for move in runs if move.about.get("arm") != "twin"),
         twins=tuple(move for move in runs if move.about.get("arm") == "twin"),
-        # A campaign that was stopped before its first part counts as not run.
-        arms=summarise(place / "arms") if any(place.glob(f"arms/{PARTS}")) else None,
+        arms=first("campaign-runs", CampaignRuns.load),
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
     )

@@ -5,29 +5,29 @@ them.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
 from fraclink._display import Overview, Row, Table, displayed, state_of
+from fraclink._files import Saved, document
 from fraclink._law import MODES, REASONS
 from fraclink._simulate.metrics import Metrics
-from fraclink.errors import FieldError
-from fraclink.trials._campaign import Campaign, Draws, load_campaign
-from fraclink.trials._run import PARTS, read_part
+from fraclink.trials._campaign import Campaign, Draws
 from fracsys.checks import Real
+from fracsys.checks.equality import compared
 
 __all__ = [
     "METRICS",
     "PARAMETERS",
+    "CampaignRuns",
     "Failure",
     "MetricSummary",
     "Quantile",
     "Summary",
-    "columns_of",
-    "summarise",
 ]
 
 
@@ -127,12 +127,9 @@ class Failure:
 @displayed
 @dataclass(frozen=True)
 class Summary:
-    """What `summarise` found: failures, tripped runs by (mode, reason), every metric,
-    and what the law was given of the payloads, in words; empty where it was given
-    nothing.
-
-    missing: runs that are in no figure, since their part is not computed, or its file
-    is cut, edited or of another campaign.
+    """The runs of a campaign in figures: failures, tripped runs by (mode, reason), every
+    metric, and what the law was given of the payloads, in words; empty where it was
+    given nothing.
     """
 
     failure: Failure
@@ -140,33 +137,16 @@ class Summary:
     metrics: tuple[MetricSummary, ...]
     failed: tuple[int, ...]
     given: str = ""
-    missing: int = 0
 
     @property
     def passed(self) -> bool:
-        """Whether every run passed, and none is missing."""
-        return not self.failure.count and not self.missing
-
-    @property
-    def left_out(self) -> str:
-        """Which runs are in no figure, and what brings them back."""
-        if not self.missing:
-            return ""
-        runs = self.missing + self.failure.runs
-        return (
-            f"{self.missing} of {runs} runs are left out: not computed yet, or their file is "
-            "damaged or edited. The command that began the campaign computes them"
-        )
+        """Whether every run passed."""
+        return not self.failure.count
 
     def overview(self) -> Overview:
         """How many fail, how they are spread, and what drives it."""
         failure = self.failure
-        headline = failure.sentence
-        # otherwise "failed" would stand before "0 of 2000 runs failed"
-        if self.missing:
-            headline = f"{self.missing} runs missing; of the others, {headline}"
         rows = (
-            Row("left_out", "", self.left_out),
             Row("runs", "", failure.runs),
             Row("failures", "", failure.count),
             Row("probability", "", (failure.estimate, failure.low, failure.high)),
@@ -186,30 +166,47 @@ class Summary:
             for mode, reason, count in self.trips
         )
         return Overview(
-            headline,
+            failure.sentence,
             state_of(self.passed),
             rows,
             (Table.of("", (metric.rows for metric in shown)),),
-            notes=(*filter(None, (self.left_out, self.given)), *trips),
+            notes=(*filter(None, (self.given,)), *trips),
         )
 
 
-def summarise(folder: Path | str) -> Summary:
-    """Summarise the finished parts of a campaign's folder; FieldError where none is."""
-    campaign = load_campaign(folder)
-    columns = columns_of(campaign, folder)
-    run, passed = columns["run"], columns["passed"]
-    failed = run[passed == 0.0]
-    ranks = {name: _ranks(columns[name]) for name in PARAMETERS}
-    return Summary(
-        failure=_failure(len(failed), len(run)),
-        trips=_trips(columns["mode"], columns["reason"]),
-        metrics=tuple(_metric(name, columns[name], run, ranks) for name in METRICS),
-        # A hundred are enough to replay, and the page still loads if everything fails.
-        failed=tuple(int(n) for n in failed[:100]),
-        given=_given(campaign),
-        missing=campaign.runs - len(run),
-    )
+@document(
+    "campaign-runs",
+    container="npz",
+    summary=lambda runs: {"failures": runs.summary.failure.count},
+)
+@compared
+@dataclass(frozen=True, eq=False)
+class CampaignRuns(Saved):
+    """What a campaign measured.
+
+    columns: number, drawn parameters, metrics and verdict of every run, by name, shape
+    (R,); booleans are 1 or 0.
+    """
+
+    campaign: Campaign
+    columns: Mapping[str, Real]
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Failures, quantiles and what drives them."""
+        columns = self.columns
+        run, passed = columns["run"], columns["passed"]
+        failed = run[passed == 0.0]
+        ranks = {name: _ranks(columns[name]) for name in PARAMETERS}
+        return Summary(
+            failure=_failure(len(failed), len(run)),
+            trips=_trips(columns["mode"], columns["reason"]),
+            metrics=tuple(_metric(name, columns[name], run, ranks) for name in METRICS),
+            # A hundred are enough to replay, and the page still loads if everything
+            # fails.
+            failed=tuple(int(n) for n in failed[:100]),
+            given=_given(self.campaign),
+        )
 
 
 def _given(campaign: Campaign) -> str:
@@ -222,28 +219,6 @@ def _given(campaign: Campaign) -> str:
     shares = dict.fromkeys(f"{100.0 * ratio:.4g}" for ratio in (draw.low, draw.high))
     sentence = f"the law was given {' to '.join(shares)} % of the payload of each arm"
     return sentence if draw.high else ""
-
-
-def columns_of(campaign: Campaign, folder: Path | str) -> dict[str, Real]:
-    """Return all columns of the finished parts of a campaign's folder, by name;
-    FieldError if no part is finished.
-    """
-    place = Path(folder)
-    # Files are counted instead of parts: a campaign of 10⁹ runs that has just begun has
-    # a million possible names.
-    names = {path.stem.removeprefix("part-") for path in place.glob(PARTS)}
-    numbers = sorted({int(name) for name in names if name.isdecimal()})
-    contents = (read_part(campaign, place, n) for n in numbers if n < campaign.parts)
-    parts = [part for part in contents if part is not None]
-    if not parts:
-        raise FieldError(
-            "parts",
-            str(place),
-            "empty",
-            allowed="at least one finished part",
-            remedy="run the campaign first",
-        )
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _metric(

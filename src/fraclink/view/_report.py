@@ -16,9 +16,8 @@ from fraclink._design.assess import phase_budget
 from fraclink._display import Row, Table, source_name, state_of
 from fraclink._files import write_text
 from fraclink.errors import FieldError
-from fraclink.trials._campaign import Campaign
 from fraclink.trials._study import Study
-from fraclink.trials._summary import Summary, columns_of
+from fraclink.trials._summary import CampaignRuns
 from fraclink.view import _figures as figures
 from fraclink.view import _fleets as fleets
 from fraclink.view import _loops as loops
@@ -189,7 +188,7 @@ def _tables(study: Study) -> Mapping[str, Figures]:
     if study.runs:
         sections["moves"] = Table.of("", (run.rows for run in study.runs))
     if study.arms is not None:
-        (sections["arms"],) = study.arms.overview().tables
+        (sections["arms"],) = study.arms.summary.overview().tables
     return sections
 
 
@@ -228,26 +227,24 @@ def _budget(design: Design) -> Figure | None:
         return None
 
 
-def write_campaign_report(
-    campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str
-) -> Path:
+def write_campaign_report(runs: CampaignRuns, source: Path, path: Path | str) -> Path:
     """Write histograms, failure map, drivers and worst cases of a campaign to `path`;
-    return it.
+    return it. `source` is the file of the campaign, which the page names.
 
     Raises MissingExtraError where jinja2 is not installed.
     """
-    names = list(fleets.SHOWN)
+    names, campaign, summary = list(fleets.SHOWN), runs.campaign, runs.summary
     # Failures are drawn over the two most important parameters; for others chance would
     # fill the map.
     drivers = fleets.strongest(summary)
-    column = columns_of(campaign, folder)
-    first, second, passed, *values = (column[n] for n in (*drivers, "passed", *names))
+    chosen = (*drivers, "passed", *names)
+    first, second, passed, *values = (runs.columns[name] for name in chosen)
     titles = tuple(name.replace("_", " ") for name in drivers)
     worst = (
         (
             Row("", "metric", m.name.replace("_", " ")),
             m.row("value", value),
-            Row("", "command", f"fraclink replay {folder} --run {run}"),
+            Row("", "command", f"fraclink replay {source} --run {run}"),
         )
         for m in summary.metrics
         for run, value in m.worst[:2]
@@ -263,7 +260,6 @@ def write_campaign_report(
         given=summary.given,
         failure=summary.failure,
         state=state_of(summary.passed),
-        left_out=summary.left_out,
         pointer=_pointer(script=True),
         tables={
             "spread": summary.overview().tables[0],

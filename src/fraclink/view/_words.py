@@ -94,11 +94,11 @@ def steps(study: Study) -> list[tuple[str, str]]:
     todo = []
     # In order of the possible damage: a failing arm first, then the proof, the faults,
     # and the board last.
-    if study.arms is not None and study.arms.failed:
+    if study.arms is not None and study.arms.summary.failed:
         todo.append(
             (
                 "Look at a failing arm, with all its signals",
-                f"fraclink replay arms --run {study.arms.failed[0]}",
+                f"fraclink replay arms.npz --run {study.arms.summary.failed[0]}",
             )
         )
     if not study.certificate:
