@@ -110,7 +110,7 @@ def derivative(
     count = math.ceil(order)
     slopes = spline.derivative(count)
     if count == order:
-        return np.asarray(slopes(spline.x))
+        return slopes(spline.x)
     result = _integrated(slopes.c, period, count - order)
     if definition == "riemann-liouville":
         late = spline.x - spline.x[0]

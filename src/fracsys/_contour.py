@@ -169,7 +169,7 @@ def best_offset(places: Complex) -> Real:
     gaps = places - GRIDS[:, None, None]
     gaps = np.abs(gaps - np.round(gaps.real))
     nearest = np.where(np.isnan(gaps), np.inf, gaps).min(axis=1, initial=np.inf)
-    return np.asarray(GRIDS[np.argmax(nearest, axis=0)])
+    return GRIDS[np.argmax(nearest, axis=0)]
 
 
 def _cluster(

@@ -310,9 +310,7 @@ class DiscreteRational:
         # 1 − e^(−jθ) = 2j sin(θ/2) e^(−jθ/2) keeps its relative precision at the lowest
         # frequencies.
         half = 0.5 * w * self.period
-        return np.asarray(
-            (2j * np.sin(half) * np.exp(-1j * half)) ** self.zeros_at_one * inner
-        )
+        return (2j * np.sin(half) * np.exp(-1j * half)) ** self.zeros_at_one * inner
 
     @classmethod
     def from_fractions(

@@ -261,7 +261,7 @@ class HeldQuotient:
         # taken at the first time, where the value is smallest and an error in the
         # constant shows most.
         value += first - value[int(np.argmin(t))]
-        return np.asarray(value + self.integrator * t)
+        return value + self.integrator * t
 
     def impulse(self, times: Real) -> Part:
         """Impulse response without its δ at any times [s]: the step response of s(G - D).

@@ -204,7 +204,7 @@ def _values(system: FractionalTransferFunction) -> Callable[[Real], Complex]:
         if late:
             powers = powers * np.exp(-1j * delays * np.exp(x))
         top, bottom = sides @ powers
-        return np.asarray(top / bottom)
+        return top / bottom
 
     return values
 

@@ -138,7 +138,7 @@ def _values(z: Complex, alpha: float, beta: float) -> Complex:
     kernel = pole_weight(places, offset, step)
     residues = np.exp(np.exp(logs) + (1.0 - beta) * logs) / alpha
     enclosed = places.imag < inside  # False where there is no pole (nan)
-    return np.asarray(total + np.where(enclosed, kernel * residues, 0.0).sum(axis=0))
+    return total + np.where(enclosed, kernel * residues, 0.0).sum(axis=0)
 
 
 def _denominator(log_s: Complex, z: Complex, alpha: float) -> Complex:
@@ -148,7 +148,7 @@ def _denominator(log_s: Complex, z: Complex, alpha: float) -> Complex:
     # Cancellation occurs only for z near s^α. Near z = 0 there is none, and ln z would
     # amplify the rounding without bound.
     difference = z * np.expm1(alpha * log_s - np.log(z))
-    return np.asarray(np.where(np.abs(z) > 0.1, difference, np.exp(alpha * log_s) - z))
+    return np.where(np.abs(z) > 0.1, difference, np.exp(alpha * log_s) - z)
 
 
 def _poles(z: Complex, alpha: float) -> tuple[Complex, Complex]:

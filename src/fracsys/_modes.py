@@ -170,7 +170,7 @@ class Expansion:
         """
         value = np.expm1(-np.outer(times, self.rates)) @ self.weights
         pairs = np.expm1(np.outer(times, self.poles)) @ self.pole_weights
-        return np.asarray(value + 2.0 * pairs.real)
+        return value + 2.0 * pairs.real
 
 
 def expand(

@@ -81,7 +81,7 @@ class Quotient:
     def slope(self, z: Complex) -> Real:
         """d ln |G|/d ln |s| at points of the log-plane."""
         top, bottom = (_sum(s, z, 1) / _sum(s, z) for s in (self.top, self.bottom))
-        return np.asarray((top - bottom).real)
+        return (top - bottom).real
 
     @cached_property
     def misplaced(self) -> Quotient:

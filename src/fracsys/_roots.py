@@ -156,7 +156,7 @@ def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
     z.imag[np.abs(z.imag) < reach] = 0.0
     z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
     z = z[(z.imag >= 0) & (z.imag <= angle)]
-    return np.asarray(z[np.lexsort((z.real, z.imag))])
+    return z[np.lexsort((z.real, z.imag))]
 
 
 # --- Where the zeros are: Aberth's iteration from the Newton polygon
@@ -244,7 +244,7 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
             beside = starts[fresh % len(starts)].real + right - 0.5
             z[i] = complex(beside, (2.0 * up - 1.0) * height)
             fresh += 1
-    return np.asarray(z[rest & (np.abs(z.imag) <= height)])
+    return z[rest & (np.abs(z.imag) <= height)]
 
 
 def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:

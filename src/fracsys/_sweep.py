@@ -226,7 +226,7 @@ def gain_level(loop: SampledLoop, x: Real) -> Real:
     """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, so
     that it stays a number.
     """
-    return np.asarray(np.clip(np.log(np.abs(loop(x))), -745.0, 745.0))
+    return np.clip(np.log(np.abs(loop(x))), -745.0, 745.0)
 
 
 def phase_level(loop: SampledLoop, x: Real) -> Real:
@@ -247,7 +247,7 @@ def phase_slope(loop: SampledLoop, x: Real) -> Real:
 def modulus_slope(loop: SampledLoop, x: Real) -> Real:
     """½ d|1 + L|²/d ln ω."""
     value = loop(x)
-    return np.asarray(((1 + value).conj() * value * loop.slope(x)).real)
+    return ((1 + value).conj() * value * loop.slope(x)).real
 
 
 def zeros_of(

@@ -35,7 +35,7 @@ def evaluate(s: Complex, zeros: Complex, poles: Complex, gain: float) -> Complex
         * np.prod(flat - zeros[count:], axis=1)
         / np.prod(flat - poles[count:], axis=1)
     )
-    return np.asarray((gain * value).reshape(s.shape))
+    return (gain * value).reshape(s.shape)
 
 
 def zeros_of_fractions(
@@ -55,7 +55,7 @@ def zeros_of_fractions(
     def rate(s: Complex) -> Complex:
         distance = 1 / (s[:, None] - poles)
         value, slope = direct + (parts * distance).sum(1), -(parts * distance**2).sum(1)
-        return np.asarray(slope / value + distance.sum(1))
+        return slope / value + distance.sum(1)
 
     return aberth(start, rate), direct
 
@@ -214,6 +214,6 @@ class _Sum:
         def rate(s: Complex) -> Complex:
             value, slope = self.value_and_slope(s)
             quotient = slope / value - len(at_origin) / s
-            return np.asarray(quotient + (1 / (s[:, None] - self.down)).sum(1))
+            return quotient + (1 / (s[:, None] - self.down)).sum(1)
 
         return np.concatenate([at_origin, aberth(start, rate)])

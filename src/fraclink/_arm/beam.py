@@ -346,7 +346,7 @@ def material_law(
     if ratio is not None:
         return np.asarray(1.0 + 2.0 * ratio * s / frequency)
     if model.order < 2.0:
-        return np.asarray(np.exp((2.0 - model.order) * np.log(s)))
+        return np.exp((2.0 - model.order) * np.log(s))
     power = np.exp(model.damping_order * np.log(s))
     return np.asarray(1.0 + model.loss * power)
 

@@ -132,7 +132,7 @@ class Controller:
         value = derivative / (1.0 + 1j * self.filter_time * w) ** self.filter_order
         if self.notch is not None:
             value = value * np.exp(self.notch.log(w))
-        return np.asarray(value, dtype=np.complex128)
+        return value
 
     def correction(self) -> FractionalTransferFunction:
         """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq.

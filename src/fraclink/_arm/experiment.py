@@ -211,9 +211,8 @@ class Experiment:
     @property
     def time(self) -> Real:
         """Time of the samples, shape (N,) [s]."""
-        return np.asarray(
-            self.start_time + self.period * np.arange(self.motor_angle.size),
-            dtype=np.float64,
+        return self.start_time + self.period * np.arange(
+            self.motor_angle.size, dtype=np.float64
         )
 
     def save(self, path: Path | str) -> None:

@@ -69,10 +69,8 @@ class GaugedLink:
         # log1p: far below the resonance ln G is s^λ/ω₀² alone, which 1 + s^λ/ω₀² would
         # round away.
         if not self.loss:
-            return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
-        return np.asarray(
-            np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128
-        )
+            return -np.log1p(inertia / spring)
+        return np.log(drag + spring) - np.log(inertia + drag + spring)
 
     def _link_terms(
         self, ln_w: Real, natural_frequency: ArrayLike
@@ -121,9 +119,9 @@ class GaugedLink:
             + (math.pi if self.gauge_gain < 0.0 else 0.0)
         )
         return (
-            np.asarray(bracket),
-            np.asarray(np.abs(self.gauge_gain * torque)),
-            np.asarray(angle),
+            bracket,
+            np.abs(self.gauge_gain * torque),
+            angle,
         )
 
     def _gauge_log(self, w: Real, natural_frequency: ArrayLike) -> Complex:
@@ -151,7 +149,7 @@ class GaugedLink:
         # arg(1 − 1/X) from −B·X̄, which needs no division by X near zero.
         beyond = angle - math.pi + np.angle(-bracket * np.conj(1.0 - bracket))
         phase = np.where(outside, beyond, phase) + 2.0 * math.pi * turns
-        return np.asarray(size + 1j * phase, dtype=np.complex128)
+        return size + 1j * phase
 
     def turns(self, low: float, high: float, each: float) -> Real:
         """Return frequencies from `low` to `high` with `each` points per half turn of
@@ -191,9 +189,8 @@ class GaugedLink:
         (eq. (14)) [rad/s].
         """
         square = np.square(np.asarray(natural_frequency, dtype=float))
-        return np.asarray(
-            (-square * math.cos(0.5 * math.pi * self.link_order))
-            ** (1.0 / self.link_order)
+        return (-square * math.cos(0.5 * math.pi * self.link_order)) ** (
+            1.0 / self.link_order
         )
 
     def sufficient(self, natural_frequency: float) -> float:

@@ -135,14 +135,12 @@ class SecondMode:
         # sharp peak is high, and its circle passes -1 far from its centre.
         reach = math.asinh(max(8.0, 0.2 / self.damping_ratio))
         shape = self.damping_ratio * np.sinh(np.linspace(-reach, reach, count))
-        return np.asarray(self.frequency * np.exp(shape))
+        return self.frequency * np.exp(shape)
 
     def response(self, s: ArrayLike) -> Complex:
         """Return ``gain s²/(s² + 2 ζ ω₂ s + ω₂²)`` at complex `s` [rad/s], shape kept."""
         x = np.asarray(s, dtype=np.complex128) / self.frequency
-        return np.asarray(
-            self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0)
-        )
+        return self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0)
 
 
 @document("model", version=2)

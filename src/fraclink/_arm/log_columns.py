@@ -103,9 +103,7 @@ class Channel:
         offset = raw[0] if self.offset == "first" else self.offset
         factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
         # Multiplying by 1.0 is exact, so a log in SI units is read bit for bit.
-        return np.asarray(
-            (raw - offset) * factor if offset else raw * factor, dtype=np.float64
-        )
+        return (raw - offset) * factor if offset else raw * factor
 
 
 @checked(prefix="log.")

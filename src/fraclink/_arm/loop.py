@@ -80,9 +80,7 @@ class Crossings:
     @property
     def phase_margin(self) -> Real:
         """Angle of -L at each crossing, in (-π, π] [rad]."""
-        return np.asarray(
-            -np.remainder(-(self.phase + np.pi) + np.pi, 2 * np.pi) + np.pi
-        )
+        return -np.remainder(-(self.phase + np.pi) + np.pi, 2 * np.pi) + np.pi
 
 
 @dataclass(frozen=True)
@@ -191,7 +189,7 @@ class Loop(GaugedLink):
             value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
         if self.notch is not None:
             value = value + self.notch.log(w)
-        return np.asarray(value, dtype=np.complex128)
+        return value
 
     def motor_log(self, frequency: ArrayLike) -> Complex:
         """Return ln(M e^{-τs}) at jω: motor loop, hold and computation delay."""
@@ -201,13 +199,13 @@ class Loop(GaugedLink):
             value = value - 2.0 * np.log(1.0 + 1j * self.lag * w)
         if self.correction is not None:
             value = value + self.correction(w)
-        return np.asarray(value, dtype=np.complex128)
+        return value
 
     def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments
         broadcast.
         """
-        return np.asarray(
+        return (
             self.outer_log(frequency)
             + self.link_log(frequency, natural_frequency)
             + self.motor_log(frequency)
@@ -219,9 +217,7 @@ class Loop(GaugedLink):
         """
         w = np.asarray(frequency)
         bracket, _, _ = self.parts(w, natural_frequency)
-        return np.asarray(
-            np.exp(self.outer_log(w) + self.motor_log(w)) * bracket, dtype=np.complex128
-        )
+        return np.exp(self.outer_log(w) + self.motor_log(w)) * bracket
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
         """Return ln|L(jω)|, the real part of `log`, for which no phase is unwrapped."""
@@ -230,7 +226,7 @@ class Loop(GaugedLink):
         # exp(log ω) as in `link_log`, so that both agree to the last bit.
         link, _, _ = self.parts(np.exp(np.log(frequency)), natural_frequency)
         with np.errstate(divide="ignore"):
-            return np.asarray(
+            return (
                 self.outer_log(frequency).real
                 + np.log(np.abs(link))
                 + self.motor_log(frequency).real
@@ -246,7 +242,7 @@ class Loop(GaugedLink):
         up, down = (
             self.log(w * math.exp(step), natural_frequency) for step in (_STEP, -_STEP)
         )
-        return np.asarray((up - down) / (2.0 * _STEP))
+        return (up - down) / (2.0 * _STEP)
 
     def crossings(self, natural_frequency: ArrayLike) -> Crossings:
         """Return every crossing of |L| = 1 below `highest` for each ω₀ of the array."""
@@ -308,7 +304,7 @@ class Loop(GaugedLink):
         grid = np.minimum(np.sort(np.concatenate(parts, axis=1), axis=1), self.highest)
         # past `highest` all points of a row coincide there
         count = int(np.sum(np.any(grid < self.highest, axis=0))) + 1
-        return np.asarray(grid[:, :count])
+        return grid[:, :count]
 
     def _gauge_points(self, w0: Real) -> Real:
         """Frequencies at which a late gauge or a second mode bends |B| faster than the
@@ -351,7 +347,7 @@ class Loop(GaugedLink):
         )
         half = 0.5 * (rest - self.order) * cosine
         root = (-half + math.sqrt(half * half + rest * self.order)) / rest
-        return np.asarray((root * w0**2) ** (1.0 / self.link_order))
+        return (root * w0**2) ** (1.0 / self.link_order)
 
     def margins(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
         """Return (upper gain crossover, signed phase margin) for each ω₀.

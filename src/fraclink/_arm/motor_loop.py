@@ -152,7 +152,7 @@ class SampledMotorLoop:
         """Open loop of the motor loop, ``(Cm1 + Cm2) z^{-d} P`` at `frequency` [rad/s]."""
         x = np.exp(-1j * np.asarray(frequency) * self.pid.period)
         first, second = self.controllers(x)
-        return np.asarray((first + second) * x**self.delay_samples * self.plant(x))
+        return (first + second) * x**self.delay_samples * self.plant(x)
 
     def voltage(self, frequency: ArrayLike) -> Complex:
         """Transfer from θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2)
@@ -161,9 +161,7 @@ class SampledMotorLoop:
         x = np.exp(-1j * np.asarray(frequency) * self.pid.period)
         first, second = self.controllers(x)
         late = x**self.delay_samples
-        return np.asarray(
-            first * late / (1.0 + (first + second) * late * self.plant(x))
-        )
+        return first * late / (1.0 + (first + second) * late * self.plant(x))
 
     def poles(self) -> Complex:
         """Poles of the closed motor loop in z, largest modulus first."""
@@ -199,7 +197,7 @@ class SampledMotorLoop:
         hold = -np.expm1(-s * period) / (s * period)
         motor = self.motor.gain / (s * (s + self.motor.decay))
         ideal = np.exp(-(self.delay_samples + 0.5) * period * s) / (1.0 + s / pole) ** 2
-        return np.asarray(self.voltage(w) * hold * motor / ideal)
+        return self.voltage(w) * hold * motor / ideal
 
 
 @lru_cache(maxsize=16)  # the same one for every arm of a box

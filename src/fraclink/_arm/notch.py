@@ -60,7 +60,7 @@ class Notch:
         top, bottom = (
             rest + 2.0 * ratio * w * at for ratio in (self.zeros, self.poles)
         )
-        return np.asarray(np.log(top / bottom))
+        return np.log(top / bottom)
 
     def transfer(self) -> FractionalTransferFunction:
         """Return N as a transfer function."""

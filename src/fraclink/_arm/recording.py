@@ -141,7 +141,7 @@ class Recording:
     @property
     def time(self) -> Real:
         """Time of the samples from the first one on, shape (N,) [s]."""
-        return np.asarray(self.period * np.arange(self.input.size), dtype=np.float64)
+        return self.period * np.arange(self.input.size, dtype=np.float64)
 
     @classmethod
     def of(
@@ -305,4 +305,4 @@ def coherence_weights(response: Complex, coherence: Real) -> Real:
     # γ² = 1 would have infinite weight. A limit of one millionth below is an error of
     # 0.1 % of a line, less than any measurement has.
     share = np.minimum(coherence, 1 - 1e-6)
-    return np.asarray(np.sqrt(share / (1 - share)) / np.abs(response))
+    return np.sqrt(share / (1 - share)) / np.abs(response)

@@ -220,7 +220,7 @@ class SampledReference(Reference):
         nearest = np.rint(place)
         place = np.where(np.isclose(place, nearest, rtol=0.0), nearest, place)
         value = np.interp(place, np.arange(last + 1), self.values[order])
-        return np.asarray(
+        return (
             value if order == 0 else np.where((place < 0) | (place > last), 0.0, value)
         )
 

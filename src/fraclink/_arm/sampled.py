@@ -58,10 +58,7 @@ class SampledPlant:
         # The factor 1 − z⁻¹ of the hold by expm1: at low frequencies the alias sum is
         # large and this factor small.
         response = -np.expm1(-1j * self.period * w) / self.period * total
-        return np.asarray(
-            response if self.before is None else response * self.before(w),
-            dtype=np.complex128,
-        )
+        return response if self.before is None else response * self.before(w)
 
 
 def sampled_plant(
@@ -120,7 +117,7 @@ def sampled_plant(
             bracket = bracket - gauge * higher(s)
         if model.second_mode is not None:
             bracket = bracket - gauge * model.second_mode.response(s)
-        return np.asarray(bracket / drive, dtype=np.complex128)
+        return bracket / drive
 
     # The voltage of the PID already includes the computation delay.
     return SampledPlant(

@@ -224,4 +224,4 @@ def resampled(stamps: Real, base: TimeBase, values: Real) -> Real:
     keep = np.concatenate(([True], np.diff(stamps) > 0))
     count = int(np.floor((stamps[-1] - base.start) / base.period + 1e-6)) + 1
     grid = base.start + base.period * np.arange(count)
-    return np.asarray(np.interp(grid, stamps[keep], values[keep]), dtype=np.float64)
+    return np.interp(grid, stamps[keep], values[keep])

@@ -43,7 +43,7 @@ class Span:
     @property
     def middle(self) -> Real:
         """Midpoints."""
-        return np.asarray(0.5 * (self.low + self.high))
+        return 0.5 * (self.low + self.high)
 
     def inverse(self) -> Span:
         """1/x of positive intervals."""
@@ -185,7 +185,7 @@ class Disc:
 
     def most(self) -> Real:
         """Upper bound of |z|."""
-        return np.asarray((np.abs(self.c) + self.r) * (1 + ROUNDING))
+        return (np.abs(self.c) + self.r) * (1 + ROUNDING)
 
 
 Slopes = dict[str, Disc]

@@ -202,7 +202,7 @@ class BoxLoop:
 
     def held(self, frequency: Real) -> Mask:
         """Whether L includes the nearest aliases for boxes from these frequencies on."""
-        return np.asarray(frequency >= 0.5 * ALIASES_FROM * self.turn)
+        return frequency >= 0.5 * ALIASES_FROM * self.turn
 
     def _kernel(self, z: Disc) -> Disc:
         """K."""
@@ -433,7 +433,7 @@ class BoxLoop:
         rest = self._tip_bound(
             box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf)
         )
-        return np.asarray(motor * (first + terms * rest / w**3) * (1 + 1e-9))
+        return motor * (first + terms * rest / w**3) * (1 + 1e-9)
 
     def _tip_bound(self, box: dict[str, Span], low: Real, high: Real) -> Real:
         """Bound of |H| at frequencies in [low, high]: κ c g |G|, |1 − E| and |E R|.
@@ -460,9 +460,7 @@ class BoxLoop:
         ratio = self.second[1] / low
         # Near the mode |R| never exceeds its gain times 1/(2ζ sqrt(1 − ζ²)).
         peak = np.where(ratio < 0.7, 1 / np.maximum(1 - ratio**2, 0.5), self.mode_peak)
-        return np.asarray(
-            (tip + unread + gains[1] * box["mode_gain"].high * peak) * (1 + 1e-9)
-        )
+        return (tip + unread + gains[1] * box["mode_gain"].high * peak) * (1 + 1e-9)
 
     @property
     def mode_peak(self) -> float:

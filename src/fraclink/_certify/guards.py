@@ -106,7 +106,7 @@ def _followed(s: Statement) -> Following:
         back = np.exp(-1j * frequency * period)
         reach = 0.5 * (s.pole_low + s.pole_high) * period
         late = back ** round(s.delay_high / period)
-        return np.asarray(held_reference(reach, back) * late)
+        return held_reference(reach, back) * late
 
     model = MotorModel(c["motor_now"], c["motor_next"], c["motor_keep"])
     return Following.of(model, follows, period)

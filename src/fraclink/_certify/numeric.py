@@ -57,13 +57,13 @@ def loop_values(
         outer = outer * motor_loop(statement, w, at["delay"], at["motor"])[0]
     # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the
     # periodic factors outside.
-    spectrum = _continuous(statement, w, at)
+    spectrum = np.asarray(_continuous(statement, w, at))
     held = w >= 0.5 * ALIASES_FROM * turn if held is None else held
     fast = np.broadcast_to(held, spectrum.shape)
     w = np.broadcast_to(w, spectrum.shape)[fast]
     at = {k: np.broadcast_to(v, spectrum.shape)[fast] for k, v in at.items()}
     spectrum[fast] += sum(_continuous(statement, w + n * turn, at) for n in ALIASES)
-    return np.asarray(outer * spectrum)
+    return outer * spectrum
 
 
 def _continuous(
@@ -94,8 +94,8 @@ def _continuous(
         / s
     )
     if statement.motor_loop == "ideal":
-        return np.asarray(link / (1.0 + s / at["motor"]) ** 2)
-    return np.asarray(link * at["motor"] / (s * (s + statement.decay)))
+        return link / (1.0 + s / at["motor"]) ** 2
+    return link * at["motor"] / (s * (s + statement.decay))
 
 
 def motor_loop(
@@ -110,7 +110,7 @@ def motor_loop(
     slow = 1.0 / (1.0 - float(c["filter_decay"]) * x)
 
     def pair(name: str) -> Complex:
-        return np.asarray(c[f"{name}_now"] + c[f"{name}_before"] * x)
+        return c[f"{name}_now"] + c[f"{name}_before"] * x
 
     first = c["inner_direct"] + pair("integral") / (1.0 - x) + slow * pair("filter")
     both = first + c["inner_angle"] + slow * pair("filter_angle")

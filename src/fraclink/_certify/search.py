@@ -50,7 +50,7 @@ class MarginFailure:
 
 
 def _unit(value: Complex) -> Complex:
-    return np.asarray(value / np.maximum(np.abs(value), 1e-300))
+    return value / np.maximum(np.abs(value), 1e-300)
 
 
 # A half plane Re(n* v) > b must not contain forbidden values: |1 + L| <= m and the ray
@@ -185,7 +185,7 @@ def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
     unknown = ~np.isfinite(weight) & (width > 0.0)
     some = np.any(unknown, axis=1, keepdims=True)
     best = np.where(some, np.where(unknown, relative, -1.0), weight)
-    return np.asarray(np.argmax(best, axis=1))
+    return np.argmax(best, axis=1)
 
 
 def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:

@@ -75,7 +75,7 @@ class Candidates:
         lam, mu = self.places[:, :1], self.places[:, 1:2]
         parts = _parts(s[None, :], lam, mu, self.filter_time[:, None])
         kp, ki, kd = (self.gains[:, k, None] for k in range(3))
-        return np.asarray(kp + ki * parts[1] + kd * parts[2])
+        return kp + ki * parts[1] + kd * parts[2]
 
     @property
     def controller(self) -> FractionalPid:
@@ -122,7 +122,7 @@ class PidProblem:
         # that rises above 1 there would be missed.
         modes = np.exp(as_loop(self.plant, None).seeds)
         w = np.union1d(np.geomspace(low, high, _POINTS), modes)
-        return np.asarray(w[(w >= low) & (w <= high)])
+        return w[(w >= low) & (w <= high)]
 
     def solved(self, places: Real) -> Candidates:
         """The candidates at these places, of flat phase where the order is left for it;
@@ -212,11 +212,11 @@ class PidProblem:
                 slacks.append(distance - _ROOM / self.max_sensitivity)
             missed = np.maximum(-np.array(slacks), 0.0).sum(axis=0)
         # no loop, no distance from one: farther away than any other
-        return np.asarray(np.nan_to_num(missed, nan=1e3, posinf=1e3))
+        return np.nan_to_num(missed, nan=1e3, posinf=1e3)
 
     @cached_property
     def _scanned(self) -> Complex:
-        return np.asarray(self.plant(1j * self.scan))
+        return self.plant(1j * self.scan)
 
 
 def _parts(
@@ -234,7 +234,7 @@ def _plant_at(plant: FractionalTransferFunction, w: Real) -> tuple[Complex, Real
     """
     step = math.exp(DIFFERENCE_STEP)
     turn = np.angle(plant(1j * w * step) / plant(1j * w / step))
-    return np.asarray(plant(1j * w)), np.asarray(turn / (2.0 * DIFFERENCE_STEP))
+    return plant(1j * w), turn / (2.0 * DIFFERENCE_STEP)
 
 
 def _turn_beyond(loop: Complex, origin: Real) -> Real:
@@ -248,7 +248,7 @@ def _turn_beyond(loop: Complex, origin: Real) -> Real:
     first = -0.5 * math.pi * origin
     start = first + np.angle(locus[:, 0] * np.exp(-1j * first))
     end = start + np.angle(locus[:, 1:] / locus[:, :-1]).sum(axis=1)
-    return np.asarray(np.abs(end - np.angle(locus[:, -1])))
+    return np.abs(end - np.angle(locus[:, -1]))
 
 
 def _least_margins(loop: Complex) -> tuple[Real, Real]:
@@ -296,7 +296,7 @@ def itae(
     error = series[:, : time.size] * np.exp(shift * time) * samples / (
         2.0 * horizon
     ) + np.exp(-rate * time)
-    return np.asarray(np.trapezoid(time * np.abs(error), time, axis=1))
+    return np.trapezoid(time * np.abs(error), time, axis=1)
 
 
 def best_of(

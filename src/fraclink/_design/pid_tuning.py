@@ -279,7 +279,7 @@ class PidTuning(Saved):
             # A whole period, although `open_loop` uses one and a half: the other half
             # is the hold, which `modes` contains exactly.
             late = np.exp(-1j * w * law.period)
-            return np.asarray(pid_response(law, w) * modes.frequency_response(w) * late)
+            return pid_response(law, w) * modes.frequency_response(w) * late
 
         return margins(loop, limit=math.pi / law.period, unstable_poles=0)
 

@@ -193,7 +193,7 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
         # ln|L(jω̄_c)| with k_d from (54): ln χ + β ln(ω̄_c/ω_c) + ln|G|. Its zero is the
         # second crossing.
         residual = chi + beta * (np.log(upper) - np.log(crossover)) + at_high.real
-        return np.asarray(residual), np.asarray(beta), np.asarray(chi)
+        return residual, beta, chi
 
     # Far above the mode |L| ∝ ω₀² ω^(β−λ), so from one payload to the other the
     # crossing moves by (ω̄₀/ω₀)^(2/(λ−β)): the square of the ratio for λ − β = 1. The
@@ -263,12 +263,12 @@ def _filter_afterwards(request: Request, loop: Loop, n: int, upper: float) -> fl
     margin = (1.0 - _SHARE) * request.spec["phase_margin"]
 
     def lag(frequency: Real) -> Real:
-        return np.asarray(loop.log(frequency, high).imag + math.pi - margin)
+        return loop.log(frequency, high).imag + math.pi - margin
 
     def level(frequency: Real) -> Real:
         # Clipped: beyond a quarter turn per pole no filter can provide that lag.
         angle = np.clip(lag(frequency) / n, 0.0, 0.45 * math.pi)
-        return np.asarray(loop.log(frequency, high).real + n * np.log(np.cos(angle)))
+        return loop.log(frequency, high).real + n * np.log(np.cos(angle))
 
     # Below ω̄_c the unfiltered loop has less lag and more gain: go down until the
     # filter can provide the lag. Steps of 1 %, down to 13 % of ω̄_c; no filter that

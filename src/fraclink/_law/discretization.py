@@ -487,7 +487,7 @@ def _about_notch(controller: Controller, band: tuple[float, float]) -> Real:
     widths = np.array([controller.notch.zeros, controller.notch.poles])
     near = np.exp(widths[:, None] * np.linspace(-1.5, 1.5, 7)).ravel()
     w = np.unique(controller.notch.frequency * near)
-    return np.asarray(w[(w > band[0]) & (w < band[1])])
+    return w[(w > band[0]) & (w < band[1])]
 
 
 def _crossover(controller: Controller, link: LinkModel) -> float:

@@ -217,7 +217,7 @@ def _response(loop: DiscretePid, frequency: ArrayLike) -> Complex:
     """P(e^(jωT)): Tustin's integral is T/(2j tan(ωT/2))."""
     w = np.asarray(frequency, dtype=float)
     integral = 0.5 * loop.period / (1j * np.tan(0.5 * w * loop.period))
-    return np.asarray(loop.direct + loop.integral_gain * integral, dtype=np.complex128)
+    return loop.direct + loop.integral_gain * integral
 
 
 def _limits(correction: Modes, reach: float) -> Limits:

@@ -303,9 +303,7 @@ class Law(Saved):
         total = total + 0.5 * (
             crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())
         ).sum(-1)
-        return np.asarray(
-            2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128
-        )
+        return 2j * np.sin(half) * np.exp(-1j * half) * total
 
     def initial_state(self) -> bytes:
         """Return the state before the first period; the first step starts at the

@@ -200,7 +200,7 @@ def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
     # the iteration above has determined to three digits only, which happens for α near
     # 2.
     width = min(max(0.5 * abs(math.atan2(law.imag, law.real)), 1e-3), _WIDEST)
-    return np.asarray(peak * np.exp(width * _POINTS))
+    return peak * np.exp(width * _POINTS)
 
 
 def _seen(w: Real, period: float) -> Real:
@@ -219,7 +219,7 @@ def _rest(loop: Loop, w: Real, period: float) -> Complex:
     """
     half = 0.5 * period * w
     motor = loop.motor_log(np.minimum(w, math.pi / period))
-    return np.asarray(np.log(np.abs(np.sin(half)) / half + 1e-300) + motor)
+    return np.log(np.abs(np.sin(half)) / half + 1e-300) + motor
 
 
 def mode_requirements(

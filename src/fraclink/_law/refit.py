@@ -77,4 +77,4 @@ def _terms(law: Law, w: Real) -> Complex:
     # which the block stores a pair.
     both = np.stack([0.5 * (up + down), 0.5j * (up - down)], axis=2).reshape(w.size, -1)
     terms = np.concatenate([np.ones_like(z), reals, both], axis=1)
-    return np.asarray((1.0 - 1.0 / z) * terms, dtype=np.complex128)
+    return (1.0 - 1.0 / z) * terms

@@ -104,9 +104,9 @@ def following(
     def follows(frequency: Real) -> Complex:
         back = np.exp(-1j * frequency * period)
         if pid is None or motor is None:
-            return np.asarray(held_reference(pole * period, back) * back**delay)
+            return held_reference(pole * period, back) * back**delay
         loop = SampledMotorLoop(pid, motor, delay)
-        return np.asarray(loop.voltage(frequency) * loop.plant(back))
+        return loop.voltage(frequency) * loop.plant(back)
 
     top = 2 * resonance
     # Not down to 0, where the model has a gain of 1 by its form and the weight 1/ω is
@@ -181,7 +181,7 @@ def held_reference(reach: float, back: Complex) -> Complex:
     """
     keep = math.exp(-reach)
     top = (1 - keep * (1 + reach)) * back + keep * (keep - 1 + reach) * back**2
-    return np.asarray(top / (1 - keep * back) ** 2)
+    return top / (1 - keep * back) ** 2
 
 
 def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
@@ -237,7 +237,7 @@ def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
         s = 1j * frequency
         # The inverse without θt* itself and per acceleration: it falls with s, so that
         # no derivative of the reference has to be formed.
-        return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
+        return (1 / link.tip()(s) - 1) / s**2
 
     high = min(200.0, 0.5 * math.pi / period)
     # 0.3 dB of the feed-forward is 3 % of the flexion, well below the effect of an

@@ -121,7 +121,7 @@ class LumpedArms:
 
     def column(self, name: str) -> Real:
         """Return one of `NUMBERS` of every arm, shape (R,)."""
-        return np.asarray(self.numbers[:, NUMBERS.index(name)])
+        return self.numbers[:, NUMBERS.index(name)]
 
     def rows(self, rows: NDArray[np.intp]) -> LumpedArms:
         """Return the arms at the given indices."""
@@ -306,23 +306,21 @@ class ArmState:
             self.estimate = np.frombuffer(
                 bytearray(estimator.initial_state()), dtype=np.uint8
             )
-        return np.asarray(
-            _kernels.twin_run(
-                *self.step.arrays,
-                self.rig,
-                self.obstacle,
-                block,
-                single,
-                np.ascontiguousarray(inputs),
-                self.law,
-                self.state,
-                self.gauge,
-                self.voltage,
-                self.sensed,
-                self.counters,
-                b"" if estimator is None else estimator.block,
-                self.estimate,
-            )
+        return _kernels.twin_run(
+            *self.step.arrays,
+            self.rig,
+            self.obstacle,
+            block,
+            single,
+            np.ascontiguousarray(inputs),
+            self.law,
+            self.state,
+            self.gauge,
+            self.voltage,
+            self.sensed,
+            self.counters,
+            b"" if estimator is None else estimator.block,
+            self.estimate,
         )
 
     def estimating(

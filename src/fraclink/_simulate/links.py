@@ -149,7 +149,7 @@ def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
     """
     log_poles = 1j * np.pi * np.array([[1.0], [3.0]]) / order
     if not np.any(ratio):
-        return np.asarray(log_poles)
+        return log_poles
     # The poles meet at an M of argument π(1 − 2α/λ) and size above one: they are
     # followed past it on the other side, and from there to the real M.
     side = np.where(2.0 * alpha >= order, 1j, -1j) * np.minimum(ratio, 1.0)
@@ -165,7 +165,7 @@ def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
             log_poles = log_poles - (moving + friction + 1.0) / (
                 order * moving + alpha * friction
             )
-    return np.asarray(log_poles)
+    return log_poles
 
 
 def batch_links(

@@ -286,7 +286,7 @@ def _settling(distance: Real, band: Real, period: float) -> Real:
     # and entered any number of times.
     last = length - 1 - np.argmax(outside[:, ::-1], axis=1)
     time = np.where(outside.any(axis=1), (last + 1.0) * period, 0.0)
-    return np.asarray(np.where(outside[:, -1], np.inf, time))
+    return np.where(outside[:, -1], np.inf, time)
 
 
 def _residual(signals: Signals) -> Real:
@@ -309,7 +309,7 @@ def _noise(tail: Real) -> Real:
     # At the end of a run the motor reference still creeps with the slow modes of the
     # correction, which is not noise.
     basis, _ = np.linalg.qr(np.vander(steps, 3))
-    return np.asarray(np.std(tail - (tail @ basis) @ basis.T, axis=1))
+    return np.std(tail - (tail @ basis) @ basis.T, axis=1)
 
 
 def _driven(signals: Signals) -> Real:
@@ -321,7 +321,7 @@ def _driven(signals: Signals) -> Real:
     # A reference that still moves may need the full voltage.
     rests = signals.ended <= signals.period * (length - tenth)
     at_limit = (signals.flags[:, -tenth:] & _kernels.LAW_FLAG_SATURATED) != 0
-    return np.asarray(np.where(rests, at_limit.mean(axis=1), 0.0))
+    return np.where(rests, at_limit.mean(axis=1), 0.0)
 
 
 def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
@@ -329,9 +329,7 @@ def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
     (R,).
     """
     abnormal = mode != _kernels.LAW_RUN
-    return np.asarray(
-        np.where(abnormal.any(axis=1), np.argmax(abnormal, axis=1), mode.shape[1])
-    )
+    return np.where(abnormal.any(axis=1), np.argmax(abnormal, axis=1), mode.shape[1])
 
 
 def _growth(signals: Signals) -> Real:

@@ -235,6 +235,6 @@ def _least(
             return None
         broken = rows @ solution.x - sides > BROKEN * scale
         if not np.any(broken & ~active):
-            return np.asarray(solution.x)
+            return solution.x
         # including their neighbours, which are next if the peak moves sideways
         active |= np.convolve(broken, np.ones(5), mode="same") > 0

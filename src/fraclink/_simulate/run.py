@@ -127,7 +127,7 @@ class Run(Saved):
     @property
     def error(self) -> Real:
         """Reference minus tip angle [rad]."""
-        return np.asarray(self.reference - self.tip_angle)
+        return self.reference - self.tip_angle
 
     @property
     def carried(self) -> str:

@@ -104,7 +104,7 @@ class ArmLine:
             if self._clock.now > last:
                 return None
             self._clock.sleep(self.period / _LOOKS)
-        return sample  # type: ignore[no-any-return]
+        return sample
 
     def _on_time(self) -> tuple[int, float, float] | None:
         # Absolute deadlines: sleeping for one period each time would lengthen every
@@ -214,4 +214,4 @@ def _first_sample(
             allowed=f"{1e-9 * sample[0]:g} s",
             remedy="leave it out: this arm states its own",
         )
-    return sample  # type: ignore[no-any-return]
+    return sample
