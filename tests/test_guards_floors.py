@@ -193,12 +193,12 @@ CEILINGS = {
     "_files": 551,
     "_identify": 2575,
     "_law": 954,
-    "_reading": 898,
+    "_reading": 893,
     "_simulate": 1178,
-    "lab": 1924,
+    "lab": 1922,
     "logs": 706,
     "studio": 1067,
-    "trials": 1300,
+    "trials": 1297,
     "view": 1410,
 }
 

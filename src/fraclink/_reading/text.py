@@ -26,7 +26,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
 
@@ -58,7 +57,6 @@ _SEPARATORS = ("\t", ";", ",", "")  # "": blanks
 
 LINE_LIMIT = 100_000  # bytes of one line
 _HEAD = 200  # lines in which a table must begin
-_DAY = timedelta(days=1).total_seconds()
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 
 
@@ -388,28 +386,22 @@ def _seconds(cells: list[str]) -> list[float]:
     days = {stamp[1] for stamp in stamps}
     if len(stamps) < len(cells) or len({stamp[5] for stamp in stamps}) > 1:
         return []
+    # 03.04.2026 may be April or March, which does not matter within one day.
+    texts = [
+        f"{stamp[1].replace('/', '-') if len(days) > 1 else '2000-01-01'}"
+        f"T{stamp[2]:0>2}:{stamp[3]}:{stamp[4].replace(',', '.')}"
+        for stamp in stamps
+    ]
     try:
-        number = {
-            day: date.fromisoformat(str(day).replace("/", "-")).toordinal()
-            for day in days
-        }
+        # In whole nanoseconds: rounding errors of seconds would look like jitter.
+        times = np.array(texts, dtype="datetime64[ns]")
     except ValueError:
-        # 03.04.2026 may be April or March, which does not matter within one day
-        if len(days) > 1:
-            return []
-        number = dict.fromkeys(days, 0)
-    clock = np.array(
-        [[float(stamp[k].replace(",", ".")) for k in (2, 3, 4)] for stamp in stamps]
-    )
-    seconds = clock @ (3600.0, 60.0, 1.0)
+        return []
+    nanoseconds = (times - times[0]).astype(np.int64)
     if days == {None}:
         # half a day back means that midnight has passed
-        seconds = np.unwrap(seconds, period=_DAY)
-    ordinals = np.array([number[stamp[1]] for stamp in stamps])
-    seconds = seconds + _DAY * (ordinals - ordinals[0])
-    # Rounded to nanoseconds: differences of times of day (86 400 s) have rounding
-    # errors of 1e-11 s, which would look like jitter.
-    return [round(value, 9) for value in (seconds - seconds[0]).tolist()]
+        nanoseconds = np.unwrap(nanoseconds, period=86_400 * 10**9)
+    return [float(value) for value in nanoseconds / 1e9]
 
 
 # --- rows and cells ---------------------------------------------------------------------

@@ -22,7 +22,7 @@ from fraclink.lab._machine import (
     PRIORITY,
     Priority,
     check_machine,
-    granted_priority,
+    granted,
     period_ns,
 )
 from fracsys.checks import Between, Real, Seed, checked
@@ -209,7 +209,7 @@ def serve_arm(
     return ServedArm(
         **parts,
         period=period,
-        scheduling=granted_priority(priority, outcome["priority_error"]),
+        scheduling=granted(outcome, priority)[0],
     )
 
 

@@ -32,6 +32,7 @@ __all__ = [
     "arm_end",
     "controller_end",
     "parse_connection",
+    "silent",
 ]
 
 _FORMS = "serial:PORT@BAUD or udp:HOST:PORT"
@@ -247,6 +248,16 @@ def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
     # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, leave a
     # forger a chance of 2^-128 per message.
     return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
+
+
+def silent(connection: Connection, patience: float) -> FieldError:
+    """Return the error for an arm that sends no sample within so many seconds."""
+    return _error(
+        connection,
+        f"silent: no sample in {patience:g} s",
+        "an arm that answers",
+        "start the arm first (`fraclink serve-arm`), or check the board",
+    )
 
 
 def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError:

@@ -13,7 +13,7 @@ from fraclink import _kernels
 from fraclink._law import MODES
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError, FraclinkError
-from fraclink.lab._connections import Connection, controller_end
+from fraclink.lab._connections import Connection, controller_end, silent
 from fraclink.lab._machine import check_machine, period_ns, real_time
 
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
@@ -189,13 +189,7 @@ def _first_sample(
         # idle: from this message an arm learns where to send its samples
         way.write(0.0, 0.0, 0, 0, 0, 0)
         if clock.now > last:
-            raise FieldError(
-                "io",
-                str(connection),
-                f"silent: no sample in {patience:g} s",
-                allowed="an arm that answers",
-                remedy="start the arm first (`fraclink serve-arm`), or check the board",
-            )
+            raise silent(connection, patience)
         clock.sleep(look)
     if period is None and not sample[0]:
         raise FieldError(

@@ -17,7 +17,7 @@ from fraclink._law import Law
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.estimates import estimator_for
 from fraclink.errors import FieldError
-from fraclink.lab._connections import Connection, controller_end
+from fraclink.lab._connections import Connection, controller_end, silent
 from fraclink.lab._machine import (
     PRIORITY,
     Priority,
@@ -214,13 +214,7 @@ def _check_answer(
 ) -> None:
     stop = STOPS[int(outcome["stop"])]
     if stop == "no sample":
-        raise FieldError(
-            "io",
-            str(connection),
-            f"silent: no sample in {patience:g} s",
-            allowed="an arm that answers",
-            remedy="start the arm first (`fraclink serve-arm`), or check the board",
-        )
+        raise silent(connection, patience)
     if stop == "other period":
         raise FieldError(
             "period",

@@ -27,7 +27,6 @@ __all__ = [
     "WakeUps",
     "check_machine",
     "granted",
-    "granted_priority",
     "measure_wake_ups",
     "period_ns",
     "signals_held",
@@ -242,32 +241,20 @@ def signals_held() -> Iterator[threading.Event]:
 
 
 def granted(
-    outcome: dict[str, float], priority: int, lock_memory: bool
+    outcome: dict[str, float], priority: int, lock_memory: bool = False
 ) -> tuple[str, str]:
     """Return in words whether SCHED_FIFO and locked memory were granted."""
+
     # Requested separately: a container often grants one and not the other, and the user
     # must know which.
-    memory = (
-        _granted("locked", int(outcome["memory_error"]))
-        if lock_memory
-        else "not locked, as asked"
-    )
-    return granted_priority(priority, int(outcome["priority_error"])), memory
+    def answer(what: str, error: float) -> str:
+        return f"refused ({os.strerror(int(error))})" if error else what
 
-
-def granted_priority(priority: int, refused: int) -> str:
-    """Return in words whether SCHED_FIFO was granted; `refused` is the errno, 0 where
-    it was granted.
-
-    >>> granted_priority(80, 0), granted_priority(80, 1)
-    ('SCHED_FIFO 80', 'refused (Operation not permitted)')
-    """
     return (
-        _granted(f"SCHED_FIFO {priority}", refused)
+        answer(f"SCHED_FIFO {priority}", outcome["priority_error"])
         if priority
-        else "ordinary, as asked"
+        else "ordinary, as asked",
+        answer("locked", outcome["memory_error"])
+        if lock_memory
+        else "not locked, as asked",
     )
-
-
-def _granted(what: str, refused: int) -> str:
-    return what if refused == 0 else f"refused ({os.strerror(refused)})"

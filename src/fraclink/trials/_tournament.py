@@ -95,13 +95,10 @@ class Standing:
 @displayed
 @dataclass(frozen=True, eq=False)
 class Tournament:
-    """Every rival's standing, fraclink first, with what was assumed and the nominal
-    runs for plots.
-    """
+    """Every rival's standing, fraclink first, with what was assumed."""
 
     standings: tuple[Standing, ...]
     notes: tuple[str, ...]
-    runs: dict[str, Run]
 
     def winners(self) -> dict[str, tuple[str, ...]]:
         """Return who is best in every figure, among those that passed.
@@ -221,7 +218,7 @@ def compare(
     tried = payloads or (*design.payloads, rig.payloads.nominal)
     notes = [f"link of {1e3 * mass:g} g, {twin.damping.label}"]
     notes += [str(finding) for finding in twin.findings]
-    standings, runs = [], {}
+    standings = []
     makers = builders(design)
     for name in _chosen(tuple(makers), names):
         if progress is not None:
@@ -233,9 +230,8 @@ def compare(
             # tournament
             notes.append(f"{name} left out: {error}")
             continue
-        standing, runs[name] = _standing(design, twin, rival, move, tried, seed)
-        standings.append(standing)
-    return Tournament(tuple(standings), tuple(notes), runs)
+        standings.append(_standing(design, twin, rival, move, tried, seed))
+    return Tournament(tuple(standings), tuple(notes))
 
 
 def _chosen(rivals: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
@@ -266,7 +262,7 @@ def _standing(
     move: Reference,
     payloads: Sequence[float],
     seed: int,
-) -> tuple[Standing, Run]:
+) -> Standing:
     followed = rival.shaped(move)
     # After the start: the law would take an offset present from the first sample as the
     # zero of the gauge.
@@ -292,7 +288,7 @@ def _standing(
     worst = max(settling, key=lambda p: (settling[p], abs(p - usual)))
     figures = nominal.metrics
     last = shifted.error[-round(1.0 / design.rig.period) :]
-    standing = Standing(
+    return Standing(
         name=rival.name,
         rule=rival.rule,
         knob=rival.knob,
@@ -310,7 +306,6 @@ def _standing(
         worst_settling=settling[worst],
         peak=rival.peak,
     )
-    return standing, nominal
 
 
 def _settled(run: Run) -> float:
