@@ -174,14 +174,14 @@ class Loop:
         if not self.ideal: shared, alias = shared * (1 - x) * first, alias * most * first.most
         fronts = [shared * (s if self.ideal else s * s * (s + self.B)).over() for s in ((w + n * self.turn) * 1j for n in (0, *ALIASES)[:count])]
         return [f.closer(at, w0=w.r) for f, at in zip(fronts, self.window(count, *middle(ends))[0])] if ends[0] < ends[1] else fronts, alias, x, gain
-    def front(self, box, count):  # F with its slopes, and at ALIASES, and the bound of the other aliases of L
+    def front(self, box, count):  # F with its slopes, and at ALIASES, 1/F (affine in 1/A, so not formed from F), and the bound of the other aliases of L
         fronts, alias, *motor = self.window(count, *box[W])
         w, late, slow, alias = real(box[W], W), real(box[LATE], LATE), real(box[MOTOR], MOTOR).over(), alias * self.aliases(box)
-        rests = [(f * (v * t * -1j).exp(), (1 + v * p * 1j).over(), n) for n, front in zip((0, *ALIASES), fronts) for f, v, t, p in [exact(n, front, w + n * self.turn, late, slow)]]
-        if self.ideal: return [f * lag * lag for f, lag, _ in rests], alias
+        rests = [(f * (v * t * -1j).exp(), 1 + v * p * 1j, n) for n, front in zip((0, *ALIASES), fronts) for f, v, t, p in [exact(n, front, w + n * self.turn, late, slow)]]
+        if self.ideal: return [f * lag.over() * lag.over() for f, lag, _ in rests], rests[0][0].over() * rests[0][1] * rests[0][1], alias
         point = self.closing(*self.window(1, *middle(box[W]))[2:], Disc(late.c), Disc(middle(box[MOTOR])[0]).over())
-        lag = self.closing(*motor, late, slow).closer(point, w0=w.r, w2=late.r, w7=real(box[MOTOR], MOTOR).r).over()
-        return [f * exact(n, lag)[0] for f, _, n in rests], alias * lag.most * slow.most
+        lag = (closing := self.closing(*motor, late, slow).closer(point, w0=w.r, w2=late.r, w7=real(box[MOTOR], MOTOR).r)).over()
+        return [f * exact(n, lag)[0] for f, _, n in rests], rests[0][0].over() * closing, alias * lag.most * slow.most
     def aliases(self, box):  # Bound of Σ |F(s_k)/s_k| but for what all share: the nearest at 2π/T - ω where L lacks it, the others
         w, m, late, ends = math.pi / self.T, box[MOTOR][1], box[GLATE][1], box[W]
         near, turn, begin = (2 * w - min(ends[1], w)) * (1 - 1e-9), min(late * (2 * w - ends[0]) * (1 + 1e-9), math.pi), 2 + 4 * (ends[0] >= 0.2 * w)
@@ -194,7 +194,7 @@ class Loop:
         return (math.sqrt(max((1 - g) ** 2 for g in gains) + 4 * gains[1] * math.sin(turn / 2) ** 2) + gains[1] * mode) * (1 + 1e-9)
     def form(self, box, plain, rest=()):  # L or 1/L with its slopes, the bound of the aliases, and from 0.2 of Nyquist on the middle of the small ones, of a point its box's
         count = 1 + 5 * (box[W][0] >= 0.2 * math.pi / self.T) if rest == () else 1 + (rest is not None)
-        (fronts, alias), alpha, axes = self.front(box, count), self.s["damping_order"], list(map(real, box, range(10)))
+        (fronts, back, alias), alpha, axes = self.front(box, count), self.s["damping_order"], list(map(real, box, range(10)))
         def seen(n):  # log(jv), E, R and what they are made of at v = ω + 2πn/T
             w, q, _, gain, late, order, loss, _, mode, share = exact(n, *axes)
             v, sign, ends = w + n * self.turn, -1 if n < 0 else 1, sorted(abs(end + n * self.turn) for end in box[W])
@@ -212,7 +212,7 @@ class Loop:
         near = near[0] + rest if near else Disc(0)
         if plain: return fronts[0] * tip(*here) + near, alias, rest
         link = q * (log * order).exp() * material(log, loss).over()
-        inverse = fronts[0].over() * ((link + 1) * (read + (1 - read * (1 + second)) * (link + 1)).over())
+        inverse = back * ((link + 1) * (read + (1 - read * (1 + second)) * (link + 1)).over())
         return inverse * (1 + near * inverse).over() if len(fronts) > 1 else inverse, alias, rest
     def leaf(self, box, plain):  # Whether |L| is small, or L (or 1/L) lies in a half plane that misses everything forbidden
         if box[MODE][0] > box[MODE][1]: return True

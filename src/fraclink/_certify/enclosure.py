@@ -135,9 +135,12 @@ class BoxLoop:
 
     def fronts(
         self, box: dict[str, Span], shifts: Shifts = _MAIN
-    ) -> tuple[list[Disc], Real]:
-        """(F at ω + 2πn/Ts for the shifts n, bound of the aliases not included in L)
-        over boxes.
+    ) -> tuple[list[Disc], Disc, Real]:
+        """(F at ω + 2πn/Ts for the shifts n, 1/F for the first of them, bound of the
+        aliases not included in L) over boxes.
+
+        1/F is not formed from F, whose disc is unbounded where the disc of X contains
+        zero, and whose slopes along the motor would enter three times.
         """
         window = self._window(box["frequency"], shifts)
         w, late = (
@@ -150,12 +153,12 @@ class BoxLoop:
             f * (at * late * -1j).exp()
             for f, at in zip(window.fronts, places, strict=True)
         ]
-        alias = window.alias * self._alias_sum(box)
+        alias, back = window.alias * self._alias_sum(box), rests[0].inverse()
         if self.motor_loop == "ideal":
-            lags = [(1 + at * slow * 1j).inverse() for at in places]
-            return [
-                rest * lag * lag for rest, lag in zip(rests, lags, strict=True)
-            ], alias
+            leads = [1 + at * slow * 1j for at in places]
+            lags = [lead.inverse() for lead in leads]
+            fronts = [rest * lag * lag for rest, lag in zip(rests, lags, strict=True)]
+            return fronts, back * leads[0] * leads[0], alias
         # Near the resonance of the motor loop X is small; its slopes enclose it more
         # tightly than its terms.
         middle = box["frequency"].middle
@@ -163,11 +166,12 @@ class BoxLoop:
         point = self._window(Span(middle, middle))
         centre = self.closing(point.back, point.both, Disc(late.c), at_motor)
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
-        wide = self.closing(window.back, window.both, late, slow)
-        lag = wide.closer(centre, steps).inverse()
+        wide = self.closing(window.back, window.both, late, slow).closer(centre, steps)
+        lag = wide.inverse()
         # The transfer function from Ĉ to the voltage is C/X, X = A (y²/A + Z); the sum
         # contains A itself.
-        return [rest * lag for rest in rests], alias * lag.most() * slow.most()
+        alias = alias * lag.most() * slow.most()
+        return [rest * lag for rest in rests], back * wide, alias
 
     def _window(self, frequency: Span, shifts: Shifts = _MAIN) -> FrequencyWindow:
         """The factor that depends on frequency only."""
@@ -292,7 +296,7 @@ class BoxLoop:
             )
 
     def _forms(self, box: dict[str, Span], held: Mask) -> tuple[Disc, Disc, Real]:
-        (front,), alias = self.fronts(box)
+        (front,), back, alias = self.fronts(box)
         w, log = (
             self._variable("frequency", box["frequency"]),
             self._log(box["frequency"], 1.0),
@@ -300,15 +304,13 @@ class BoxLoop:
         gauge, mode = self._read(box, w), self._mode(box)
         plain = front * (1 - gauge * ((self._compliant(box, log) + 1).inverse() + mode))
         x = self._soft(box, log) + 1
-        inverse = front.inverse() * (
-            x * (gauge + (1 - gauge * (1 + mode)) * x).inverse()
-        )
+        inverse = back * (x * (gauge + (1 - gauge * (1 + mode)) * x).inverse())
         if not held.any():
             return plain, inverse, alias
         part = {
             name: Span(span.low[held], span.high[held]) for name, span in box.items()
         }
-        fronts, _ = self.fronts(part, ALIASES)
+        fronts, _, _ = self.fronts(part, ALIASES)
         terms = [
             f * self._tip_at_alias(part, n)
             for f, n in zip(fronts, ALIASES, strict=True)
@@ -398,7 +400,7 @@ class BoxLoop:
         detuning = place["mode_frequency"] / place["frequency"]
         at = place | {"detuning": detuning}
         point = np.array([[at[name] for name in AXES]])
-        return float(self.fronts(self.box(point, point))[1][0])
+        return float(self.fronts(self.box(point, point))[-1][0])
 
     # ---- bounds outside the tree --------------------------------------------------------------------------
 

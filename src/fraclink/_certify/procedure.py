@@ -35,11 +35,9 @@ ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Limit on the nodes for a claim: where a smaller one is tried next.
-_USUAL = 80_000
-# Limit on the nodes for the smallest claim that passes: half a gigabyte. A second mode
-# with a damping ratio of 0.05 % at ±0.1 % takes half of it, and seven seconds.
-_MOST = 1_000_000
+# Limit on the nodes for a claim: where a smaller one is tried next. Of the random boxes
+# of benchmarks/bench_box.py the hardest takes 30 000, and two seconds.
+_MOST = 80_000
 
 
 @checked
@@ -124,7 +122,7 @@ def certify(
         return _largest_claim(claim, distance, place)
     if distance <= claim.modulus:
         return _too_close(claim, distance, place)
-    return _certificate(claim, prove(BoxLoop(claim), most=_USUAL), distance)
+    return _certificate(claim, prove(BoxLoop(claim), most=_MOST), distance)
 
 
 def _largest_claim(
@@ -142,16 +140,15 @@ def _largest_claim(
         if margin < LEAST_MODULUS + _ROOM:
             return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
         modulus = max(math.floor(1000.0 * (margin - step)) / 1000.0, LEAST_MODULUS)
-        last = modulus == LEAST_MODULUS
         claim = replace(claim, modulus=modulus)
-        outcome = prove(BoxLoop(claim), most=_MOST if last else _USUAL)
+        outcome = prove(BoxLoop(claim), most=_MOST)
         if isinstance(outcome, str):
             break
         # If the claim is refuted, the next one is the distance at that place. Otherwise
         # some bounds are too wide by an unknown amount: the step is doubled.
         if outcome.refuted:
             distance, place = outcome.distance, outcome.place
-        elif last:
+        elif modulus == LEAST_MODULUS:
             break
         else:
             step *= 2.0

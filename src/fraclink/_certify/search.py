@@ -101,7 +101,7 @@ def _judge(
         normal, least = (
             np.where(loud, b, a) for a, b in zip(of_loop, of_inverse, strict=True)
         )
-        point, loss, weight, gain = _downhill(
+        point, loss, weight = _downhill(
             loop.axes, plain, inverse, loud, normal, low, high
         )
         # With the same aliases as the box: the point lies in it, but may lie on the
@@ -115,15 +115,10 @@ def _judge(
             - 4 * ROUNDING * (1 + np.abs(value))
             - loss
         )
-        front = np.isfinite(plain.r) | np.isfinite(inverse.r)
-        # Where even exact slopes would not close the gap, no half plane contains the
-        # whole box: it is cut along the axis that moves the value most.
-        missing = least + (_SLACK - 1.0) - distance
-        weight = np.where(
-            (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], gain, weight
-        )
+        # A half plane holds the disc of a limit below one only.
+        bounded = (np.isfinite(plain.r) | np.isfinite(inverse.r)) & (limit < 0.99)
         quiet = plain.most() < 1.0 - limit
-        proved = quiet | (front & (distance > least + (_SLACK - 1.0)))
+        proved = quiet | (bounded & (distance > least + (_SLACK - 1.0)))
         axis = _widest(low, high, weight)
         return proved, loud & ~quiet, axis, point, at_plain.c
 
@@ -136,12 +131,12 @@ def _downhill(
     normal: Complex,
     first: Real,
     second: Real,
-) -> tuple[Real, Real, Real, Real]:
+) -> tuple[Real, Real, Real]:
     """(point to evaluate, largest loss along the other axes, gain from a cut of each
-    axis, and change of the value along each).
+    axis).
     """
     point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
-    weight, gain = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
+    weight = np.full(first.shape, -1.0)
     for name in axes:
         k = AXES.index(name)
         a, b = plain.d[name], inverse.d[name]
@@ -167,8 +162,7 @@ def _downhill(
         weight[:, k] = np.where(
             width > 0.0, width * np.where(fixed, spread, steep), -1.0
         )
-        gain[:, k] = np.where(width > 0.0, width * slope.most(), -1.0)
-    return point, loss, weight, gain
+    return point, loss, weight
 
 
 def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
