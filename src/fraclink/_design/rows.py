@@ -72,22 +72,17 @@ class Row:
     def kept(
         self, trial: Trial, request: Request, wanted: float, reserve: float = 0.0
     ) -> Figure:
-        """Return by how much more than a reserve the row is kept at each link that it is
-        asked of, negative where missed; relative, so that an easing of all rows is one
-        number.
+        """Return by how much more than a reserve the row is kept at every link, negative
+        where missed; relative, so that an easing of all rows is one number.
         """
         reserve += self.reserve
         if self.bound is not None:
-            return self._asked(trial, self.bound(trial, wanted)).scaled(1.0, -reserve)
-        figure = self._asked(trial, self.figure(trial, request))
+            return self.bound(trial, wanted).scaled(1.0, -reserve)
         sign = 1.0 if self.sense == "at least" else -1.0
         scale = (wanted or 1.0) if self.signed else 1.0
         zero = wanted if self.signed else math.log(wanted)
+        figure = self.figure(trial, request)
         return figure.scaled(sign / scale, -sign * zero / scale - reserve)
-
-    def _asked(self, trial: Trial, figure: Figure) -> Figure:
-        """A figure at the links that the row is asked of."""
-        return figure.at(trial.table.empty[figure.link] == self.empty)
 
     def measured(
         self, trial: Trial, request: Request, wanted: float, payloads: Real
@@ -95,7 +90,8 @@ class Row:
         """Return what a trial achieves where it is worst, with the payload [kg] of that
         link; for each of its modes where it is their row.
         """
-        figure = self._asked(trial, self.figure(trial, request))
+        figure = self.figure(trial, request)
+        figure = figure.at(trial.table.empty[figure.link] == self.empty)
         worst = np.argmin if self.sense == "at least" else np.argmax
         achieved = {} if figure.value.size else {0: (self.absent, payloads[0])}
         for mode in np.unique(figure.number):

@@ -181,40 +181,50 @@ class Search:
         """Return these links under Ĉ of some parameters."""
         return _trial(self, tuple(x))
 
-    def kept(self, trial: Trial, only: str | None = None) -> dict[str, Figure]:
-        """Return the slack of each row, or of `only` one, at the links to which it
-        applies.
-        """
-        figures = {}
-        for row, goal in self.request.wanted:
-            skipped = row.implied or (row.key == "damping" and not self.ringing)
-            if skipped or only not in (None, row.key):
-                continue
-            reserve = self.reserves.get(row.key, 0.0)
-            figures[row.key] = row.kept(trial, self.request, goal, reserve)
-        return figures
+    @cached_property
+    def rows(self) -> tuple[tuple[Row, float], ...]:
+        """The rows of the search with their wanted values."""
+        return tuple(
+            (row, goal)
+            for row, goal in self.request.wanted
+            if not row.implied and (row.key != "damping" or self.ringing)
+        )
 
-    def _least(self, trial: Trial) -> tuple[Real, Real, Mask]:
-        """(the smallest slack of each row at every link, its gradient, whether the row
-        may be eased); their number does not change when a loop gains a crossing.
+    def kept(self, trial: Trial) -> Figure:
+        """Return by how much each row is kept at the links that it is asked of; the
+        number of an entry is that of its row.
         """
-        margins, count = self.kept(trial), len(self.links)
-        figures = margins.values()
-        place = np.concatenate([k * count + f.link for k, f in enumerate(figures)])
-        value = np.concatenate([figure.value for figure in figures])
-        gradient = np.concatenate([figure.gradient for figure in figures], axis=1)
-        least = np.ones(len(margins) * count)
-        slopes = np.zeros((len(gradient), least.size))
+        figures = [
+            row.kept(trial, self.request, goal, self.reserves.get(row.key, 0.0))
+            for row, goal in self.rows
+        ]
+        number = np.repeat(np.arange(len(figures)), [f.value.size for f in figures])
+        value, gradient, link = (
+            np.concatenate([getattr(figure, part) for figure in figures], axis=-1)
+            for part in ("value", "gradient", "link")
+        )
+        empty = np.array([row.empty for row, _ in self.rows])[number]
+        every = Figure(value, gradient, link, number)
+        return every.at(trial.table.empty[link] == empty)
+
+    def least(self, trial: Trial) -> tuple[Real, Real, Mask]:
+        """Return (the smallest slack of each row at every link, its gradient, whether the
+        row may be eased); their number does not change when a loop gains a crossing.
+        """
+        kept, count = self.kept(trial), len(self.links)
+        place = kept.number * count + kept.link
+        least = np.ones(len(self.rows) * count)
+        slopes = np.zeros((len(kept.gradient), least.size))
         # in falling order, so that the smallest entry of a link is written last
-        falling = np.argsort(-value)
-        least[place[falling]] = value[falling]
-        slopes[:, place[falling]] = gradient[:, falling]
-        soft = np.repeat([key in self.request.soft for key in margins], count)
-        return least, slopes, soft
+        falling = np.argsort(-kept.value)
+        least[place[falling]] = kept.value[falling]
+        slopes[:, place[falling]] = kept.gradient[:, falling]
+        soft = [row.key in self.request.soft for row, _ in self.rows]
+        return least, slopes, np.repeat(soft, count)
 
     def easing(self, x: Real) -> Bounded:
         """Return by how much each row has to be eased that may be, and the others."""
-        value, gradient, soft = self._least(self.trial(x))
+        value, gradient, soft = self.least(self.trial(x))
         # none below zero: what is kept is kept
         cost, slope = np.append(-value[soft], 0.0), np.zeros((x.size, 1))
         slopes = np.concatenate([-gradient[:, soft], slope], axis=1)
@@ -223,7 +233,7 @@ class Search:
     def noise(self, x: Real) -> Bounded:
         """Return ln of the noise gain of every link, and all rows."""
         trial = self.trial(x)
-        value, gradient, _ = self._least(trial)
+        value, gradient, _ = self.least(trial)
         return Bounded(trial.noise.value, trial.noise.gradient, value, gradient)
 
     # ---- where a search begins
@@ -322,8 +332,7 @@ class Solution:
         """The arm with the least phase margin."""
         arms, margin = self.search.request.arms, self._trial.margin
         _, link = margin.at(~arms.table.empty[margin.link]).least
-        number = int(arms.table.arm[link])
-        return arms.cases[number].arm
+        return arms.cases[arms.table.arm[link]].arm
 
     @property
     def noise_gain(self) -> float:
@@ -352,31 +361,41 @@ class Solution:
     @cached_property
     def _trial(self) -> Trial:
         """The trial at every link of the table."""
-        every = tuple(range(len(self.search.request.arms.table)))
-        return replace(self.search, links=every).trial(self.x)
+        return self._every.trial(self.x)
+
+    @cached_property
+    def _every(self) -> Search:
+        """The search at every link of the table, all rows but the damping."""
+        every = range(len(self.search.request.arms.table))
+        return replace(self.search, links=tuple(every), ringing=False)
 
     @cached_property
     def _worst(self) -> dict[str, tuple[float, int]]:
         """(by how much it is kept, the link) where each row but the damping is kept
         least.
         """
-        margins = replace(self.search, ringing=False).kept(self._trial)
-        return {key: one.least for key, one in margins.items() if one.value.size}
+        rows = self._every.rows
+        least = self._every.least(self._trial)[0].reshape(len(rows), -1)
+        links = np.argmin(least, axis=1).tolist()
+        return {
+            row.key: (values[link], link)
+            for (row, _), values, link in zip(rows, least, links, strict=True)
+        }
 
     @cached_property
     def _ringing(self) -> Search:
         """The search at the links whose damping is looked at: those that are worst in
         another row, and its own.
         """
-        links = {*self.search.links, *(link for _, link in self._worst.values())}
-        return replace(self.search, links=tuple(sorted(links)), ringing=True)
+        links = sorted({*self.search.links, *(k for _, k in self._worst.values())})
+        return replace(self.search, links=tuple(links), ringing=True)
 
     @cached_property
     def _damping(self) -> dict[str, tuple[float, int]]:
         """The same of the damping; empty where no vibration is left."""
         ringing = self._ringing
-        trial = ringing.trial(self.x)
-        figure = ringing.kept(trial, only="damping")["damping"]
+        row, goal = next(pair for pair in ringing.rows if pair[0].key == "damping")
+        figure = row.kept(ringing.trial(self.x), ringing.request, goal)
         if not figure.value.size:
             return {}
         value, link = figure.least

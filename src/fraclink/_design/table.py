@@ -71,6 +71,12 @@ class Table:
         distance = np.abs(self.w - self.mode[:, None])
         return np.asarray(np.argmin(distance, axis=1))
 
+    @cached_property
+    def at_mode(self) -> Mask:
+        """Which columns belong to the second mode of their link."""
+        low, high = self.band[:, :1], self.band[:, 1:]
+        return (self.w > low) & (self.w < high)
+
     def rows(self, index: object) -> Table:
         """Return the table of some of the links."""
         return Table(*(getattr(self, field.name)[index] for field in fields(self)))
@@ -251,7 +257,7 @@ class Figure:
         self, value: Real, gradient: Real, link: Index, number: Index | None = None
     ) -> None:
         self.value, self.gradient, self.link = value, gradient, link
-        self.number = np.zeros_like(link) if number is None else number
+        self.number = 0 * link if number is None else number
 
     def at(self, kept: Mask | Index) -> Figure:
         """Return the entries at the given indices."""
@@ -287,23 +293,20 @@ class Trial:
         of ln L) of the intervals that start at columns i.
         """
         u0, u1 = np.log(self.table.w[link, i]), np.log(self.table.w[link, i + 1])
-        h = u1 - u0
-        f0, f1 = self.log[link, i], self.log[link, i + 1]
+        h, first = u1 - u0, self.log[link, i]
         s0, s1 = self.slope[link, i] * h, self.slope[link, i + 1] * h
-        a = f1 - f0
-        return u0, h, np.array([f0, s0, 3.0 * a - 2.0 * s0 - s1, s0 + s1 - 2.0 * a])
+        a = self.log[link, i + 1] - first
+        return u0, h, np.array([first, s0, 3.0 * a - 2.0 * s0 - s1, s0 + s1 - 2.0 * a])
 
     @cached_property
-    def _crossings(self) -> tuple[Index, Real, Complex, Complex, Mask]:
-        """(link, ω, ln L, d ln L/d ln ω, whether |L| rises) at the crossings |L| = 1."""
+    def _crossings(self) -> tuple[Index, Real, Complex, Complex, Mask, Complex]:
+        """(link, ω, ln L, d ln L/d ln ω, whether |L| rises, ∂ ln Ĉ/∂x) at the crossings
+        |L| = 1.
+        """
         above = self.log.real > 0.0
         link, i = np.nonzero(above[:, :-1] != above[:, 1:])
-        return link, *self._zeros(link, i, 1.0), ~above[link, i]
-
-    @cached_property
-    def _at_crossings(self) -> Complex:
-        """∂ ln Ĉ/∂x at the crossings."""
-        return self.outer.gradient(self._crossings[1])
+        w, log, slope = self._zeros(link, i, 1.0)
+        return link, w, log, slope, ~above[link, i], self.outer.gradient(w)
 
     def _zeros(
         self, link: Index, i: Index, part: complex, line: Real | float = 0.0
@@ -314,15 +317,13 @@ class Trial:
         first, last = (
             (part * self.log[link, column]).real - line for column in (i, i + 1)
         )
-        t = first / (first - last)
-        cubics = self._cubics(link, i)
+        t, cubics = first / (first - last), self._cubics(link, i)
+        width, along = cubics[1], (part * cubics[2]).real
         for _ in range(2):
-            _, value, slope = _at(cubics, t)
-            rate = (part * slope).real * cubics[1]
-            change = ((part * value).real - line) / np.where(
-                np.abs(rate) > 1e-12, rate, 1.0
-            )
-            t = np.clip(t - change, 0.0, 1.0)
+            _, value, slope = _at((cubics[0], width, along), t)
+            rate = slope * width
+            change = (value - line) / np.where(np.abs(rate) > 1e-12, rate, 1.0)
+            t = (t - change).clip(0.0, 1.0)
         return _at(cubics, t)
 
     @cached_property
@@ -333,7 +334,7 @@ class Trial:
         |L| > 1 between a rising and the next falling crossing. The loop is stable where
         both lie in one band of 2π about a multiple of it.
         """
-        link, _, log, _, rising = self._crossings
+        link, _, log, _, rising, _ = self._crossings
         phase = log.imag
         # the partner: for a rising crossing the next one of its link, for a falling one
         # the previous one; the ends of the table if there is none
@@ -350,8 +351,7 @@ class Trial:
         """Distance of each crossing from the edges of its band [rad], negative on the
         wrong side.
         """
-        link, _, _, slope, _ = self._crossings
-        g = self._at_crossings
+        link, _, _, slope, _, g = self._crossings
         rate = g.imag - g.real * slope.imag / _steep(slope.real)
         gradient = -np.sign(self._offsets) * rate
         return Figure(math.pi - np.abs(self._offsets), gradient, link)
@@ -359,8 +359,7 @@ class Trial:
     @cached_property
     def delay(self) -> Figure:
         """The delay that takes the phase of each crossing to the lower edge [s]."""
-        link, w, _, slope, _ = self._crossings
-        g = self._at_crossings
+        link, w, _, slope, _, g = self._crossings
         room, shift = self._offsets + math.pi, -g.real / _steep(slope.real)
         gradient = g.imag + shift * slope.imag - room * shift
         return Figure(room / w, gradient / w, link)
@@ -371,7 +370,7 @@ class Trial:
         resonance; −∞ if |L| is smaller there. A later crossing on a lobe of a delayed
         gauge is not the crossover of the tip.
         """
-        link, w, *_, rising = self._crossings
+        link, w, _, _, rising, _ = self._crossings
         beyond = np.flatnonzero(w > self.table.mode[link])
         _, first = np.unique(link[beyond], return_index=True)
         return self._places(beyond[first][~rising[beyond[first]]])
@@ -382,18 +381,18 @@ class Trial:
         mode; −∞ if there is none.
         """
         link, w, *_ = self._crossings
-        own = np.flatnonzero(~self._at_mode(w, link))
+        low, high = self.table.band[link].T
+        own = np.flatnonzero((w <= low) | (w >= high))
         last = np.append(link[own][1:] != link[own][:-1], True)[: own.size]
         return self._places(own[last])
 
     def _places(self, chosen: Index) -> Figure:
         """ln of some of the crossing frequencies, at most one per link."""
-        link, w, _, slope, _ = self._crossings
+        link, w, _, slope, _, g = self._crossings
         value = np.full(len(self.table), -np.inf)
         gradient = np.zeros((len(self.outer.x), len(self.table)))
-        at = link[chosen]
-        g = self._at_crossings[:, chosen].real
-        value[at], gradient[:, at] = np.log(w[chosen]), -g / _steep(slope.real[chosen])
+        at, rate = link[chosen], -g.real / _steep(slope.real)
+        value[at], gradient[:, at] = np.log(w[chosen]), rate[:, chosen]
         return Figure(value, gradient, np.arange(len(self.table)))
 
     def crossed_beyond(self, frequency: float) -> Figure:
@@ -413,18 +412,12 @@ class Trial:
             np.concatenate([figure.link, figure.link]),
         )
 
-    def _at_mode(self, w: Real, link: Index) -> Mask:
-        """Whether the given frequencies of links belong to their second modes."""
-        low, high = np.moveaxis(self.table.band[link], -1, 0)
-        return np.asarray((w > low) & (w < high))
-
     def quiet_beyond(self, frequency: float) -> Figure:
         """−ln|L| at its largest value beyond a frequency [rad/s], except at the second
         mode.
         """
         every, w = np.arange(len(self.table)), self.table.w
-        beyond = (w >= frequency) & ~self._at_mode(w, every[:, None])
-        level = np.where(beyond, self.log.real, -1e3)
+        level = np.where((w < frequency) | self.table.at_mode, -1e3, self.log.real)
         best = np.argmax(level, axis=1)
         value, at = level[every, best], w[every, best]
         return Figure(-value, -self.outer.gradient(at).real, every)
@@ -439,8 +432,9 @@ class Trial:
         one = 1.0 + self._loop
         # half of d|1 + L|²/d ln ω; a change from minus to plus is a local minimum
         turn = (np.conj(one) * self._loop * self.slope).real
-        near = np.minimum(np.abs(one[:, :-1]), np.abs(one[:, 1:])) < 1.5
-        link, i = np.nonzero((turn[:, :-1] < 0.0) & (turn[:, 1:] >= 0.0) & near)
+        near, falls = np.abs(one) < 1.5, turn < 0.0
+        near = near[:, :-1] | near[:, 1:]
+        link, i = np.nonzero(falls[:, :-1] & ~falls[:, 1:] & near)
         low, high = turn[link, i], turn[link, i + 1]
         t = low / (low - high)
         cubics = self._cubics(link, i)
@@ -452,7 +446,7 @@ class Trial:
             back = np.conj(1.0 + loop) * loop
             rate = np.abs(loop * slope) ** 2 + (back * (slope**2 + bend)).real
             change = (back * slope).real / np.where(rate > 0.0, rate * width, np.inf)
-            t = np.clip(t - change, 0.0, 1.0)
+            t = (t - change).clip(0.0, 1.0)
         w, log, _ = _at(cubics, t)
         loop = np.exp(log)
         gradient = (loop / (1.0 + loop) * self.outer.gradient(w)).real
@@ -582,7 +576,7 @@ class Trial:
         return root.imag / size, gradient, link
 
 
-def _at(cubics: tuple[Real, Real, Complex], t: Real) -> tuple[Real, Complex, Complex]:
+def _at(cubics: tuple[Real, Real, Any], t: Real) -> tuple[Real, Any, Any]:
     """(ω, ln L, d ln L/d ln ω) at the fraction `t` of some intervals."""
     start, width, (c0, c1, c2, c3) = cubics
     value = c0 + t * (c1 + t * (c2 + t * c3))
