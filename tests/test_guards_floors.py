@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 706,
     "studio": 1067,
     "trials": 1297,
-    "view": 1410,
+    "view": 1369,
 }
 
 

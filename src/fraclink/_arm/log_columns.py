@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Literal
 
-import numpy as np
-
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, Where, checked, length
 

@@ -102,8 +102,6 @@ class Figure:
     scale: Scale | None = None
     log: bool = False
     left: float = 46.0
-    width: float = WIDTH
-    ticks: int = 9  # approximate maximum on the horizontal scale
     rigid: bool = False  # the same scale in both directions: a plane
     key: tuple[str, ...] = ()  # a title, then the meaning of the level colours
 
@@ -138,7 +136,7 @@ class Figure:
         """
         body, height, right = self._body()
         # Both axes of a rigid figure have the same scale, so it is as wide as high.
-        across = self.panels[0].height if self.rigid else self.width - self.left - right
+        across = self.panels[0].height if self.rigid else WIDTH - self.left - right
         inner = f'x="{self.left:g}" y="10" width="{across:g}" height="{height:g}"'
         nested = f'<svg {inner} overflow="visible">{body}</svg>'
         return stand_alone(
@@ -153,10 +151,7 @@ class Figure:
         """Elements, height and the right margin in dots."""
         parts, top, names = [], 24.0, [0]
         for panel in self.panels:
-            # 80 dots for the text of a tick, at most seven characters, and the same
-            # space between two of them.
-            ticks = max(3, int(min(self.ticks, self.width / 80)))
-            frame = Frame(self.x, panel.y, top, panel.height, ticks, self.left)
+            frame = Frame(self.x, panel.y, top, panel.height, self.left)
             layers = [mark.drawn(frame) for mark in panel.marks]
             parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
             names += [len(name) for layer in layers for _, name, _ in layer.ends]
@@ -229,7 +224,9 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
         texts.append(
             f'<text x="-6" y="{round(y + 4, 1)}" text-anchor="end">{escaped(text)}</text>'
         )
-    for k, (value, text) in enumerate(frame.x.marks(frame.ticks)):
+    # About nine: 40 dots for the text of a tick, at most seven characters, and the same
+    # space between two of them.
+    for k, (value, text) in enumerate(frame.x.marks(9)):
         x = frame.across(value)
         lines.append(
             f'<line class="grid" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'

@@ -1,29 +1,28 @@
-"""Many runs on pages: spread, failures and drivers of a campaign, the map of faults."""
+"""Many runs on pages: failures and drivers of a campaign, the map of faults."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from fraclink._display import Row, Table, size_of
+from fraclink._display import Row, Table
 from fraclink.trials._faults import GROUPS, FaultTable
 from fraclink.trials._summary import WEAK, Summary
 from fraclink.view._drawing import Figure, Panel
-from fraclink.view._marks import Bars, Cells, Mark, Upright
+from fraclink.view._marks import Cells
 from fraclink.view._scales import Scale
 from fraclink.view._text import grams, ranges_of
 from fracsys.checks import Mask, Real
 
-__all__ = ["SHOWN", "drivers_table", "failures_figure", "fault_columns"]
-__all__ += ["fault_counts", "fault_rows", "spread_figures", "strongest"]
+__all__ = ["drivers_table", "failures_figure", "fault_columns"]
+__all__ += ["fault_counts", "fault_rows", "strongest"]
 
 
-# Metric of a campaign -> title of its histogram.
-SHOWN = {
+# Metric of a campaign -> title of its column.
+_SHOWN = {
     "settling_time": "settling time",
     "overshoot": "overshoot",
     "residual_vibration": "residual vibration",
@@ -34,52 +33,6 @@ SHOWN = {
 # runs of a cell: with fewer the share is meaningless, and the cell stays empty
 _FEWEST = 30
 _SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
-
-
-def spread_figures(summary: Summary, values: Mapping[str, Real]) -> list[Figure]:
-    """A histogram of each metric in SHOWN, with its median and 95 % quantile and a bar
-    for "never".
-    """
-    units = {metric.name: metric.row("", 0.0).unit for metric in summary.metrics}
-    return [
-        _histogram(name, units[name], np.asarray(values[name], dtype=float))
-        for name in SHOWN
-    ]
-
-
-def _histogram(name: str, unit: str, column: Real) -> Figure:
-    column = column / size_of(unit)
-    finite = column[np.isfinite(column)]
-    never = len(column) - len(finite)
-    low = float(finite.min()) if finite.size else 0.0
-    # One run in a thousand may lie far out; on a scale that includes it the others
-    # would share a single bar. Values beyond the scale are counted in the last bar.
-    top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
-    top = top if top > low else low + 1.0
-    heights, edges = np.histogram(
-        np.clip(finite, low, top), bins="sqrt", range=(low, top)
-    )
-    marks: list[Mark] = [Bars(edges, heights)]
-    end = top
-    if never:  # a separate bar after a gap, since infinity is not a large value
-        width = (top - low) / 12
-        end = top + 2 * width
-        marks.append(Bars([top + width, end], [never], 2))
-        marks.append(
-            Upright(end, f"never: {100 * never / len(column):.3g} %", left=True)
-        )
-    for share, text in ((0.5, "median"), (0.95, "95 %")) if finite.size else ():
-        at = float(np.quantile(finite, share))
-        # Next to the bar "never" there is no room for a second label; only the line
-        # remains.
-        marks.append(Upright(at, text if not (share > 0.9 and never) else ""))
-    up = Scale(0.0, 1.15 * max(*heights, never, 1), ticks=())
-    panel = Panel(f"{SHOWN[name]} [{unit}]", marks, 90.0, up)
-    description = f"Histogram of the {SHOWN[name]} of {len(column)} runs; {never} never settle or have none"
-    x = Scale(low, end)
-    return Figure(
-        f"spread-{name}", description, (panel,), scale=x, left=12.0, width=280.0
-    )
 
 
 def strongest(summary: Summary) -> tuple[str, str]:
@@ -126,7 +79,7 @@ def drivers_table(summary: Summary) -> Table:
     of them, the strongest of the settling time first.
     """
     metrics = {metric.name: metric for metric in summary.metrics}
-    drivers = {title: dict(metrics[name].drivers) for name, title in SHOWN.items()}
+    drivers = {title: dict(metrics[name].drivers) for name, title in _SHOWN.items()}
     lines = (
         (
             Row("", "parameter", parameter.replace("_", " ")),

@@ -20,7 +20,6 @@ __all__ = [
     "DOWN",
     "Across",
     "Band",
-    "Bars",
     "Box",
     "Cells",
     "Curve",
@@ -59,7 +58,6 @@ class Frame:
     y: Scale
     top: float
     height: float
-    ticks: int = 9
     left: float = 46.0
 
     def across(self, value: float) -> str:
@@ -186,29 +184,6 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Bars:
-    """Bars from zero, `edges` one more than `heights`."""
-
-    edges: ArrayLike
-    heights: ArrayLike
-    line: int = 1
-
-    def drawn(self, frame: Frame) -> Layers:
-        """One outline of all bars."""
-        edges, heights = (
-            np.asarray(self.edges, dtype=float),
-            np.asarray(self.heights, dtype=float),
-        )
-        x = np.repeat(edges, 2)
-        # As a single outline, neighbours share their sides; separate bars would leave
-        # hairlines between them.
-        y = np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
-        return Layers(
-            below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>'
-        )
-
-
-@dataclass(frozen=True)
 class Box:
     """A rectangle between values of both scales."""
 
@@ -306,15 +281,10 @@ class Upright:
 
     value: float
     text: str = ""
-    left: bool | None = None  # None: on the side with more room
 
     def drawn(self, frame: Frame) -> Layers:
-        """A line and its text."""
-        left = (
-            self.left
-            if self.left is not None
-            else float(frame.x.share(self.value)) > 0.5
-        )
+        """A line and its text, on the side with more room."""
+        left = float(frame.x.share(self.value)) > 0.5
         x, bottom = frame.across(self.value), frame.top + frame.height
         line = f'<line class="limit" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'
         side = 'text-anchor="end" dx="-4"' if left else 'dx="4"'
@@ -357,7 +327,7 @@ class Point:
         )
 
 
-Mark = Curve | Band | Bars | Box | Cells | Zone | Across | Upright | Point
+Mark = Curve | Band | Box | Cells | Zone | Across | Upright | Point
 
 
 def reach(mark: Mark) -> tuple[tuple[ArrayLike, ...], tuple[ArrayLike, ...]]:

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fraclink._design import Design
 from fraclink._design.assess import phase_budget
 from fraclink._display import Row, Table, source_name, state_of
@@ -228,17 +226,16 @@ def _budget(design: Design) -> Figure | None:
 
 
 def write_campaign_report(runs: CampaignRuns, source: Path, path: Path | str) -> Path:
-    """Write histograms, failure map, drivers and worst cases of a campaign to `path`;
+    """Write quantiles, failure map, drivers and worst cases of a campaign to `path`;
     return it. `source` is the file of the campaign, which the page names.
 
     Raises MissingExtraError where jinja2 is not installed.
     """
-    names, campaign, summary = list(fleets.SHOWN), runs.campaign, runs.summary
+    campaign, summary = runs.campaign, runs.summary
     # Failures are drawn over the two most important parameters; for others chance would
     # fill the map.
     drivers = fleets.strongest(summary)
-    chosen = (*drivers, "passed", *names)
-    first, second, passed, *values = (runs.columns[name] for name in chosen)
+    first, second, passed = (runs.columns[name] for name in (*drivers, "passed"))
     titles = tuple(name.replace("_", " ") for name in drivers)
     worst = (
         (
@@ -266,12 +263,6 @@ def write_campaign_report(runs: CampaignRuns, source: Path, path: Path | str) ->
             "drivers": fleets.drivers_table(summary),
             "worst": Table.of("", worst),
         },
-        spread=[
-            figure.inline()
-            for figure in fleets.spread_figures(
-                summary, dict(zip(names, map(np.asarray, values), strict=True))
-            )
-        ],
         failures=failures.inline(),
     )
     write_text(path, text)
