@@ -187,7 +187,7 @@ CEILINGS = {
     "fracsys": 2656,
     "_arm": 1485,
     "_certify": 845,
-    "_cli": 840,
+    "_cli": 839,
     "_design": 1445,
     "_export": 431,
     "_files": 551,
@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 706,
     "studio": 1067,
     "trials": 1297,
-    "view": 1369,
+    "view": 1367,
 }
 
 

@@ -25,7 +25,7 @@ from fraclink.trials._fault_trial import PHASES, Bench, Phase
 from fraclink.trials._faults import cases, observe, run_faults
 from fraclink.trials._run import run_campaign
 from fraclink.trials._summary import CampaignRuns
-from fraclink.view._runs import draw_outcome
+from fraclink.view._runs import outcome_figure
 
 app = group()
 campaign = group("Many runs: Monte Carlo and faults.")
@@ -117,8 +117,8 @@ def faults(
     design: DesignOption,
     out: Annotated[
         Path,
-        "Folder for the table and figures",
-        Writes(("faults.json", "run.npz")),
+        "Folder for the table",
+        Writes(("faults.json", "run.npz", "run.svg")),
     ] = Path("faults"),
     only: Annotated[
         list[str] | None, typer.Option(metavar="FAULT"), "A fault, e.g. F07"
@@ -144,8 +144,7 @@ def faults(
     1 where one fails.
 
     Every fault at three severities, three payloads and several phases of a move of 1
-    rad. A run that does not meet its requirement gets a figure and a command that
-    repeats it; of a single run all signals are kept.
+    rad. Of a single run all signals and a figure are kept.
 
     $ fraclink campaign faults --design design.json --only F07 --out faults
     """
@@ -166,19 +165,17 @@ def faults(
     with steps(len({case.fault for case in plan})) as begin:
         result = run_faults(bench, plan, progress=begin, about=about)
     save(result, out / "faults.json", force=True)
-    with steps(len(result.failures)) as begin:
-        for outcome in result.failures:
-            begin(outcome.case.name)
-            draw_outcome(bench, outcome, out / "figures" / f"{outcome.case.name}.svg")
-    # A single run is meant to be inspected closely.
-    single = len(plan) == 1
     worst = next((row.worst[1] for row in result.rows() if row.worst), None)
+    saved: dict[Path, Any] = {}
+    if len(plan) == 1:  # meant to be inspected closely
+        saved[out / "run.npz"] = observe(bench, plan[0]).faulty
+        saved[out / "run.svg"] = outcome_figure(bench, result.outcomes[0])
     return Answer(
         result,
         result.passed,
         values={"out": str(out)},
         remarks=tuple(map(str, bench.twin.findings)),
-        saved={out / "run.npz": observe(bench, plan[0]).faulty} if single else {},
+        saved=saved,
         written=(out / "faults.json",),
-        following=result.repeated(worst) if worst and not single else "",
+        following=result.repeated(worst) if worst and not saved else "",
     )

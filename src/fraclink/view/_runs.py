@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from fraclink.view._pages import LINES
 from fraclink.view._scales import Scale, envelope
 from fraclink.view._text import grams
 
-__all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
+__all__ = ["moves_figure", "outcome_figure", "shaped_figure"]
 
 
 def moves_figure(runs: Sequence[Run]) -> Figure:
@@ -156,15 +155,6 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
         "time",
         left=66.0,
     )
-
-
-def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
-    """Run a case again and draw it to an SVG file: tip, motor, gauge and mode beside
-    the clean run.
-
-    Raises FieldError for a file of another kind.
-    """
-    outcome_figure(bench, outcome).save(path)
 
 
 def _tip(e: Evidence) -> list[Mark]:
