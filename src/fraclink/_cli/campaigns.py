@@ -162,8 +162,10 @@ def faults(
     )
     # fails early if the folder cannot be written
     out.mkdir(parents=True, exist_ok=True)
-    with steps(len({case.fault for case in plan})) as begin:
-        result = run_faults(bench, plan, progress=begin, about=about)
+    with steps(len(plan)) as begin:
+        result = run_faults(
+            bench, plan, watch=lambda outcome: begin(outcome.case.name), about=about
+        )
     save(result, out / "faults.json", force=True)
     worst = next((row.worst[1] for row in result.rows() if row.worst), None)
     saved: dict[Path, Any] = {}

@@ -501,7 +501,6 @@ def run_faults(
     bench: Bench,
     planned: Sequence[Case],
     *,
-    progress: Callable[[str], None] = lambda name: None,
     watch: Callable[[Outcome], None] = lambda outcome: None,
     about: dict[str, str] | None = None,
 ) -> FaultTable:
@@ -511,8 +510,6 @@ def run_faults(
 
     Parameters
     ----------
-    progress
-        called with the number of each fault when it begins.
     watch
         called with the outcome of each run.
     about
@@ -521,8 +518,6 @@ def run_faults(
     outcomes: list[Outcome] = []
     clean: CleanRuns = {}
     for case in planned:
-        if not outcomes or case.fault != outcomes[-1].case.fault:
-            progress(case.fault)
         outcomes.append(run_case(bench, case, clean=clean))
         watch(outcomes[-1])
     return FaultTable(

@@ -75,7 +75,6 @@ class Rival:
     times [s] and sizes of an input shaper.
     """
 
-    name: str
     rule: str
     knob: str
     peak: float
@@ -143,16 +142,14 @@ def builders(design: Design) -> dict[str, Builder]:
     request = "the request: gain crossover, phase margin, payloads"
     impulses = zv_impulses(abs(link.pole), link.damping_ratio)
     return {
-        FRACLINK: lambda: _by_law(FRACLINK, request, design.controller, design),
+        FRACLINK: lambda: _by_law(request, design.controller, design),
         "motor PID alone": lambda: Rival(
-            "motor PID alone",
             "the motor follows the reference, and nothing looks at the tip",
             f"pole {design.rig.motor_loop.pole:.4g} rad/s",
             1.0,
             bare,
         ),
         "ZV shaping": lambda: Rival(
-            "ZV shaping",
             "two impulses from the nominal mode and its damping; motor PID, no feedback "
             "of the tip",
             f"half a period of {impulses[-1][0]:.4g} s",
@@ -161,7 +158,6 @@ def builders(design: Design) -> dict[str, Builder]:
             impulses,
         ),
         "PD on the tip": lambda: _tuned(
-            "PD on the tip",
             "zero at the nominal mode, notch at the second where it is known",
             lambda gain: pd_correction(link, gain, design.rig.period),
             # from a loop without effect to one that is unstable on every arm
@@ -169,7 +165,6 @@ def builders(design: Design) -> dict[str, Builder]:
             design,
         ),
         "LQG": lambda: _tuned(
-            "LQG",
             "integer model, offset state in the Kalman filter, weight of the tip",
             lambda weight: lqg_correction(link, design, weight),
             (1e-4, 1e4),
@@ -179,7 +174,7 @@ def builders(design: Design) -> dict[str, Builder]:
     }
 
 
-def _by_law(name: str, rule: str, controller: Controller, tuned_for: Design) -> Rival:
+def _by_law(rule: str, controller: Controller, tuned_for: Design) -> Rival:
     law = discretize(controller, tuned_for.rig.period)
     peak = sensitivity_peak(tuned_for, law.frequency_response)
     # The same motor loop for all: a law equipped for its own controller would have its
@@ -190,7 +185,7 @@ def _by_law(name: str, rule: str, controller: Controller, tuned_for: Design) -> 
         f"k_d {c.derivative_gain:.4g}, β {c.derivative_order:.4g}, "
         f"δ {c.filter_time:.3g} s, n {c.filter_order}"
     )
-    return Rival(name, rule, knob, peak, law)
+    return Rival(rule, knob, peak, law)
 
 
 def _published(tuned_for: Design) -> Rival:
@@ -205,7 +200,7 @@ def _published(tuned_for: Design) -> Rival:
         law=False,
     )
     rule = "(54)-(57): 16 rad/s, 70° for M = 1 without sampling, δ by the 10 % rule"
-    return _by_law("the paper's procedure", rule, result.controller, tuned_for)
+    return _by_law(rule, result.controller, tuned_for)
 
 
 # --- one knob each, turned until Ms is that of the design -----------------------------
@@ -220,7 +215,6 @@ def sensitivity_peak(tuned_for: Design, response: Callable[[Real], Complex]) -> 
 
 
 def _tuned(
-    name: str,
     rule: str,
     correction: Callable[[float], Modes],
     knobs: tuple[float, float],
@@ -255,7 +249,6 @@ def _tuned(
         index, remark = first + int(np.argmin(good[first:])) - 1, ""
     knob = float(values[index])
     return Rival(
-        name,
         f"{rule}, for the Ms of fraclink's design at the nominal payload",
         f"gain {knob:.4g}{remark}",
         float(peaks[index]),

@@ -230,7 +230,7 @@ def compare(
             # tournament
             notes.append(f"{name} left out: {error}")
             continue
-        standings.append(_standing(design, twin, rival, move, tried, seed))
+        standings.append(_standing(design, twin, name, rival, move, tried, seed))
     return Tournament(tuple(standings), tuple(notes))
 
 
@@ -258,6 +258,7 @@ def _chosen(rivals: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
 def _standing(
     design: Design,
     twin: Twin,
+    name: str,
     rival: Rival,
     move: Reference,
     payloads: Sequence[float],
@@ -289,7 +290,7 @@ def _standing(
     figures = nominal.metrics
     last = shifted.error[-round(1.0 / design.rig.period) :]
     return Standing(
-        name=rival.name,
+        name=name,
         rule=rival.rule,
         knob=rival.knob,
         # A tip that noise moves out of its band in the last second has not lost
