@@ -425,7 +425,7 @@ def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
 
     monkeypatch.setattr("fraclink.lab._tune_build.design_for", none)
     assert RIG.design is not None and RIG.model is not None
-    made, words = next(_designs(RIG, RIG.model, []))
+    made, words = next(_designs(RIG, RIG.model))
     assert made.passed and made.box is not None
     assert "70° is too much" in words[0] and "phase margin" in words[1]
 

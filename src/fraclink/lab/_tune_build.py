@@ -198,20 +198,27 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
     # A gauge that leads by less than its standard error has no delay.
     model = replace(fit.model, gauge_delay=max(fit.model.gauge_delay, 0.0))
     fallback: Built | None = None
-    any_passed, reasons = False, list[str]()
-    for each in _rigs(rig, model):
-        for candidate, words in _designs(each, model, reasons):
-            result = _proved(
-                each, candidate.doubted(fit.findings), words, limits, link.motor
-            )
-            any_passed |= result.passed
-            if result.passed:
-                yield result
-            else:
-                fallback = fallback or result
-        if any_passed:
-            return
-    yield fallback or Built(rig, None, None, None, tuple(reasons))
+    any_passed = False
+    try:
+        for each in _rigs(rig, model):
+            for candidate, words in _designs(each, model):
+                result = _proved(
+                    each, candidate.doubted(fit.findings), words, limits, link.motor
+                )
+                any_passed |= result.passed
+                if result.passed:
+                    yield result
+                else:
+                    fallback = fallback or result
+            if any_passed:
+                return
+    # The link may have no mass or that much: what is infeasible for one is not tried for
+    # the other.
+    except InfeasibleError as error:
+        reasons = (f"requirements over the box: {error}",)
+        fallback = fallback or Built(rig, None, None, None, reasons)
+    if fallback is not None and not any_passed:
+        yield fallback
 
 
 def _rigs(rig: Rig, model: LinkModel) -> tuple[Rig, ...]:
@@ -232,12 +239,10 @@ def _rigs(rig: Rig, model: LinkModel) -> tuple[Rig, ...]:
     )
 
 
-def _designs(
-    rig: Rig, model: LinkModel, reasons: list[str]
-) -> Iterator[tuple[Design, tuple[str, ...]]]:
+def _designs(rig: Rig, model: LinkModel) -> Iterator[tuple[Design, tuple[str, ...]]]:
     """The designs that meet their requirements over the box, the preferred one first:
     the one requested by the rig, the fastest, and the one with the largest margin at
-    the same speed. The reasons for infeasible ones go to `reasons`.
+    the same speed; InfeasibleError if there is no fastest one.
     """
     mode = model.second_mode
     box = ParameterBox.of(model, rig)
@@ -261,11 +266,7 @@ def _designs(
             preamble = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             preamble = (f"what the rig asks for is not feasible ({error}); instead:",)
-    try:
-        fastest = design(model, rig, **options)
-    except InfeasibleError as error:
-        reasons.append(f"requirements over the box: {error}")
-        return
+    fastest = design(model, rig, **options)
     yield fastest, (*preamble, *_words(fastest))
     options |= {"gain_crossover": fastest.gain_crossover, "goal": "margin"}
     with contextlib.suppress(InfeasibleError):
