@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1485,
     "_certify": 845,
     "_cli": 839,
-    "_design": 1445,
+    "_design": 1465,
     "_export": 431,
     "_files": 551,
     "_identify": 2575,

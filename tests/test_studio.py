@@ -115,7 +115,7 @@ def test_a_preview_has_the_figures_of_design(subject):
         margin.achieved / fl.deg(1),
         abs=2e-3,  # accuracy of the table on which the rows are measured
     )
-    at_20g = np.interp(0.02, subject.payloads, curves["margin"][0])
+    at_20g = np.interp(0.02, subject.links.payloads, curves["margin"][0])
     assert at_20g == pytest.approx(50.0, abs=0.05)
 
 

@@ -43,6 +43,9 @@ __all__ = [
 ]
 
 
+# Points and weights of a panel of the noise integral. The error of the noise gain is
+# 3e-4 on four designs; with three points it is 4e-3, with two 4 %.
+_GAUSS = np.polynomial.legendre.leggauss(6)
 _STEP = 1e-5  # step in ln ω of a central difference: the cube root of the precision
 
 
@@ -430,10 +433,7 @@ def noise_points(
         # them it is 0.7 % off, and 2e-3 on four others.
         edges = np.concatenate([edges, loop.turns(0.0, nyquist, 2.0)])
     edges = np.unique(edges[edges <= nyquist])
-    # The error of the noise gain is 3e-4 on four designs; with three points per panel
-    # it is 4e-3, with two 4 %.
-    points, weights = np.polynomial.legendre.leggauss(6)
     half = 0.5 * np.diff(edges)[:, None]
-    return (edges[:-1, None] + half * (1.0 + points)).ravel(), (
-        half * weights
+    return (edges[:-1, None] + half * (1.0 + _GAUSS[0])).ravel(), (
+        half * _GAUSS[1]
     ).ravel() / nyquist

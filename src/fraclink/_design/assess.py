@@ -6,16 +6,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design.procedure import link_of, request_of
 from fraclink._design.rows import specification
 from fraclink._design.search import solved
+from fraclink._design.table import Outer, Table, Trial, tabulated
 from fraclink._display import displayed
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
@@ -38,12 +42,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FeasibilityMap",
+    "Links",
     "MarginCurve",
     "PhaseShare",
     "feasibility_map",
     "margin_curve",
     "mode_gains",
     "phase_budget",
+    "phase_shares",
 ]
 
 
@@ -80,9 +86,8 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     >>> print(f"{sum(share.phase for share in shares) + 3.141592653589793:.3f}")
     0.873
     """
-    loop = design.full_loop
     w0 = design.natural_frequency(payload)
-    crossings = loop.crossings(w0).frequency
+    crossings = design.full_loop.crossings(w0).frequency
     if crossings.size == 0:
         raise FieldError(
             "payload",
@@ -93,7 +98,12 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
         )
     # The highest crossing: at those where |L| rises through one the loop is slow, and a
     # delay costs nothing.
-    w = float(np.max(crossings))
+    return phase_shares(design, float(np.max(crossings)), w0)
+
+
+def phase_shares(design: Design, w: float, w0: float) -> tuple[PhaseShare, ...]:
+    """Return what each element of the loop gives at ω [rad/s], at a link's ω₀."""
+    loop = design.full_loop
     hold = 0.5 * design.rig.period
     # The share of the gauge is the difference from a perfect one: its delay alone would
     # omit the effect of the second mode on the phase.
@@ -127,6 +137,58 @@ class MarginCurve:
     payload: Real
     gain_crossover: Real
     phase_margin: Real
+
+
+@dataclass(frozen=True)
+class Links:
+    """A link at some payloads [kg], shape (N,), with the loop beside Ĉ tabulated once: a
+    drag shows the margins of many controllers.
+    """
+
+    model: LinkModel
+    rig: Rig
+    payloads: Real
+
+    @cached_property
+    def natural_frequencies(self) -> Real:
+        """ω₀ at each payload [s^(-λ/2)]."""
+        link = with_payload(self.model, self.rig)
+        return np.array(
+            [link.at_payload(float(mass)).natural_frequency for mass in self.payloads]
+        )
+
+    @cached_property
+    def _table(self) -> Table:
+        rig = self.rig
+        request = request_of(link_of(self.model, rig), rig, {}, False)
+        loop = Loop.around(request.model, request.motor_loop, rig.motor, rig.period)
+        return tabulated(
+            loop,
+            self.natural_frequencies,
+            rig.period,
+            arm=0,
+            highest=loop.highest,
+            motor=(rig.motor.gain, rig.motor.decay),
+            empty=True,
+        )
+
+    def margins(self, controller: Controller) -> Real:
+        """Return the smallest phase margin [rad] of each, π without a crossing, negative
+        where the loop is unstable.
+        """
+        c, notch = controller, controller.notch
+        lag = max(c.filter_time, np.finfo(float).tiny)
+        level = math.log(c.derivative_gain) - 0.5 * c.filter_order * math.log1p(lag**2)
+        x = [level, c.derivative_order, math.log(lag)]
+        if notch is not None:
+            x += map(
+                math.log, (notch.frequency, notch.poles, notch.zeros / notch.poles)
+            )
+        outer = Outer(np.array(x), 1.0, c.filter_order)
+        figure = Trial(self._table, outer, ()).margin
+        margins = np.full(self.payloads.size, math.pi)
+        np.minimum.at(margins, figure.link, figure.value)
+        return margins
 
 
 @checked

@@ -16,15 +16,14 @@ import numpy as np
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._design.assess import feasibility_map, phase_budget
+from fraclink._design.assess import Links, feasibility_map, phase_shares
 from fraclink._design.completed import design_for
 from fraclink._display import number
 from fraclink._law import Law
 from fraclink._law.refit import refitted
-from fraclink.errors import FieldError, FraclinkError
+from fraclink.errors import FraclinkError
 from fraclink.studio._messages import Reply, checked_request, refusal, wanted_of
 from fraclink.view._loops import payloads_about
 from fraclink.view._text import grams
@@ -66,27 +65,22 @@ class Subject:
         return hashlib.sha256(repr((self.rig, self.model)).encode()).hexdigest()[:16]
 
     @cached_property
-    def payloads(self) -> Real:
-        """Payloads of the margin plot [kg]: the rig's range and as much again on both
-        sides.
+    def links(self) -> Links:
+        """The link at the payloads of the margin plot: the rig's range and as much again
+        on both sides.
         """
         span = self.rig.payloads
-        return payloads_about(span.low, span.high)
-
-    @cached_property
-    def link_frequencies(self) -> Real:
-        """ω₀ of each of them [s^(-λ/2)]."""
-        link = with_payload(self.model, self.rig)
-        return np.array(
-            [link.at_payload(float(mass)).natural_frequency for mass in self.payloads]
-        )
+        payloads = payloads_about(span.low, span.high)
+        return Links(self.model, self.rig, payloads)
 
     @cached_property
     def frequencies(self) -> Real:
         """Frequencies of the Bode plots [rad/s]: from a twentieth of the slowest mode
         to the Nyquist.
         """
-        slowest = float(self.link_frequencies.min()) ** (2.0 / self.model.order)
+        slowest = float(self.links.natural_frequencies.min()) ** (
+            2.0 / self.model.order
+        )
         nyquist = math.pi / self.rig.period
         return np.geomspace(min(0.1 * slowest, 0.01 * nyquist), nyquist, _POINTS)
 
@@ -97,7 +91,7 @@ class Subject:
         span = self.rig.payloads
         return {
             "frequencies": self.frequencies,
-            "payloads": self.payloads,
+            "payloads": self.links.payloads,
             "rated": [span.low, span.nominal, span.high],
         }
 
@@ -131,7 +125,7 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     three = (low, nominal if low < nominal < high else 0.5 * (low + high), high)
     links = np.array([made.natural_frequency(mass) for mass in three])
     logs = made.loop.log(subject.frequencies, links[:, None])
-    _, margin = made.loop.margins(subject.link_frequencies)
+    margin = subject.links.margins(made.controller)
     head = {
         "ok": True,
         "preview": True,
@@ -145,7 +139,10 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         "facts": _facts(made),
         "findings": made.findings,
         "assumed": f"Assumed: {'; '.join(assumed)}." if assumed else "",
-        "budget": _budget(made, low),
+        "budget": [
+            (share.element, math.degrees(share.phase))
+            for share in phase_shares(made, made.gain_crossover_upper, links[0])
+        ],
     }
     if subject.law is not None:
         # The poles of the last exact law with newly fitted residues: a fiftieth of the
@@ -190,16 +187,6 @@ def _facts(made: Design) -> list[tuple[str, str]]:
     ]
 
 
-def _budget(made: Design, payload: float) -> list[tuple[str, float]]:
-    try:
-        return [
-            (share.element, math.degrees(share.phase))
-            for share in phase_budget(made, payload)
-        ]
-    except FieldError:  # without a gain crossover there is no phase budget
-        return []
-
-
 def blocks_of(law: Law) -> list[str]:
     """Return the parameter blocks of `law` in both precisions for the engine in the
     page.
@@ -226,8 +213,8 @@ def map_of(
     slowest, fastest = (
         float(frequency) ** (2.0 / subject.model.order)
         for frequency in (
-            subject.link_frequencies.min(),
-            subject.link_frequencies.max(),
+            subject.links.natural_frequencies.min(),
+            subject.links.natural_frequencies.max(),
         )
     )
     crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)
