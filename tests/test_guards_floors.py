@@ -198,7 +198,7 @@ CEILINGS = {
     "lab": 1922,
     "logs": 706,
     "studio": 1067,
-    "trials": 1294,
+    "trials": 1290,
     "view": 1367,
 }
 

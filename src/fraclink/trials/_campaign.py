@@ -57,14 +57,13 @@ class Distribution:
     """One parameter's distribution.
 
     "uniform": low … high. "normal": mean (low + high)/2 and standard deviation (high −
-    low)/8, cut at low and high, which are ±4σ. "whole": whole numbers low … high, all
-    equally likely.
+    low)/8, cut at low and high, which are ±4σ.
 
     >>> Distribution("uniform", 0.02, 0.04).at(np.array([0.5])).tolist()
     [0.03]
     """
 
-    kind: Literal["uniform", "normal", "whole"]
+    kind: Literal["uniform", "normal"]
     low: float
     high: float
 
@@ -77,25 +76,11 @@ class Distribution:
                 allowed="finite numbers, low <= high",
                 remedy="put the smaller number first",
             )
-        if self.kind == "whole" and (
-            self.low != math.floor(self.low) or self.high != math.floor(self.high)
-        ):
-            raise FieldError(
-                "low, high",
-                (self.low, self.high),
-                "not whole",
-                allowed="whole numbers",
-                remedy="round them",
-            )
 
     def at(self, uniform: Real) -> Real:
         """Return the values whose cumulated probability is `uniform`, in [0, 1); shape
         kept.
         """
-        if self.kind == "whole":
-            return np.asarray(
-                self.low + np.floor(uniform * (self.high - self.low + 1.0))
-            )
         if self.kind == "uniform" or self.low == self.high:
             return np.asarray(self.low + uniform * (self.high - self.low))
         cut = ndtr(-TAILS)
@@ -139,9 +124,10 @@ class Draws:
     """The distributions of one campaign; factors multiply the rig's own value.
 
     payload [kg], stiffness [N·m/rad], order λ [1], motor_gain, viscous_friction,
-    coulomb_torque, noise and the link's damping μ [factors], gauge_offset [N·m], delay_samples [periods],
-    amplitude of the move [rad], gauge_delay [s], gauge_gain [1], payload_given [1]:
-    what the law is given over the arm's payload, 0 for nothing.
+    coulomb_torque, noise and the link's damping μ [factors], gauge_offset [N·m],
+    delay_samples [periods, of which the whole part acts], amplitude of the move [rad],
+    gauge_delay [s], gauge_gain [1], payload_given [1]: what the law is given over the
+    arm's payload, 0 for nothing.
     """
 
     payload: Distribution
@@ -190,9 +176,7 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
         stiffness=_around(model.stiffness, 0.08),
         order=Distribution("normal", model.order - reach, model.order + reach),
         gauge_offset=Distribution("uniform", -0.05, 0.05),
-        delay_samples=Distribution(
-            "whole", rig.motor_loop.delay_samples, rig.motor_loop.delay_samples
-        ),
+        delay_samples=_always(float(rig.motor_loop.delay_samples)),
         # A negative identified delay means that the motor angle is delayed; no gauge
         # shows a future torque.
         gauge_delay=_always(max(model.gauge_delay, 0.0)),
