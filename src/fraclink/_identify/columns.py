@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -24,15 +24,17 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
     """Findings W209, W324 and W213: degrees, a copy of the motor's motion, a clock, an
     amplifier at its limits.
     """
-    angle, output, period = log.motor_angle, log.output, log.period
-    time = np.arange(output.size, dtype=np.float64)
-    speed = np.gradient(angle, period)
+    angle, output = log.motor_angle, log.output
+    # Central differences, without their factors, at all samples but two at each end.
+    inner, speed = slice(2, -2), angle[2:] - angle[:-2]
     sources = {
-        "angle": angle,
-        "speed": speed,
-        "acceleration": np.gradient(speed, period),
+        "angle": angle[inner],
+        "speed": speed[1:-1],
+        "acceleration": speed[2:] - speed[:-2],
+        "time": np.arange(2.0, output.size - 2),
     }
-    shares = {name: _explained(output, source) for name, source in sources.items()}
+    shares = _explained(output[inner], sources)
+    with_time = shares.pop("time")
     nearest = max(shares, key=lambda name: shares[name])
     if shares[nearest] > COPIED_LEAST:
         yield Finding(
@@ -42,7 +44,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             {"explained": shares[nearest], "most": COPIED_LEAST},
             "check the column of the output; a stiff link needs faster moves to vibrate",
         )
-    if _explained(output, time) > COPIED_LEAST or _is_ramp(output):
+    if with_time > COPIED_LEAST or _is_ramp(output):
         yield Finding(
             "W324",
             "error",
@@ -127,15 +129,17 @@ def motion_at_start(angle: Real, vibration: Real, spread: float) -> str | None:
     )
 
 
-def _explained(values: Real, source: Real) -> float:
-    """Share of the variance of `values` that a multiple of `source` and a constant
+def _explained(values: Real, sources: Mapping[str, Real]) -> dict[str, float]:
+    """Share of the variance of `values` that a multiple of each source and a constant
     explain: R².
     """
-    centred, other = values - values.mean(), source - source.mean()
+    rows = np.stack([values, *sources.values()])
+    rows -= rows.mean(axis=1, keepdims=True)
+    products, powers = rows @ rows[0], np.einsum("kn,kn->k", rows, rows)
     # Squared, so that a copy with the opposite sign or in another unit also counts as a
     # copy.
-    power = float(centred @ centred) * float(other @ other)
-    return float(centred @ other) ** 2 / power if power > 0 else 0.0
+    shares = products**2 / np.maximum(powers * powers[0], np.finfo(np.float64).tiny)
+    return dict(zip(sources, shares[1:].tolist(), strict=True))
 
 
 def _is_ramp(values: Real) -> bool:

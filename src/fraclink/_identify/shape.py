@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -276,27 +277,27 @@ class Window:
         steps = np.diff(self.angle)
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
 
-    def widths(self, resonances: Real) -> NDArray[np.int_]:
-        """Numbers of samples, powers of two, whose averages show resonances [rad/s] up
-        to twice as high.
+    def widths(self, highest: Real) -> NDArray[np.int_]:
+        """Numbers of samples, powers of two, whose averages show vibrations up to
+        `highest` [rad/s].
         """
         finer = np.minimum(
-            0.5 * self.frequency_limits[1] / resonances, self.samples / LEAST_SAMPLES
+            self.frequency_limits[1] / highest, self.samples / LEAST_SAMPLES
         )
         return np.asarray(2 ** np.log2(np.maximum(finer, 1.0)).astype(int))
 
-    def averaged(self, width: int) -> Window:
-        """Averages of `width` samples: that of the output is the response to that of
-        the angle, since the link is linear, and is linear between samples.
+    @cached_property
+    def halved(self) -> Window:
+        """Averages of pairs of samples: that of the output is the response to that of the
+        angle, since the link is linear, and is linear between samples.
         """
-        if width == 1:
-            return self
-        half = self.averaged(width // 2)
-        earlier, count = half.angle.size - half.samples, half.samples // 2 * 2
-        angle = half.angle[earlier % 2 : earlier + count]
-        angle = 0.5 * (angle[::2] + angle[1::2])
-        output = 0.5 * (half.output[:count:2] + half.output[1:count:2])
-        return Window(angle, output, 2 * half.period, "first")
+        earlier, count = self.angle.size - self.samples, self.samples // 2 * 2
+        angle = self.angle[earlier % 2 : earlier + count]
+        angle, output = (
+            0.5 * (signal[::2] + signal[1::2])
+            for signal in (angle, self.output[:count])
+        )
+        return Window(angle, output, 2 * self.period, "first")
 
     def increments(self) -> Real:
         """Jump at each sample of `angle` (held input) or slope after it; the link rests
