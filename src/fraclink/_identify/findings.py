@@ -58,10 +58,15 @@ def findings_of(
     parameters undetermined, `motion` the held-out shares of motion and vibration.
     """
     # Sign and delay of noise mean nothing.
-    audible = signal_of(fit) >= _least_signal(fit)
+    signal, least = _signal_of(fit), _least_signal(fit)
+    audible = signal >= least
     findings = [
         *column_findings(log),
-        *_of_the_vibration(fit, solution, sure[0], log),
+        *(
+            _of_the_vibration(fit, solution, sure[0])
+            if audible
+            else (_no_signal(signal, least, log),)
+        ),
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, sure[1]),
@@ -76,7 +81,7 @@ def findings_of(
     return worst_first(findings)
 
 
-def signal_of(fit: Fit) -> float:
+def _signal_of(fit: Fit) -> float:
     """Twice the gain in log-likelihood of the model over an arm at rest, with the
     colour accounted for.
     """
@@ -139,12 +144,8 @@ def _no_signal(signal: float, least: float, log: Experiment) -> Finding:
 
 
 def _of_the_vibration(
-    fit: Fit, solution: Solution, resonance: float, log: Experiment
+    fit: Fit, solution: Solution, resonance: float
 ) -> Iterator[Finding]:
-    signal, least = signal_of(fit), _least_signal(fit)
-    if signal < least:
-        yield _no_signal(signal, least, log)
-        return
     # λ at its upper limit is a classical link; at the lower one nothing vibrates.
     order_low = 0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
     if 1 in solution.at_bound or order_low:

@@ -370,9 +370,10 @@ def _identified(
         rows.append(
             ("stiffness" if torque else "gauge_gain", size - reach, size + reach)
         )
-    return dataclasses.replace(
-        model_of(solution.shape, size if torque else stiffness or 1.0, log.payload),
-        gauge_delay=float(solution.shape[4]),
+    return model_of(
+        solution.shape,
+        size if torque else stiffness or 1.0,
+        log.payload,
         gauge_gain=1.0 if torque else size,
         second_mode=mode[0],
         unseen_up_to=mode[1],

@@ -34,7 +34,7 @@ def quadratic_of(
     """The quadratic model of shapes (M, 5) with the derivatives `chain` (M, 5, p) with
     respect to the coordinates; gain and offset are free if NaN.
     """
-    moving = [k for k in range(5) if np.any(chain[:, k])]
+    moving = np.flatnonzero(chain.any(axis=(0, 2))).tolist()
     grams = kernel.grams(np.ascontiguousarray(shapes), mask_of(moving))
     limits = (-math.inf, math.inf) if math.isnan(gain) else (gain, gain)
     quadratic, part = reduced(grams, limits, offset), chain[:, moving]
@@ -183,18 +183,39 @@ class LinkProblem(Problem):
         rows = [NAMES.index(name) for name in names]
         return values[:, rows], slopes[:, rows] @ chain
 
+    @cached_property
+    def _signals(self) -> tuple[list[int], Real]:
+        """The coordinates of the shape that change, and the weights (q, 2 + k) of the
+        response, a constant and the derivatives along these in ∂(output)/∂(coordinates,
+        then gain and offset if free).
+        """
+        chain = self.expanded(self.place[None, :])[1][0]
+        moving = np.flatnonzero(chain.any(axis=1)).tolist()
+        count = len(self.free)
+        weights = np.zeros((count + len(self.linear), 2 + len(moving)))
+        weights[:count, 2:] = self.solution.gain * chain[moving].T
+        for row, name in enumerate(self.linear, start=count):
+            weights[row, ("gain", "offset").index(name)] = 1.0
+        return moving, weights
+
+    @property
+    def normal(self) -> Real:
+        """The normal matrix (q, q) of the coordinates, then gain and offset if free."""
+        moving, weights = self._signals
+        shape = self.solution.shape[None, :]
+        gram = self.search.kernel.grams(shape, mask_of(moving))[0]
+        return np.asarray(weights @ gram[1:, 1:] @ weights.T)
+
     def linearised(self) -> tuple[Real, Real]:
         """∂(output)/∂(coordinates, then gain and offset if free), shape (q, n), and the
         residual (n,).
         """
         own, at = self.search, self.solution
-        chain = self.expanded(self.place[None, :])[1][0]
-        moving = [k for k in range(5) if np.any(chain[k])]
+        moving, weights = self._signals
         raw = columns_of(own.kernel, at.shape, mask_of(moving))
         residual = own.window.output - at.gain * raw[0] - at.offset
-        rows = [*(at.gain * chain[moving].T @ raw[1:])]
-        linear = {"gain": raw[0], "offset": np.ones(residual.size)}
-        return np.array([*rows, *(linear[n] for n in self.linear)]), residual
+        rows = np.insert(raw, 1, 1.0, axis=0)
+        return np.asarray(weights @ rows), residual
 
     @property
     def linear(self) -> tuple[str, ...]:

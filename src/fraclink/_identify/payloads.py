@@ -328,12 +328,10 @@ def _of_one(
     _, _, gain, offset, cost = search.kernel.solve(
         shapes, 0, held, held, search.gain, search.offset, 0
     )
-    damping, delay = joint.rows(theta[None, :], i)[0, [2, 4]].tolist()
     # The damping as it is in θ: its conversion by the resonance of each log rounds.
     model = replace(
         model_of(held, max(abs(gain), 1e-12), log.payload),
-        damping=damping,
-        gauge_delay=delay,
+        damping=float(joint.rows(theta[None, :], i)[0, 2]),
     )
     predicted = gain * columns_of(search.kernel, held)[0] + offset
     return model, gain, cost / log.output.size, predicted

@@ -261,13 +261,12 @@ def _axes(normal: Real, held: Mask) -> tuple[Real, Real, Real]:
     """Eigenvalues, eigenvectors and column scales of normal matrices scaled to ones on
     their diagonals, without the held coordinates.
     """
-    square = np.einsum("mpp->mp", normal)
+    square = normal.diagonal(axis1=1, axis2=2)
     size = np.sqrt(np.where((square > 0) & np.isfinite(square), square, 1.0))
-    matrix = normal / size[:, :, None] / size[:, None, :]
+    matrix = normal / (size[:, :, None] * size[:, None, :])
     matrix = np.where(np.isfinite(matrix), matrix, 0.0)
-    matrix[held] = 0.0
-    matrix.transpose(0, 2, 1)[held] = 0.0
-    matrix[:, range(held.shape[1]), range(held.shape[1])] += np.where(held, 1.0, 0.0)
+    apart = held[:, :, None] | held[:, None, :]
+    matrix = np.where(apart, np.eye(held.shape[1]), matrix)
     values, vectors = np.linalg.eigh(matrix)
     return values, vectors, size
 

@@ -263,16 +263,10 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
-            firsts = [
+            ends = [
                 self._descended(name, rows, first=True) for rows in self._starts(name)
             ]
-            # On all samples, where the costs of different averages compare.
-            shapes = np.array([end.shape for end in firsts])
-            costs = self.kernel.costs(shapes, self.gain, self.offset).tolist()
-            ends = [
-                replace(end, cost=cost) for end, cost in zip(firsts, costs, strict=True)
-            ]
-            if not math.isfinite(min(costs)):
+            if not math.isfinite(min(end.cost for end in ends)):
                 raise NotConvergedError(
                     f"the fit of {name}",
                     reached=math.inf,
@@ -339,13 +333,16 @@ class Search:
             self.offset,
             FIRST_STEPS if first else _ITERATIONS,
         )
+        if first:
+            # On all samples, where the costs of different averages compare.
+            cost = self.kernel.costs(shape[None], self.gain, self.offset)[0]
         return Solution(
             name,
             tuple(free),
             shape,
             gain,
             offset,
-            math.inf if status == 3 else cost,
+            math.inf if status == 3 else float(cost),
             lower,
             upper,
             status,

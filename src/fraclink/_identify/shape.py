@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,8 +126,10 @@ def link_parameters(shapes: Real) -> tuple[Real, Real]:
     return values, slopes
 
 
-def model_of(shape: Real, stiffness: float, payload: float | None) -> LinkModel:
-    """The link model of a shape."""
+def model_of(
+    shape: Real, stiffness: float, payload: float | None, **others: Any
+) -> LinkModel:
+    """The link model of a shape, with its delay and `others` of its fields."""
     square, order, damping, other, _ = link_parameters(shape[None, :])[0][0].tolist()
     # 1e-9 of the stiffness is below the resolution of any double-precision fit: then
     # only damping is left.
@@ -141,6 +143,8 @@ def model_of(shape: Real, stiffness: float, payload: float | None) -> LinkModel:
         damping,
         other if damping > 0 else 1.0,
         payload,
+        gauge_delay=float(shape[4]),
+        **others,
     )
 
 

@@ -68,14 +68,12 @@ def certainty_of(
     place = problem.place_of(values)
     rows, residual = problem.linearised(place)
     perfect = best.cost <= RESOLUTION * problem.power
-    covariance = Covariance.of(
-        (*free, "offset")[: len(rows)],
-        rows,
-        residual,
-        best.cost,
-        coloured=not perfect,
-        are_lines=isinstance(problem.data, Lines),
-    )
+    names = (*free, "offset")[: len(rows)]
+    covariance = Covariance.of(names, rows @ rows.T, best.cost, residual.size)
+    if not perfect:
+        lines = isinstance(problem.data, Lines)
+        widened = covariance.of_lines if lines else covariance.coloured
+        covariance = widened(rows, residual)
     shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
     blind = tuple(
         name

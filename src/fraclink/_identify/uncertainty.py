@@ -55,40 +55,42 @@ class Covariance:
 
     @classmethod
     def of(
-        cls,
-        names: tuple[str, ...],
-        regressors: Real,
-        residual: Real,
-        cost: float,
-        *,
-        coloured: bool,
-        are_lines: bool = False,
+        cls, names: tuple[str, ...], normal: Real, cost: float, samples: int
     ) -> Covariance:
-        """From ∂(prediction)/∂(parameters), shape (p, n), and the residual (n,)."""
-        inverse, unseen = inverted(regressors @ regressors.T)
+        """For independent residuals, from the normal matrix (p, p) of the parameters."""
+        inverse, unseen = inverted(normal)
         # n − p: the fit uses p of the residual's degrees of freedom.
-        variance = cost / max(residual.size - len(regressors), 1)
-        wide, lag, effective = variance * inverse, 1, float(len(regressors))
-        if coloured and are_lines:
-            # Lines are measured one by one: their errors are independent, and stronger
-            # at some lines than at others (White, Econometrica 48 (1980) 817).
-            scores = regressors * residual
-            wide = inverse @ scores @ scores.T @ inverse
-        elif coloured:
-            colour = autocovariance(residual)
-            noise, observed = noise_behind(regressors, residual)
-            # A misfit that depends on the motion is not independent noise; there the
-            # products of both give more information.
-            products = long_run_covariance(
-                regressors * residual, correlated_lags(colour)
-            )
-            wide, lag = _sandwich(inverse, noise, products), correlation_lag(colour)
+        variance = cost / max(samples - len(normal), 1)
+        wide = variance * inverse
+        return cls(names, inverse, variance, wide, 1, float(len(normal)), unseen)
+
+    def of_lines(self, regressors: Real, residual: Real) -> Covariance:
+        """For the lines of a response, which are measured one by one: their errors are
+        independent, and stronger at some lines than at others (White, Econometrica 48
+        (1980) 817).
+        """
+        scores = self.inverse @ (regressors * residual)
+        return replace(self, wide=scores @ scores.T)
+
+    def coloured(self, regressors: Real, residual: Real) -> Covariance:
+        """For a residual (n,) of any colour, from ∂(prediction)/∂(parameters), shape (p,
+        n).
+        """
+        colour = autocovariance(residual)
+        noise, observed = noise_behind(regressors, residual)
+        # A misfit that depends on the motion is not independent noise; there the
+        # products of both give more information.
+        products = long_run_covariance(regressors * residual, correlated_lags(colour))
+        return replace(
+            self,
+            wide=_sandwich(self.inverse, noise, products),
+            lag=correlation_lag(colour),
             # Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and
             # larger under slow noise in proportion to its lack of independent samples.
             # For the residual as it is: the noise behind it is estimated for each
             # structure separately, and rivals are compared with these numbers.
-            effective = observed / variance if variance > 0 else effective
-        return cls(names, inverse, variance, wide, lag, effective, unseen)
+            effective=observed / self.variance if self.variance > 0 else self.effective,
+        )
 
     def of_functions(self, names: tuple[str, ...], gradients: Real) -> Covariance:
         """Covariance of functions of the parameters with `gradients` (q, p)."""
@@ -139,14 +141,11 @@ def link_covariance(
         return search.covariances[key]
     problem = LinkProblem.of(search, solution, inside=True)
     free = tuple(map(str, problem.free))
-    regressors, residual = problem.linearised()
     joint = Covariance.of(
-        (*free, *problem.linear),
-        regressors,
-        residual,
-        solution.cost,
-        coloured=coloured,
+        (*free, *problem.linear), problem.normal, solution.cost, problem.samples
     )
+    if coloured:
+        joint = joint.coloured(*problem.linearised())
     own = problem.parameters(problem.place[None, :], problem.names)[1][0]
     gradients = np.eye(len(joint.names))
     gradients[: len(own), : len(own)] = own
