@@ -147,7 +147,7 @@ def _is_ramp(values: Real) -> bool:
     restarts.
     """
     steps = np.diff(values)
-    usual = float(np.median(steps))
+    usual = float(np.sort(steps)[steps.size // 2])
     # Measured steps differ by counts of the encoder and by noise: only computed ones
     # agree to a millionth. A tenth may differ, where a counter restarts.
     return (
