@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -31,10 +31,8 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
         "angle": angle[inner],
         "speed": speed[1:-1],
         "acceleration": speed[2:] - speed[:-2],
-        "time": np.arange(2.0, output.size - 2),
     }
-    shares = _explained(output[inner], sources)
-    with_time = shares.pop("time")
+    shares = {name: _explained(output[inner], each) for name, each in sources.items()}
     nearest = max(shares, key=lambda name: shares[name])
     if shares[nearest] > COPIED_LEAST:
         yield Finding(
@@ -44,7 +42,8 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             {"explained": shares[nearest], "most": COPIED_LEAST},
             "check the column of the output; a stiff link needs faster moves to vibrate",
         )
-    if with_time > COPIED_LEAST or _is_ramp(output):
+    time = np.arange(output.size, dtype=np.float64)
+    if _explained(output, time) > COPIED_LEAST or _is_ramp(output):
         yield Finding(
             "W324",
             "error",
@@ -129,17 +128,15 @@ def motion_at_start(angle: Real, vibration: Real, spread: float) -> str | None:
     )
 
 
-def _explained(values: Real, sources: Mapping[str, Real]) -> dict[str, float]:
-    """Share of the variance of `values` that a multiple of each source and a constant
+def _explained(values: Real, source: Real) -> float:
+    """Share of the variance of `values` that a multiple of `source` and a constant
     explain: R².
     """
-    rows = np.stack([values, *sources.values()])
-    rows -= rows.mean(axis=1, keepdims=True)
-    products, powers = rows @ rows[0], np.einsum("kn,kn->k", rows, rows)
+    centred, other = values - values.mean(), source - source.mean()
     # Squared, so that a copy with the opposite sign or in another unit also counts as a
     # copy.
-    shares = products**2 / np.maximum(powers * powers[0], np.finfo(np.float64).tiny)
-    return dict(zip(sources, shares[1:].tolist(), strict=True))
+    power = float(centred @ centred) * float(other @ other)
+    return float(centred @ other) ** 2 / power if power > 0 else 0.0
 
 
 def _is_ramp(values: Real) -> bool:

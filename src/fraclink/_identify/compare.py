@@ -78,9 +78,8 @@ class Comparison:
     @property
     def table(self) -> Table:
         """The fits beside one another: parameters with their errors, then criteria."""
-        left_out = ("gain", "offset")
         records = (
-            (row for row in fit.rows if row.key not in left_out)
+            (row for row in fit.rows if row.key not in ("gain", "offset"))
             for fit in self.fits.values()
         )
         return Table.of("", records)

@@ -57,8 +57,11 @@ def findings_of(
     `sure` are the resonance's relative standard error and whether the log leaves
     parameters undetermined, `motion` the held-out shares of motion and vibration.
     """
+    # The signal that pure noise reaches with the chance LEVEL: gain and phase at one
+    # frequency gain χ² of two degrees, which exceeds x with the chance e^(−x/2), and a
+    # fit chooses the best of the n/2 frequencies of a log.
+    signal, least = _signal_of(fit), 2 * math.log(fit.fitted_samples / 2 / LEVEL)
     # Sign and delay of noise mean nothing.
-    signal, least = _signal_of(fit), _least_signal(fit)
     audible = signal >= least
     findings = [
         *column_findings(log),
@@ -71,10 +74,7 @@ def findings_of(
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, sure[1]),
         *_of_other_valleys(fit, solution),
-        # Also for noise: `Fit.loop_model` takes the stiffness of the rig if this
-        # finding says that the log does not determine it.
-        *_of_the_stiffness(fit, stiffness),
-        *(_of_the_gain(fit) if audible else ()),
+        *_of_the_gain(fit, stiffness, audible),
         *(_of_the_delay(fit, solution) if audible else ()),
         *_of_the_residual(fit),
     ]
@@ -103,15 +103,6 @@ def likelihood_ratio(
 ) -> float:
     """n ln(cost/least)/k: for Gaussian noise twice the difference in log-likelihood."""
     return samples * math.log(max(cost / max(least, 1e-300), 1.0)) / inflation
-
-
-def _least_signal(fit: Fit) -> float:
-    """The signal that pure noise reaches with the chance LEVEL.
-
-    Gain and phase at one frequency gain χ² of two degrees, which exceeds x with the
-    chance e^(−x/2), and a fit chooses the best of the n/2 frequencies of a log.
-    """
-    return 2 * math.log(fit.fitted_samples / 2 / LEVEL)
 
 
 def _no_signal(signal: float, least: float, log: Experiment) -> Finding:
@@ -147,8 +138,9 @@ def _of_the_vibration(
     fit: Fit, solution: Solution, resonance: float
 ) -> Iterator[Finding]:
     # λ at its upper limit is a classical link; at the lower one nothing vibrates.
-    order_low = 0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
-    if 1 in solution.at_bound or order_low:
+    if 1 in solution.at_bound or (
+        0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
+    ):
         yield Finding(
             "W314",
             "error",
@@ -267,17 +259,12 @@ def _not_predicted(fit: Fit, relative: float) -> Finding:
 
 
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
-    values = {
-        "order": fit.model.order,
-        "damping_order": fit.model.damping_order,
-        "delay": fit.delay,
-    }
     for name in fit.at_bound:
         if name == "delay" and (fit.delay == 0 or fit.hold == "zero"):
             # a rough angle cannot show a negative delay, a held one none between its
             # samples
             continue
-        evidence = {name: values.get(name, getattr(fit.model, name, 0.0))}
+        evidence = {name: fit.delay if name == "delay" else getattr(fit.model, name)}
         yield Finding(
             "W301",
             "warning",
@@ -316,8 +303,13 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         )
 
 
-def _of_the_stiffness(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
-    if fit.output_kind == "deflection" and stiffness is None:
+def _of_the_gain(fit: Fit, stiffness: float | None, audible: bool) -> Iterator[Finding]:
+    # For a torque the gain is a stiffness, which may have any value.
+    if fit.output_kind != "deflection":
+        return
+    if stiffness is None:
+        # Also for noise: `Fit.loop_model` takes the stiffness of the rig if this
+        # finding says that the log does not determine it.
         yield Finding(
             "W304",
             "warning",
@@ -325,12 +317,7 @@ def _of_the_stiffness(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
             {},
             "give stiffness=, or let `design` take the rig's",
         )
-
-
-def _of_the_gain(fit: Fit) -> Iterator[Finding]:
-    size = abs(fit.gain)
-    # For a torque the gain is a stiffness, which may have any value.
-    if fit.output_kind == "deflection" and not GAIN_RANGE[0] < size < GAIN_RANGE[1]:
+    if audible and not GAIN_RANGE[0] < abs(fit.gain) < GAIN_RANGE[1]:
         yield Finding(
             "W320",
             "error",

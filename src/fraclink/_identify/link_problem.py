@@ -185,18 +185,17 @@ class LinkProblem(Problem):
 
     @cached_property
     def _signals(self) -> tuple[list[int], Real]:
-        """The coordinates of the shape that change, and the weights (q, 2 + k) of the
-        response, a constant and the derivatives along these in ∂(output)/∂(coordinates,
+        """The coordinates of the shape that change, and the weights (q, k + 2) of the
+        derivatives along these, the response and a constant in ∂(output)/∂(coordinates,
         then gain and offset if free).
         """
         chain = self.expanded(self.place[None, :])[1][0]
         moving = np.flatnonzero(chain.any(axis=1)).tolist()
-        count = len(self.free)
-        weights = np.zeros((count + len(self.linear), 2 + len(moving)))
-        weights[:count, 2:] = self.solution.gain * chain[moving].T
-        for row, name in enumerate(self.linear, start=count):
-            weights[row, ("gain", "offset").index(name)] = 1.0
-        return moving, weights
+        weights = np.zeros((len(self.free) + 2, len(moving) + 2))
+        weights[:-2, :-2] = self.solution.gain * chain[moving].T
+        weights[-2:, -2:] = np.eye(2)
+        kept = [name in self.linear for name in ("gain", "offset")]
+        return moving, weights[[True] * len(self.free) + kept]
 
     @property
     def normal(self) -> Real:
@@ -204,7 +203,9 @@ class LinkProblem(Problem):
         moving, weights = self._signals
         shape = self.solution.shape[None, :]
         gram = self.search.kernel.grams(shape, mask_of(moving))[0]
-        return np.asarray(weights @ gram[1:, 1:] @ weights.T)
+        # Its rows: measured, response, constant, derivatives.
+        rows = [*range(3, len(gram)), 1, 2]
+        return np.asarray(weights @ gram[np.ix_(rows, rows)] @ weights.T)
 
     def linearised(self) -> tuple[Real, Real]:
         """∂(output)/∂(coordinates, then gain and offset if free), shape (q, n), and the
@@ -214,7 +215,7 @@ class LinkProblem(Problem):
         moving, weights = self._signals
         raw = columns_of(own.kernel, at.shape, mask_of(moving))
         residual = own.window.output - at.gain * raw[0] - at.offset
-        rows = np.insert(raw, 1, 1.0, axis=0)
+        rows = np.vstack([raw[1:], raw[0], np.ones(residual.size)])
         return np.asarray(weights @ rows), residual
 
     @property

@@ -162,7 +162,7 @@ class Search:
         resonance.
         """
         shares, widths = np.empty(len(links)), self.window.widths(np.exp(links[:, 1]))
-        for width in np.unique(widths).tolist():
+        for width in {*widths.tolist()}:
             (kernel, power), own = self.averages(width), widths == width
             shares[own] = kernel.costs(links[own], self.gain, self.offset) / power
         return shares
@@ -173,11 +173,10 @@ class Search:
         """Undamped links (K, 5) at given ln Ω, each with a fraction of its period as
         delay.
         """
-        rows = np.zeros((len(places), 5))
-        rows[:, 0], rows[:, 1] = self.fixed.get("order", order), places
-        rows[:, 3] = 1.0
-        rows[:, 4] = self.fixed.get("delay", part * 2 * math.pi * np.exp(-places))
-        return rows
+        order = self.fixed.get("order", order)
+        delays = self.fixed.get("delay", part * 2 * math.pi * np.exp(-places))
+        coordinates = np.broadcast_arrays(order, places, 0.0, 1.0, delays)
+        return np.stack(coordinates, axis=1)
 
     @cached_property
     def _scanned(self) -> list[Real]:
@@ -196,8 +195,11 @@ class Search:
         # eighth of a period to either side, which is half of the range of the delay.
         delays = np.linspace(*_DELAY_LIMITS, 5)[1::2]
         delays = delays[:1] if "delay" in self.fixed else delays
-        by_delay = [self._links(valleys, _SCAN_ORDER, part) for part in delays]
-        starts = [*np.stack(by_delay, axis=1)]
+        starts = [
+            *np.stack(
+                [self._links(valleys, _SCAN_ORDER, part) for part in delays], axis=1
+            )
+        ]
         if self.start is not None:
             order, place, *_, delay = self.start
             # Not at 2: on the limit the slope in λ may point outwards, and the descent
@@ -220,8 +222,9 @@ class Search:
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
             rows = self._links(places[apart <= width], order, 0.0)
-            valleys = lowest_valleys(self._shares(rows), _SHARP_VALLEYS)
-            starts.extend(rows[valleys, None])
+            starts.extend(
+                rows[lowest_valleys(self._shares(rows), _SHARP_VALLEYS), None]
+            )
         return starts
 
     def _ringing(self) -> tuple[Real, float]:

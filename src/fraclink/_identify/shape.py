@@ -229,9 +229,7 @@ def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:
     """
     if hold != "auto":
         return hold
-    steps = np.abs(
-        np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:])
-    )
+    steps = np.abs(np.ediff1d(motor_angle, to_begin=0.0, to_end=0.0))
     calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
     # A jump is a twentieth of the whole range; an encoder that counts rarely is also at
     # rest on both sides.
@@ -308,8 +306,8 @@ class Window:
         before the first.
         """
         if self.hold == "zero":
-            return np.diff(self.angle, prepend=self.angle[:1])
-        return np.diff(self.angle, append=self.angle[-1:]) / self.period
+            return np.ediff1d(self.angle, to_begin=0.0)
+        return np.ediff1d(self.angle, to_end=0.0) / self.period
 
     def kernel(self, resonance: float, *, longest_delay: float) -> FitProblem:
         """The kernel with a grid of rates for resonances from `resonance` [rad/s]

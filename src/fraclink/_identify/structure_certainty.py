@@ -68,12 +68,15 @@ def certainty_of(
     place = problem.place_of(values)
     rows, residual = problem.linearised(place)
     perfect = best.cost <= RESOLUTION * problem.power
-    names = (*free, "offset")[: len(rows)]
-    covariance = Covariance.of(names, rows @ rows.T, best.cost, residual.size)
+    covariance = Covariance.of(
+        (*free, "offset")[: len(rows)], rows @ rows.T, best.cost, residual.size
+    )
     if not perfect:
-        lines = isinstance(problem.data, Lines)
-        widened = covariance.of_lines if lines else covariance.coloured
-        covariance = widened(rows, residual)
+        covariance = (
+            covariance.of_lines(rows, residual)
+            if isinstance(problem.data, Lines)
+            else covariance.coloured(rows, residual)
+        )
     shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
     blind = tuple(
         name

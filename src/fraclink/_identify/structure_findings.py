@@ -59,12 +59,10 @@ def structure_findings(
 def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
     for name in fit.at_bound:
         low, high = fit.limits[name]
-        nothing = (
-            fit.limits[name][0] == 0.0 and fit.parameters[name] < 1e-6 * high
-        )  # no delay is seen
+        # At zero no delay is seen.
         yield Finding(
             "W301",
-            "warning" if nothing else "error",
+            "warning" if low == 0.0 and fit.parameters[name] < 1e-6 * high else "error",
             f"{name} ended at a bound, which is no estimate; other intervals hold with it there only",
             {"value": fit.parameters[name], "low": low, "high": high},
             "leave the term out if it vanished; else widen bounds, or check the sign of a channel",

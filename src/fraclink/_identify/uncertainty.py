@@ -61,8 +61,15 @@ class Covariance:
         inverse, unseen = inverted(normal)
         # n − p: the fit uses p of the residual's degrees of freedom.
         variance = cost / max(samples - len(normal), 1)
-        wide = variance * inverse
-        return cls(names, inverse, variance, wide, 1, float(len(normal)), unseen)
+        return cls(
+            names,
+            inverse,
+            variance,
+            wide=variance * inverse,
+            lag=1,
+            effective=float(len(normal)),
+            unseen=unseen,
+        )
 
     def of_lines(self, regressors: Real, residual: Real) -> Covariance:
         """For the lines of a response, which are measured one by one: their errors are
