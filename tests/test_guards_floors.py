@@ -187,7 +187,7 @@ CEILINGS = {
     "fracsys": 2656,
     "_arm": 1485,
     "_certify": 845,
-    "_cli": 839,
+    "_cli": 831,
     "_design": 1465,
     "_export": 431,
     "_files": 551,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -12,7 +13,6 @@ from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
-    as_stated,
     load_design,
     refuse_beside,
 )
@@ -150,8 +150,8 @@ def faults(
     """
     bench = Bench.of(load_design(design))
     # Stored in the table: a replay a year later must find the same arm.
-    about = {"design": str(design)}
-    about["command"] = f"fraclink campaign faults{as_stated(about)}"
+    place = shlex.quote(str(design))
+    about = {"command": f"fraclink campaign faults --design {place}"}
     plan = cases(
         bench,
         only=only or (),

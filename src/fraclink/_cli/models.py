@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,6 @@ from fraclink._cli.options import (
     LogName,
     Payloads,
     RigName,
-    as_stated,
     load_log,
     load_logs,
     load_rig_for_logs,
@@ -57,11 +57,9 @@ def diagnose(
     # Warnings do not fail a log: a model can be fitted to it, and the fit has its own
     # gates.
     failed = bool(errors_of(findings))
-    following = (
-        ""
-        if failed
-        else f"fraclink identify {log} --rig {rig}{as_stated({'column': column} | reading)}"
-    )
+    following = "" if failed else f"fraclink identify {shlex.quote(log)} --rig {rig}"
+    if following and (column or any(reading.values())):
+        following += ", with the same options"
     return Answer(findings, not failed, following=following)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -73,29 +71,6 @@ REQUEST = Keywords(Specification, "payloads", "gain_crossover")
 PhaseMarginDeg = Annotated[
     ranges.PhaseMarginDeg | None, "Least phase margin; default: the rig's"
 ]
-
-
-def as_stated(options: Mapping[str, Any]) -> str:
-    """The options that were given, as words of the next command, each behind a space."""
-    words: list[str] = []
-    for name, value in options.items():
-        # For an option that may be repeated, each value has its own flag.
-        for each in value if isinstance(value, list) else [value]:
-            if each is not None and each is not False:
-                words.append(f"--{name.replace('_', '-')}")
-                words += map(_as_written, each if isinstance(each, tuple) else (each,))
-    return "".join(f" {shlex.quote(word)}" for word in words if word)
-
-
-def _as_written(value: object) -> str:
-    # Six digits, as people write them: the command is pasted and compared by eye.
-    return (
-        f"{value:g}"
-        if isinstance(value, float)
-        else ""
-        if value is True
-        else str(value)
-    )
 
 
 def in_radians(angle_deg: float | None) -> float | None:

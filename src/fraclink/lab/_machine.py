@@ -46,7 +46,6 @@ Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priorit
 _PERIOD = Between(
     5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
 )
-_MEASURED = 0.5  # [s], an unnoticeable delay before a move
 # Longest time between two wake-ups [s]: their lateness hardly depends on the time
 # slept.
 _STEP = 0.002
@@ -137,7 +136,7 @@ def _time(seconds: float) -> str:
 def measure_wake_ups(
     period: float,
     *,
-    duration: Annotated[float, Between(0.01, 3600.0, "s")] = _MEASURED,
+    duration: Annotated[float, Between(0.01, 3600.0, "s")] = 0.5,
     step: Annotated[float, Between(5e-5, 1.0, "s")] | None = None,
     priority: Priority = PRIORITY,
     lock_memory: bool = True,
@@ -151,7 +150,7 @@ def measure_wake_ups(
     period
         that is to be kept [s], 50 µs to 1 s.
     duration
-        [s].
+        [s]; half a second is an unnoticeable delay before a move.
     step
         between two wake-ups [s]; default: the period, 2 ms at most.
     priority, lock_memory, clock
