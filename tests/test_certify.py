@@ -1136,6 +1136,43 @@ def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
     assert exact.tree == "" and exact.leaves == 0 and not exact.passed
 
 
+@pytest.mark.slow
+def test_a_motor_loop_that_barely_decays_is_proved_and_one_that_does_not_is_named(
+    checker: ModuleType, tmp_path: Path
+):
+    """The continuous PID, placed without its delay at 96 rad/s, rings at 134 rad/s: its
+    poles have the modulus 0.997, and leave the circle where the motor gains 10 %.
+    """
+    rig = replace(RIG, motor_loop=replace(RIG.motor_loop, pole=96.0))
+    link = replace(RIG.model, second_mode=SecondMode(126.0, 0.03, 0.02))
+    design = fl.design(
+        link,
+        rig,
+        payloads=(0.024, 0.06),
+        gain_crossover=10.0,
+        phase_margin=fl.deg(50),
+        motor_loop="sampled",
+        placement="tustin",
+    )
+
+    def slowest(ratio: float) -> float:
+        loop = design.motor_loop.sampled(rig.motor, rig.period, ratio=ratio)
+        return float(abs(loop.poles()[0]))
+
+    assert 0.99 < slowest(0.985) < slowest(1.015) < 1.0 < slowest(1.1)
+    at, late = ParameterBox.at(link), (rig.period, rig.period)
+    narrow = replace(at, motor_ratio=(0.985, 1.015), gauge_gain=(0.99, 1.01))
+    proved = certify(design, box=narrow, delay=late)
+    assert proved.passed, proved.verdict
+    proved.save(tmp_path / "c.json")
+    claim = checker.check(str(tmp_path / "c.json"), proved.statement.digest)
+    assert claim == proved.verdict
+    refused = certify(design, box=replace(at, motor_ratio=(0.9, 1.1)), delay=late)
+    place = dict(refused.place)
+    assert "the sampled motor loop is not stable" in refused.verdict
+    assert slowest(place["motor"] / rig.motor.gain) > 1.0
+
+
 def test_a_law_of_another_link_or_none_is_refused(law: Law):
     limits = replace(law.limits, reference_rate=1.0 - 1e-15)
     with pytest.raises(FieldError, match="reference_rate"):

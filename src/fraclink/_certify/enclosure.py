@@ -506,12 +506,12 @@ class BoxLoop:
             self.period * self.high["motor"] / self.statement.decay + 2
         )
 
-    def inner_is_stable(self) -> bool:
-        """Whether the sampled motor loop is stable at the smallest delay and motor
-        gain, by Jury's reflection coefficients.
+    def inner_is_stable(self, delay: float, motor: float) -> bool:
+        """Whether the sampled motor loop is stable with one delay [s] and motor gain,
+        by Jury's reflection coefficients.
 
-        For every other delay and gain it follows from the tree: each leaf shows X ≠ 0
-        on its part of the unit circle, so no pole can cross it while they grow.
+        From one such pair it follows for all others by the tree: each leaf shows X ≠ 0
+        on its part of the unit circle, so no pole can cross it while they change.
         """
         if self.motor_loop == "ideal":
             return True
@@ -520,8 +520,8 @@ class BoxLoop:
         count = 6 + self.statement.whole
         x = Disc(np.exp(2j * math.pi / count * np.arange(count)))
         both = self.controllers(x)[1]
-        late = Disc(np.array(self.low["delay"]))
-        closing = self.closing(x, both, late, Disc(np.array(1 / self.low["motor"])))
+        late, slow = Disc(np.array(delay)), Disc(np.array(1 / motor))
+        closing = self.closing(x, both, late, slow)
         decay = math.exp(-self.statement.decay * self.period)
         poles = (1 - x.c * decay) * (1 - x.c * self.pid["filter_decay"])
         coefficients = np.fft.fft(closing.c * poles).real / count
