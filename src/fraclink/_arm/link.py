@@ -307,6 +307,16 @@ class LinkModel:
         """
         return self.stiffness * s**self.order / (s**self.order + self._restoring)
 
+    def lead(self, frequency: ArrayLike) -> Complex:
+        """Return (1/G − 1)/s² = s^(λ−2)/(μ s^α + ω₀²) at s = jω, ω = `frequency`
+        [rad/s]: by how much the motor leads the tip, per acceleration of the tip [s²].
+
+        >>> abs(LinkModel(1.56, 10.0).lead(3.0)).item().__round__(6)
+        0.01
+        """
+        s = 1j * np.asarray(frequency)
+        return (1 / self.tip()(s) - 1) / s**2
+
     @property
     def _restoring(self) -> FractionalTransferFunction:
         """μ s^α + ω₀²."""

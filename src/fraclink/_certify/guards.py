@@ -53,19 +53,13 @@ def check_guards(statement: Statement) -> None:
             )
 
 
-def _lead(link: LinkModel, frequency: float) -> complex:
-    """1/G − 1 over s²: the lead of the motor over the tip per acceleration."""
-    s = 1j * frequency
-    return complex((1 / link.tip()(s) - 1) / s**2)
-
-
 def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
     """(field, least value) of every guard, as derived for the moves of the claim."""
     c, loop = s.coefficients, _followed(s)
     period = float(c["period"])
     # Doubled for payloads beyond the nominal one; within it neither gauge nor trip may
     # limit the move.
-    push = 2 * s.stiffness * abs(_lead(link, abs(link.pole))) * s.acceleration
+    push = 2 * s.stiffness * abs(complex(link.lead(abs(link.pole)))) * s.acceleration
     limits = derive_limits(
         link,
         period,
@@ -124,7 +118,7 @@ def _parts(s: Statement, link: LinkModel) -> Iterator[tuple[str, float, float, f
             g / (z - p) for p, g in zip(poles, gains, strict=True)
         )
         # the margins of the guards cover half and twice the law's payload
-        yield "forward", abs(value / _lead(link, frequency) - 1), 0.0, 0.5
+        yield "forward", abs(value / complex(link.lead(frequency)) - 1), 0.0, 0.5
     yield "stiffness", c["stiffness"] * c["compliance"], 1 - 1e-6, 1 + 1e-6
     now, keep = c["motor_now"], c["motor_keep"]
     polynomial = [1.0, now - 1 - keep, keep - now * keep + c["motor_next"]]

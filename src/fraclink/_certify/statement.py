@@ -511,8 +511,7 @@ def _moves(model: LinkModel, rig: Rig) -> dict[str, float]:
     margin for payloads and vibration. The torque stays within the limits of the gauge
     and of the user.
     """
-    moves, resonance = rig.moves, abs(model.pole)
-    bend = abs(1 / model.tip()(1j * resonance) - 1) / resonance**2
+    moves, bend = rig.moves, float(abs(model.lead(abs(model.pole))))
     torque = min(0.87 * rig.gauge.limit, moves.torque)
     most = torque / (2 * model.stiffness * bend)
     return {

@@ -102,12 +102,8 @@ def derive_limits(
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
     as it was placed, its delay included. Reasons stand beside each number in the source.
     """
-    # 1/G − 1 is the lead of the motor over the tip; divided by s² it refers to the
-    # acceleration.
     resonance = abs(link.pole)
-    flexible = (
-        abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
-    )
+    flexible = float(abs(link.lead(resonance))) * moves.acceleration
     # Doubled: no limit may trip on a payload beyond the nominal one.
     torque = 2 * link.stiffness * flexible
     # The law's own range is symmetric about the encoder's zero.
@@ -122,8 +118,9 @@ def derive_limits(
     # is due to an acceleration, which is limited by the change of the reference's speed
     # from one extreme to the other.
     hold = 1.5 * math.pi / resonance
-    slow = abs(1 / link.tip()(1j * math.pi / hold) - 1) * (hold / math.pi) ** 2
-    lasting = slow * min(moves.acceleration, 2 * moves.velocity / hold)
+    lasting = float(abs(link.lead(math.pi / hold))) * min(
+        moves.acceleration, 2 * moves.velocity / hold
+    )
     # at the full speed and acceleration of the command: one missed period, and the part
     # of the loop that the model leaves out
     residual = (

@@ -166,13 +166,13 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
     A fit that is 1.7 % low there, as that of the paper's link, is right for a payload
     lighter by as much.
     """
-    s = 1j * abs(link.pole)
-    z = np.exp(s * period)
+    resonance = abs(link.pole)
+    z = np.exp(1j * resonance * period)
     response = feedforward.direct + sum(
         gain / (z - pole)
         for pole, gain in zip(feedforward.poles, feedforward.gains, strict=True)
     )
-    return float(abs(response * s**2 / (1 / link.tip()(s) - 1)))
+    return float(abs(response / link.lead(resonance)))
 
 
 def held_reference(reach: float, back: Complex) -> Complex:
@@ -229,21 +229,14 @@ def _best(
 
 @lru_cache(maxsize=8)
 def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
-    """s^(λ-2)/(μ s^α + ω₀²): the motor angle to be added per acceleration of the
-    reference (1/G − 1 over s²).
+    """The motor angle to be added per acceleration of the reference, `LinkModel.lead`:
+    it falls with s, so that no derivative of the reference has to be formed.
     """
-
-    def response(frequency: Real) -> Complex:
-        s = 1j * frequency
-        # The inverse without θt* itself and per acceleration: it falls with s, so that
-        # no derivative of the reference has to be formed.
-        return (1 / link.tip()(s) - 1) / s**2
-
     high = min(200.0, 0.5 * math.pi / period)
     # 0.3 dB of the feed-forward is 3 % of the flexion, well below the effect of an
     # unknown payload.
     return fit_discrete(
-        response,
+        link.lead,
         period=period,
         band=(min(FLEXIBLE * abs(link.pole), 0.1 * high), high),
         tolerance_db=0.3,
