@@ -254,8 +254,8 @@ def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str
     """Return the text of the exported README.md; with `proof`, its claims are about
     this folder.
     """
-    params, state = _kernels.law_sizes(law.precision == "single")
-    flag = " -DLAW_SINGLE" if law.precision == "single" else ""
+    params, state = _kernels.law_sizes(law.single)
+    flag = " -DLAW_SINGLE" if law.single else ""
     limits = "\n".join(_limit_rows(law))
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 

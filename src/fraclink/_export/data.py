@@ -155,7 +155,7 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     # What the general build reserves for modes that this law does not have.
     spare = layout.REAL_MODES - modes["real"] + layout.FORWARD_MODES - modes["forward"]
     spare += 2 * (layout.PAIR_MODES - modes["pair"])
-    state = _kernels.law_sizes(law.precision == "single")[1]
+    state = _kernels.law_sizes(law.single)[1]
     state -= struct.calcsize(code) * spare
     return layout.exact_header(law.block, law.precision, modes)[0], state
 
@@ -208,16 +208,15 @@ def data_header(law: Law, *, name: str) -> str:
             )
         else:
             rows.append(f"    .{field} = {hex_float(value, law.precision)},")
-    single = law.precision == "single"
     # No date, user or path: the same law gives the same bytes, so that `replay` detects
     # a modified header.
     return _TEMPLATE.format(
         version=__version__,
         digest=law.digest,
         guard=name.upper(),
-        negation=" !" if single else "",
+        negation=" !" if law.single else "",
         precision=law.precision,
-        remedy="with" if single else "without",
+        remedy="with" if law.single else "without",
         name=name,
         exact=_exact(law),
         fields="\n".join(rows),

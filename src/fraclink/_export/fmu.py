@@ -135,7 +135,7 @@ def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
     token = token_of(sources)
     lines = [
         "/* The whole FMU as one file to compile: an importer needs no flags but the language's. */",
-        *(["#define LAW_SINGLE"] if law.precision == "single" else []),
+        *(["#define LAW_SINGLE"] if law.single else []),
         # Two FMUs may be linked into one program, each with its own law.
         *(
             f"#define {function} {name}_{function}"

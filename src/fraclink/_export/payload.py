@@ -53,13 +53,12 @@ def _data(estimator: PayloadEstimator) -> str:
         + ",\n".join(f"        {{{model}}}" for model in models)
         + "},"
     )
-    single = estimator.precision == "single"
     return _DATA.format(
         version=__version__,
         digest=estimator.digest,
-        negation=" !" if single else "",
+        negation=" !" if estimator.single else "",
         precision=estimator.precision,
-        remedy="with" if single else "without",
+        remedy="with" if estimator.single else "without",
         fields="\n".join(rows),
     )
 
@@ -93,7 +92,7 @@ def _hash(estimator: PayloadEstimator) -> int:
 
 def payload_readme(estimator: PayloadEstimator) -> str:
     """Return the section of README.md on the payload estimator."""
-    flag = " -DLAW_SINGLE" if estimator.precision == "single" else ""
+    flag = " -DLAW_SINGLE" if estimator.single else ""
     low, high = estimator.certified
     return f"""
 ## Payload estimator

@@ -4,12 +4,14 @@ its modes.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, NamedTuple
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple, Self, cast
 
 from fraclink._arm.motor import DiscretePid
 from fraclink._law.limits import Limits
@@ -23,6 +25,7 @@ __all__ = [
     "MOTOR_LOOP",
     "PID",
     "REALS",
+    "Block",
     "DiscreteMotorLoop",
     "Modes",
     "MotorModel",
@@ -31,6 +34,7 @@ __all__ = [
     "block_values",
     "correction_values",
     "exact_header",
+    "framed",
     "inside_circle",
     "linear_range",
     "mode_norms",
@@ -168,9 +172,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
             allowed=f"{precision} precision",
             remedy="use double",
         ) from error
-    width, crc = (4 if precision == "single" else 8), zlib.crc32(body)
     # 0 marks a state that was never started; one block in 4 billion has this CRC
-    if crc == 0:
+    if zlib.crc32(body) == 0:
         raise FieldError(
             "law",
             0,
@@ -178,7 +181,14 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
             allowed="any other",
             remedy="change a limit slightly",
         )
-    return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
+    return framed(VERSION, body, precision)
+
+
+def framed(version: int, body: bytes, precision: Precision) -> bytes:
+    """Return a block behind its header: version, size, width of a real, CRC-32."""
+    width = struct.calcsize(real_type(precision))
+    header = (version, 16 + len(body), width, zlib.crc32(body))
+    return struct.pack("<IIII", *header) + body
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
@@ -218,6 +228,34 @@ def exact_header(
         f"<{len(flat)}{real_type(precision)}", *flat
     )
     return 16 + len(body), zlib.crc32(body)
+
+
+class Block(ABC):
+    """Numbers for a C file in one precision: what law and payload estimator share."""
+
+    precision: Precision
+
+    @property
+    @abstractmethod
+    def block(self) -> bytes:
+        """The parameter block, byte for byte."""
+
+    @property
+    def single(self) -> bool:
+        """Whether the precision is "single"."""
+        return self.precision == "single"
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the block, 64 hexadecimal digits: two with one digest run alike to
+        the last bit.
+        """
+        return hashlib.sha256(self.block).hexdigest()
+
+    def in_precision(self, precision: Precision) -> Self:
+        """Return the same numbers in "single" or "double" precision."""
+        real_type(precision)
+        return cast("Self", replace(cast("Any", self), precision=precision))
 
 
 class Modes(NamedTuple):

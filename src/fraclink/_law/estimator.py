@@ -14,10 +14,8 @@ sum of errors for the gauge's noise, which A_k/C_k correlates, and for its gain.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,7 +28,7 @@ from fraclink import _kernels
 from fraclink._arm.beam import Beam, modal_shares
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._law.block import Precision, real_type
+from fraclink._law.block import Block, Precision, framed, real_type
 from fraclink._law.law import REASONS, Law
 from fraclink._law.tracking import masses_of
 from fraclink.errors import FieldError
@@ -116,7 +114,7 @@ class Estimates(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PayloadEstimator:
+class PayloadEstimator(Block):
     """The payload estimator of one arm: every number that payload_estimator.c needs.
     Made by `payload_estimator`.
 
@@ -153,31 +151,17 @@ class PayloadEstimator:
         counts = (self.together, self.chunk, self.quiet_limit, self.gap_limit)
         flat = [*self.values, *(x for row in self.models for x in row)]
         body = struct.pack(f"<{len(counts)}I{len(flat)}{code}", *counts, *flat)
-        block = (
-            struct.pack(
-                "<IIII",
-                VERSION,
-                16 + len(body),
-                struct.calcsize(code),
-                zlib.crc32(body),
-            )
-            + body
-        )
-        if len(block) != _kernels.payload_sizes(self.precision == "single")[0]:
+        block = framed(VERSION, body, self.precision)
+        if len(block) != _kernels.payload_sizes(self.single)[0]:
             raise AssertionError(
                 "fraclink._law.estimator does not match csrc/payload_estimator.h"
             )
         return block
 
     @property
-    def digest(self) -> str:
-        """SHA-256 of the block, 64 hexadecimal digits."""
-        return hashlib.sha256(self.block).hexdigest()
-
-    @property
     def state_size(self) -> int:
         """Bytes that the estimator remembers."""
-        return int(_kernels.payload_sizes(self.precision == "single")[1])
+        return int(_kernels.payload_sizes(self.single)[1])
 
     @property
     def certified(self) -> tuple[float, float]:
@@ -186,14 +170,9 @@ class PayloadEstimator:
             REALS.index("certified_high")
         ]
 
-    def in_precision(self, precision: Precision) -> PayloadEstimator:
-        """Return the same estimator in "single" or "double" precision."""
-        real_type(precision)
-        return replace(self, precision=precision)
-
     def initial_state(self) -> bytes:
         """Return the state before the first period."""
-        state, reason = _kernels.payload_init(self.block, self.precision == "single")
+        state, reason = _kernels.payload_init(self.block, self.single)
         if reason:
             raise FieldError(
                 "estimator",
@@ -250,7 +229,7 @@ class PayloadEstimator:
             twist,
             out,
             flags,
-            self.precision == "single",
+            self.single,
         )
         return bytes(after), Estimates(out[0], out[1], out[2], out[3], flags)
 

@@ -4,10 +4,9 @@ gets, in one file.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from fraclink import _kernels
 from fraclink._display import Overview, Row, Table, displayed, number, quantity
 from fraclink._files import Saved, document
 from fraclink._law.block import (
+    Block,
     DiscreteMotorLoop,
     Modes,
     MotorModel,
@@ -99,7 +99,7 @@ def _complex_text(value: complex) -> str:
     summary=lambda law: {"block": law.digest},
 )
 @dataclass(frozen=True)
-class Law(Saved):
+class Law(Block, Saved):
     """A controller as it runs: every coefficient of law.c at its period.
 
         θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c,    (22), (23)
@@ -244,16 +244,9 @@ class Law(Saved):
         # The layout of the struct is defined twice, here and by the C compiler. A field
         # missing in one of them would shift all fields after it, and the CRC, computed
         # here, would not detect that.
-        if len(block) != _kernels.law_sizes(self.precision == "single")[0]:
+        if len(block) != _kernels.law_sizes(self.single)[0]:
             raise AssertionError("fraclink._law.block does not match csrc/law.h")
         return block
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run
-        alike to the last bit.
-        """
-        return hashlib.sha256(self.block).hexdigest()
 
     @property
     def coefficients(self) -> dict[str, float | list[float]]:
@@ -261,11 +254,6 @@ class Law(Saved):
         to its precision).
         """
         return layout.unpack(self.block, self.precision)
-
-    def in_precision(self, precision: layout.Precision) -> Law:
-        """Return the same law in "single" or "double" precision."""
-        layout.real_type(precision)
-        return replace(self, precision=precision)
 
     @cached_property
     def _filter(self) -> tuple[float, Complex, Complex, Complex, Complex]:
@@ -309,7 +297,7 @@ class Law(Saved):
         """Return the state before the first period; the first step starts at the
         measured angle without a bump.
         """
-        state, reason = _kernels.law_init(self.block, self.precision == "single")
+        state, reason = _kernels.law_init(self.block, self.single)
         if reason:
             raise FieldError(
                 "law",
@@ -387,7 +375,7 @@ class Law(Saved):
             signals,
             outputs,
             marks,
-            self.precision == "single",
+            self.single,
         )
         return bytes(after), LawOutputs(*outputs, *marks)
 
@@ -411,9 +399,7 @@ class Law(Saved):
                 allowed=f"{angle.shape}",
                 remedy="give two signals",
             )
-        reason = _kernels.law_wiring(
-            self.block, angle, twist, self.precision == "single"
-        )
+        reason = _kernels.law_wiring(self.block, angle, twist, self.single)
         return REASONS[int(reason)]
 
     @property

@@ -185,10 +185,9 @@ def run_lumped(
         field.name: np.ascontiguousarray(getattr(arms.links, field.name))
         for field in fields(LinkWeights)
     }
-    single = law.precision == "single"
     _kernels.loop_run(
         law.block,
-        single,
+        law.single,
         b"" if estimator is None else estimator.block,
         shared,
         _kernels.Links(**links),
@@ -331,8 +330,8 @@ class ArmState:
         """
         # Memory of the estimator before the run, from which its output is recomputed
         # bit for bit: the kernel records the law's actions, not its inputs.
-        single, before = law.precision == "single", self.estimate.tobytes()
-        record = self.run(law.block, inputs, single=single, estimator=estimator)
+        before = self.estimate.tobytes()
+        record = self.run(law.block, inputs, single=law.single, estimator=estimator)
         if estimator is None:
             return record, []
         angle, torque, tip = (record[:, RECORD.index(name)] for name in _SEEN)
