@@ -17,7 +17,6 @@ from fraclink.errors import (
     FileFormatError,
     LogError,
     SizeError,
-    UnstableError,
 )
 from fraclink.findings import Finding
 
@@ -142,9 +141,7 @@ def test_the_hash_of_a_log_is_that_of_its_bytes(tmp_path: Path) -> None:
     assert log.sha256 == hashlib.sha256(raw).hexdigest()
 
 
-@pytest.mark.parametrize(
-    "kind", [FieldError, LogError, FileFormatError, SizeError, UnstableError]
-)
+@pytest.mark.parametrize("kind", [FieldError, LogError, FileFormatError, SizeError])
 def test_an_error_crosses_a_process_border_with_its_parts(
     kind: type[FieldError],
 ) -> None:

@@ -67,16 +67,6 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
         "ask for less; nothing was computed and no memory was allocated",
     ),
     (
-        errors.UnstableError(
-            "G",
-            "1/(s - 1)",
-            "unstable",
-            allowed="poles with Re s < 0",
-            remedy="look at poles(G)",
-        ),
-        "look at `poles(G)`; stabilise it first",
-    ),
-    (
         errors.InfeasibleError(
             "gain_crossover",
             "too fast for this phase margin",

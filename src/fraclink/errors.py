@@ -4,8 +4,7 @@
     ├── FieldError(ValueError)          a value is out of its range
     │   ├── LogError                    a recorded log cannot be used as it is
     │   ├── FileFormatError             a file is damaged, or of another kind
-    │   ├── SizeError                   refused before memory is taken
-    │   └── UnstableError               the quantity exists for stable systems only
+    │   └── SizeError                   refused before memory is taken
     ├── InfeasibleError(ValueError)     a design cannot be met
     ├── NotCertifiedError(ValueError)   a proof failed
     ├── NotConvergedError(RuntimeError) an iteration stopped short
@@ -27,7 +26,6 @@ from fracsys.errors import (
     MissingExtraError,
     NotConvergedError,
     SizeError,
-    UnstableError,
 )
 from fracsys.errors import (
     required as required,
@@ -44,7 +42,6 @@ __all__ = [
     "NotCertifiedError",
     "NotConvergedError",
     "SizeError",
-    "UnstableError",
 ]
 
 # A single base for both packages: it catches everything that either raises on purpose.

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NoReturn, cast, overload
+from typing import Any, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -332,16 +332,6 @@ class FractionalTransferFunction:
             only.coefficient if constant else (self.numerator, self.denominator)
         )
 
-    # a run-time aid for people; type checkers must still see every attribute
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            hint = f": {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
-            kind = type(self).__name__
-            raise AttributeError(
-                f"{kind!r} object has no attribute {name!r}{hint}", name=name, obj=self
-            )
-
     def __bool__(self) -> bool:
         """False for 0."""
         return bool(self.numerator)
@@ -440,37 +430,6 @@ def _crosswise(
 
 
 _ONE = (Term(1.0, 0.0),)
-
-_CONTROL = "python-control's functions take G.to_control()"
-# Attributes that users of other packages look for -> where to find them here.
-_ELSEWHERE = {
-    "num": "its terms, of any order, are G.numerator",
-    "den": "its terms, of any order, are G.denominator",
-    "num_list": "its terms, of any order, are G.numerator",
-    "den_list": "its terms, of any order, are G.denominator",
-    "pole": "G.poles()",
-    "zero": "G.zeros()",
-    "step": "fracsys.step_response(G, 10.0, 0.01)",
-    "impulse": "fracsys.impulse_response(G, 10.0, 0.01)",
-    "output": "fracsys.time_response(G, u, period)",
-    "bode": "fraclink.bode(G)",
-    "nyquist": "control.nyquist_plot(G.to_control())",
-    "margin": "fracsys.margins(G)",
-    "stability_margins": "fracsys.margins(G)",
-    "freqresp": "G(1j * frequency)",
-    "frequency_response": "G(1j * frequency); " + _CONTROL,
-    "minreal": "whole factors cancel by themselves",
-    "sample": "fracsys.discrete_modes(G, period, span=10.0)",
-    "c2d": "fracsys.discrete_modes(G, period, span=10.0)",
-    **dict.fromkeys(
-        ("isdtime", "isctime", "issiso", "update_names", "dt", "ninputs", "noutputs"),
-        _CONTROL,
-    ),
-    **dict.fromkeys(
-        ("damp", "nstates", "A", "to_ss"),
-        "fracsys.approximate makes an integer-order model",
-    ),
-}
 
 
 def _applied(

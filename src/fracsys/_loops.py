@@ -171,7 +171,7 @@ def _fractional_loop(
     right = [z for z in bottom if z.imag < 0.5 * math.pi - COINCIDENT]
     end = _limit(system, 0) if limit is None else complex(math.nan)
     return SampledLoop(
-        _values(system),
+        lambda x: system(1j * np.exp(x)),
         low,
         high,
         seeds=np.concatenate([np.empty(0), *(around(z) for z in (*bottom, *top))]),
@@ -184,29 +184,6 @@ def _fractional_loop(
         if certain and within
         else None,
     )
-
-
-def _values(system: FractionalTransferFunction) -> Callable[[Real], Complex]:
-    """x ↦ L(j e^x): all powers s^a = ω^a e^(jπa/2) as one array."""
-    terms, count = (*system.numerator, *system.denominator), len(system.numerator)
-    orders = np.array([[t.order] for t in terms])
-    delays = np.array([[t.delay] for t in terms])
-    late, low, high = delays.any(), orders.min(), orders.max()
-    # (jω)² must be −ω², not −ω² + 1e-16j; an integer power of j is exact.
-    factors = np.array([t.coefficient * 1j**t.order for t in terms])
-    sides = np.zeros((2, len(terms)), complex)
-    sides[0, :count], sides[1, count:] = factors[:count], factors[count:]
-
-    def values(x: Real) -> Complex:
-        # Divided by the power of s that dominates on each side of 1 rad/s, so that
-        # nothing overflows.
-        powers = np.exp((orders - np.where(x > 0, high, low)) * x)
-        if late:
-            powers = powers * np.exp(-1j * delays * np.exp(x))
-        top, bottom = sides @ powers
-        return top / bottom
-
-    return values
 
 
 def _faint(system: FractionalTransferFunction) -> float:

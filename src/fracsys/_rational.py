@@ -69,10 +69,6 @@ class RationalApproximation:
         """R at s [rad/s], any shape."""
         return evaluate(np.asarray(s, dtype=complex), self.zeros, self.poles, self.gain)
 
-    def frequency_response(self, frequency: ArrayLike) -> Complex:
-        """R(jω) at frequencies ω [rad/s], shape kept."""
-        return self(1j * np.asarray(frequency, dtype=float))
-
     def state_space(self) -> tuple[Real, Real, Real, Real]:
         """Real matrices A, B, C, D of second-order sections in series.
 
@@ -135,7 +131,7 @@ def approximate(
     w = np.geomspace(*band, 2000)
     # One logarithm gives both errors: the real part in nepers, the imaginary part in
     # radians without phase wrap.
-    ratio = np.log(result.frequency_response(w) / system(1j * w))
+    ratio = np.log(result(1j * w) / system(1j * w))
     return replace(
         result,
         error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),

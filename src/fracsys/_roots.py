@@ -96,14 +96,8 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Co
 
 def zeros_of_terms(terms: Sequence[Term], angle: float) -> Complex:
     """Return `log_zeros` of a sum of terms without delays, sorted by order."""
-    if len(terms) != 2:
-        a, orders = [t.coefficient for t in terms], [t.order for t in terms]
-        return log_zeros(a, orders, angle=angle)
-    # Most links have one pole pair; the direct formula saves a sixth of a short
-    # response.
-    (high, low) = terms
-    ratio, gap = low.coefficient / high.coefficient, high.order - low.order
-    return np.array(two_term_zeros(ratio, gap, angle), dtype=complex)
+    a, orders = [t.coefficient for t in terms], [t.order for t in terms]
+    return log_zeros(a, orders, angle=angle)
 
 
 def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:

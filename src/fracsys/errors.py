@@ -2,8 +2,7 @@
 
 FracsysError
 ├── FieldError(ValueError)          a value is out of its range
-│   ├── SizeError                   refused before memory is taken
-│   └── UnstableError               the quantity exists for stable systems only
+│   └── SizeError                   refused before memory is taken
 ├── NotConvergedError(RuntimeError) an iteration stopped short
 └── MissingExtraError(ImportError)  an optional dependency is not installed
 """
@@ -19,7 +18,6 @@ __all__ = [
     "MissingExtraError",
     "NotConvergedError",
     "SizeError",
-    "UnstableError",
     "required",
 ]
 
@@ -137,10 +135,6 @@ class SizeError(FieldError):
     """A request is refused because of its estimated size, before any memory is
     allocated.
     """
-
-
-class UnstableError(FieldError):
-    """The requested quantity exists only for stable systems."""
 
 
 class NotConvergedError(FracsysError, RuntimeError):

@@ -37,8 +37,6 @@ __all__ = [
     "material_law",
     "matrices",
     "modal_shares",
-]
-__all__ += [
     "model_at",
     "modes_of",
     "residual_inertia",

@@ -19,13 +19,15 @@ from fracsys.checks import Between, Real, Where, checked, length
 
 __all__ = [
     "QUANTITY_OF",
+    "ROW_NUMBER",
     "UNITS",
     "Channel",
     "ColumnStatement",
     "LogColumns",
     "OutputKind",
+    "drive_columns",
+    "parse_columns",
 ]
-__all__ += ["ROW_NUMBER", "drive_columns", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
 

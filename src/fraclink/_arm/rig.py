@@ -51,7 +51,7 @@ __all__ = [
     "StatedTolerances",
 ]
 
-_FOLDER = Path(__file__).resolve().parents[1] / "data" / "rigs"
+_FOLDER = Path(__file__).resolve().parent.parent / "data" / "rigs"
 # Two measurements of the same stiffness agree to about 2 %; the paper's two values
 # differ by 30 %.
 _AGREEMENT = 0.02

@@ -97,22 +97,19 @@ def sampled_plant(
     lag, spring = 1.0 / (motor_loop.pole * ratio), model.natural_frequency**2
 
     def response(s: Complex) -> Complex:
-        ideal: Complex = (1.0 + lag * s) ** 2
         # With the sampled PID the bare motor follows the hold, and the PID before it
         # (`before`).
-        drive: Complex = (
-            s * (s + motor.decay) / (motor.gain * ratio) if sampled else ideal
-        )
-        ln_s: Complex = np.log(s)
-        inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
-        drag: Complex = np.asarray(
-            model.damping * np.exp(model.damping_order * ln_s), dtype=np.complex128
-        )
+        drive = (1.0 + lag * s) ** 2
+        if sampled:
+            drive = s * (s + motor.decay) / (motor.gain * ratio)
+        ln_s = np.log(s)
+        inertia = np.exp(model.order * ln_s)
+        drag = model.damping * np.exp(model.damping_order * ln_s)
         whole = inertia + drag + spring
         gauge = model.gauge_gain * np.exp(-model.gauge_delay * s)
         # One fraction: far above the resonance Γ/(c θm) is close to 1, and its
         # difference from 1 would cancel.
-        bracket: Complex = (drag + spring + inertia * (1.0 - gauge)) / whole
+        bracket = (drag + spring + inertia * (1.0 - gauge)) / whole
         if higher is not None:
             bracket = bracket - gauge * higher(s)
         if model.second_mode is not None:
