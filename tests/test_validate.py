@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,6 @@ from fracsys.checks import (
     Array,
     Between,
     Count,
-    FilePath,
     Payload,
     Period,
     checked,
@@ -108,7 +108,7 @@ def test_literals_are_choices() -> None:
 
 
 def test_paths_are_texts_that_name_something() -> None:
-    for annotation in (Path, FilePath, str | Path):
+    for annotation in (Path, str | os.PathLike[str], str | Path):
         assert rule(annotation).check("x", "a/log.csv") == Path("a/log.csv")
         assert rule(annotation).check("x", Path("log.csv")) == Path("log.csv")
         for junk in ("", "a\0b", b"log.csv", None, 3):

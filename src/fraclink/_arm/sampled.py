@@ -97,14 +97,13 @@ def sampled_plant(
     lag, spring = 1.0 / (motor_loop.pole * ratio), model.natural_frequency**2
 
     def response(s: Complex) -> Complex:
+        ideal = (1.0 + lag * s) ** 2
         # With the sampled PID the bare motor follows the hold, and the PID before it
         # (`before`).
-        drive = (1.0 + lag * s) ** 2
-        if sampled:
-            drive = s * (s + motor.decay) / (motor.gain * ratio)
+        drive = s * (s + motor.decay) / (motor.gain * ratio) if sampled else ideal
         ln_s = np.log(s)
-        inertia = np.exp(model.order * ln_s)
-        drag = model.damping * np.exp(model.damping_order * ln_s)
+        inertia: Complex = np.exp(model.order * ln_s)
+        drag: Complex = np.asarray(model.damping * np.exp(model.damping_order * ln_s))
         whole = inertia + drag + spring
         gauge = model.gauge_gain * np.exp(-model.gauge_delay * s)
         # One fraction: far above the resonance Γ/(c θm) is close to 1, and its

@@ -21,7 +21,6 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
 from typing import Annotated, Any, TypeVar, cast, overload
@@ -54,7 +53,6 @@ Mask = NDArray[np.bool_]
 # --- ranges that recur --------------------------------------------------------------------------------
 
 Positive = Annotated[float, Between(0.0, low_open=True)]
-Fraction = Annotated[float, Between(0.0, 1.0)]
 Period = Annotated[
     float,
     Between(
@@ -89,11 +87,8 @@ PhaseMargin = Annotated[
 PhaseMarginDeg = Annotated[
     float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")
 ]
-# Larger than any count in a file that fits into memory, and exact as a double.
-Count = Annotated[int, Between(1, 10**9)]
 # the range of NumPy's generators
 Seed = Annotated[int, Between(0, 2**64 - 1)]
-FilePath = str | os.PathLike[str]
 
 
 # --- the decorator ------------------------------------------------------------------------------------
