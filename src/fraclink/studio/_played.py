@@ -101,7 +101,7 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
         1,
     )
     fault = fault_named(case.fault)
-    bench = Bench.of(design, design.rig)
+    bench = Bench.of(design)
     # Seed 1, as in the campaign of this page.
     run = observe(bench, case).faulty
     sentence = (

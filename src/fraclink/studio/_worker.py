@@ -68,7 +68,7 @@ def _with_faults(study: Study) -> Study:
     with one seed.
     """
     assert study.design is not None  # noqa: S101
-    bench = Bench.of(study.design, study.design.rig)
+    bench = Bench.of(study.design)
     # A third of the command's campaign, which uses three seeds: a user is waiting at
     # the page.
     plan = cases(bench, seeds=(1,))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -91,17 +91,13 @@ class Bench:
 
     @staticmethod
     @checked
-    def of(
-        design: Design, rig: Rig | None = None, *, link_mass: float | None = None
-    ) -> Bench:
-        """Return the bench of a design on `rig` (default: its own), with its shipped
-        law and motor loop.
+    def of(design: Design, *, link_mass: float | None = None) -> Bench:
+        """Return the bench of a design on its rig, with its shipped law and motor
+        loop.
         """
-        arm = design.rig if rig is None else rig
-        twin = Twin.from_rig(arm, link_mass=link_mass)
-        law = replace(design, rig=arm).law()
+        twin = Twin.from_rig(design.rig, link_mass=link_mass)
         low, high = design.payloads
-        nominal = arm.payloads.nominal
+        nominal = design.rig.payloads.nominal
         # A design for payloads other than those of its rig is tested in the middle of
         # its own range.
         if not low <= nominal <= high:
@@ -109,7 +105,7 @@ class Bench:
         # At both ends, since the peak of the sensitivity may lie at the lightest or the
         # heaviest payload, depending on the design.
         margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
-        return Bench(arm, law, twin, (low, nominal, high), margin)
+        return Bench(design.rig, design.law(), twin, (low, nominal, high), margin)
 
 
 class FaultTrial:
