@@ -107,10 +107,10 @@ def _entry(line: bytes) -> dict[str, Any] | None:
         entry = json.loads(line)
     except ValueError:
         return None
-    if (
-        not isinstance(entry, dict)
-        or type(entry.get("at")) is not int
-        or entry["at"] < 0
-    ):
-        return None
-    return entry if isinstance(entry.get("state", {}), dict) else None
+    valid = (
+        isinstance(entry, dict)
+        and type(entry.get("at")) is int
+        and entry["at"] >= 0
+        and isinstance(entry.get("state", {}), dict)
+    )
+    return entry if valid else None

@@ -45,9 +45,8 @@ def _fmu(
     session: Session, law: Law, precision: Any, force: bool
 ) -> tuple[list[Path], str]:
     path = session.folder / "arm_law.fmu"
-    made_path = export_fmu(law, path, precision=precision, compilers=(), force=force)
     return [
-        made_path
+        export_fmu(law, path, precision=precision, compilers=(), force=force)
     ], f"fraclink export fmu design.json --source --precision {precision} --out {path}"
 
 
@@ -64,8 +63,9 @@ def _report(
     session: Session, law: Law, precision: Any, force: bool
 ) -> tuple[list[Path], str]:
     path = output_path(session.folder / "report.html", force=force)
-    write_report(session.study, path)
-    return [path], f"fraclink report {session.folder} --out {path}"
+    return [
+        write_report(session.study, path)
+    ], f"fraclink report {session.folder} --out {path}"
 
 
 _TARGETS: dict[str, Callable[[Session, Law, Any, bool], tuple[list[Path], str]]] = {

@@ -13,13 +13,12 @@ import numpy as np
 from fraclink._arm.reference import smooth_step
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin, simulate
 from fraclink._simulate.engine import LONGEST
-from fraclink.errors import FieldError
 from fraclink.studio._messages import Reply, held
 from fraclink.studio._session import Session
 from fraclink.trials._fault_trial import Bench, Case
 from fraclink.trials._faults import fault_named, observe
 from fraclink.view._arm_box import assumed_mass
-from fracsys.checks import rule
+from fracsys.checks import Between, rule
 
 __all__ = ["PLAY_VERBS"]
 
@@ -34,15 +33,9 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
     payload, move, time, half, duration, noise, offset, delay = (
         _number(given, name) for name in _NUMBERS
     )
-    longest = law.period * LONGEST  # what the page's engine can show
-    if duration > longest:
-        raise FieldError(
-            "duration",
-            duration,
-            "too long",
-            allowed=f"<= {longest:g} s",
-            remedy="take a shorter run",
-        )
+    # what the page's engine can show
+    longest = Between(0.0, law.period * LONGEST, "s", remedy="take a shorter run")
+    longest.check("duration", duration)
     reference = smooth_step(move, time).then(
         smooth_step(-move, time, start=half - time)
     )

@@ -223,19 +223,23 @@ def map_of(
     options = {name: request[name] for name in names if request[name] is not None}
     if "payloads" not in options:
         options["payloads"] = (subject.rig.payloads.low, subject.rig.payloads.high)
-    columns = []
-    for crossover in crossovers:
+    noise = np.full((margins.size, crossovers.size), -1.0)
+    feasible = margins.size
+    for column, crossover in enumerate(crossovers):
         going()
         result = feasibility_map(
             subject.model,
             subject.rig,
             gain_crossovers=[crossover],
-            phase_margins=np.radians(margins),
+            phase_margins=np.radians(margins[:feasible]),
             filter_order=request["filter_order"] or 1,
             **options,
         )
-        columns.append(result.noise_gain)
-    noise = np.nan_to_num(np.hstack(columns), nan=-1.0, posinf=-1.0)
+        # what is infeasible remains so for every faster loop
+        feasible = int(np.count_nonzero(result.feasible))
+        if not feasible:
+            break
+        noise[:feasible, column] = result.noise_gain[:feasible, 0]
     return {"crossovers": crossovers, "margins": margins, "noise": noise}
 
 

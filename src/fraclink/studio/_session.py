@@ -174,14 +174,9 @@ class Session:
         with self.lock:
             # Compared by identity: an equal log that was read again is a different one,
             # whose findings may differ. It may have been read in the meantime.
-            inputs = (
-                "rig",
-                "experiment",
-                "fit",
-            )
             if newer() or any(
                 getattr(self.study, name) is not getattr(before, name)
-                for name in inputs
+                for name in ("rig", "experiment", "fit")
             ):
                 raise SupersededError
             # If a handle returns to the same position nothing is lost: proof and

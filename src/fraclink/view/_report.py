@@ -104,7 +104,6 @@ def render_report(
         on_paper=[
             _copy(drawings[name]) for name in ("margins", "moves") if name in drawings
         ],
-        refusal=words.refusal_sentence(study),
         steps=words.steps(study),
         power_on=words.power_on(design) if design else [],
         files=_files(study),

@@ -8,7 +8,7 @@ import shlex
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._display import number, quantity, source_name
+from fraclink._display import number, source_name
 from fraclink.trials._study import Study
 from fraclink.view._text import grams, grams_between, option
 
@@ -58,29 +58,6 @@ def nearest_command(study: Study) -> str:
     # the report.
     rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
     return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options}"
-
-
-def refusal_sentence(study: Study) -> str:
-    """The request and the nearest one, in degrees and with two decimals."""
-    if study.refused is None:
-        return ""
-    texts = [
-        _request(values) for values in (study.refused.asked, study.refused.nearest)
-    ]
-    return f"Requested: {texts[0]}. Nearest feasible request: {texts[1]}."
-
-
-def _request(values: object) -> str:
-    fields = dict(values)  # type: ignore[call-overload]
-    words = {
-        "gain_crossover": "a crossover of {} rad/s",
-        "phase_margin": "a phase margin of {}",
-    }
-    parts = []
-    for name, value in fields.items():
-        text = quantity(value, "rad" if name == "phase_margin" else "")
-        parts.append(words.get(name, name.replace("_", " ") + " {}").format(text))
-    return " and ".join(parts)
 
 
 def steps(study: Study) -> list[tuple[str, str]]:

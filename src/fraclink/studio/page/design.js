@@ -218,6 +218,13 @@ export class Design {
       table($('moves-table'), found.moves.header, found.moves.lines, 'Moves of the model with the exact law');
     }
   }
+  /** No answer yet: the curves belong to an earlier request. */
+  late() {
+    const place = emptied('refused');
+    place.hidden = false;
+    place.append('Searching for a controller that meets this request …');
+    $('step-design').classList.add('stale');
+  }
   /** Take over the nearest request of a refusal. */
   use(nearest) {
     this.app.begin();

@@ -62,17 +62,19 @@ export class Link {
     else this.busy ||= setTimeout(() => { root.dataset.busy = 'true'; }, 200);
   }
 
-  /** One request is in progress, the newest waits, and those in between are dropped. */
-  drag(given, shown) {
-    this.next = [given, shown];
+  /** One request is in progress, the newest waits, and those in between are dropped. `late` tells of one that takes long. */
+  drag(given, shown, late) {
+    this.next = [given, shown, late];
     if (!this.dragging) this.newest();
   }
   async newest() {
     this.dragging = Boolean(this.next);
     if (!this.next) return;
-    const [given, shown] = this.next;
+    const [given, shown, late] = this.next;
     this.next = null;
+    const timer = setTimeout(late, 250);
     const answer = await this.ask('preview', given);
+    clearTimeout(timer);
     this.newest(); // Python computes the next one while this one is drawn
     shown(answer);
   }

@@ -30,7 +30,7 @@ export const app = {
       requestAnimationFrame(() => {
         performance.measure('drag', {start: at, end: performance.now()});
       });
-    });
+    }, () => design.late());
     design.fields(); // behind the request, which Python answers in the meantime
     design.place();
   },
