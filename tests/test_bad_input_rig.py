@@ -156,6 +156,8 @@ def test_b46_an_unknown_key_is_answered_by_the_nearest(
         ("link", "length_mm = 650", "give it in m: length_m = 0.65"),
         ("payloads", "low_g = 20", "give it in kg: low_kg = 0.02"),
         ("motor_loop", "pole_Hz = 12.5", "rad/s: pole_rad_per_s = 78.53981634"),
+        ("motor", "inertia_g_cm2 = 687", "kg·m²: inertia_kg_m2 = 6.87e-05"),
+        ("motor", "inertia_kg_cm2 = 0.687", "kg·m²: inertia_kg_m2 = 6.87e-05"),
     ],
 )
 def test_a_value_in_another_unit_is_converted(
@@ -355,6 +357,9 @@ def test_the_command_line_prints_a_line_for_each_fault(
     assert [fault["field"] for fault in json.loads(answer.out)["error"]["faults"]][
         2
     ] == "link.length_m"
+    # a folder of results has a rig file that nobody named
+    assert main(["report", str(tmp_path)]) == 2
+    assert all("rig.toml" in line for line in capsys.readouterr().err.splitlines())
 
 
 def test_the_command_line_keeps_one_line_for_one_fault(

@@ -190,7 +190,7 @@ rigs = st.builds(
         positive,
         st.one_of(positive, st.just(math.inf)),
     ),
-    link=st.builds(Link, positive, positive, positive, positive),
+    link=st.builds(Link, st.floats(1e-6, 100), positive, positive, positive),
     payloads=positive.map(lambda m: Payloads(m, 2 * m, 1.5 * m)),
     period=st.floats(1e-6, 10),
     encoder=st.builds(Encoder, st.one_of(st.none(), st.integers(1, 10**9))),

@@ -97,7 +97,8 @@ def size_of(unit: str) -> float:
     >>> size_of("mrad"), size_of("rad/s")
     (0.001, 1.0)
     """
-    return _UNITS.get(unit, ("", 1.0, None))[1]
+    word, size, _ = _UNITS.get(unit, ("", 1.0, None))
+    return size if word == unit else 1.0
 
 
 def _in_unit(value: float | None, unit: str, digits: int) -> tuple[str, str]:

@@ -242,7 +242,7 @@ def direct_placement(
             pole,
             "not to be placed with this delay",
             allowed="a slower motor loop",
-            remedy=f"with {delay_samples} samples of {period:g} s an unstable pole is left over",
+            remedy=f"with a delay of {delay_samples} × {period:g} s an unstable pole is left over",
         )
     return _parallel(feedback, r, math.exp(-pole * period), period)
 

@@ -35,7 +35,7 @@ from fraclink._files.toml import (
     table_of,
     toml_text,
 )
-from fraclink.errors import FieldError, FileFormatError
+from fraclink.errors import FieldError, FileFormatError, FraclinkError
 from fraclink.findings import Finding
 from fracsys.checks import Between, Payload, Period, checked
 
@@ -172,7 +172,11 @@ class Rig:
                 allowed="a rig file (TOML)",
                 remedy=f"check the path; rigs by name: {', '.join(Rig.names())}",
             )
-        return Rig.from_tables(read_toml(place))
+        try:
+            return Rig.from_tables(read_toml(place))
+        except FraclinkError as error:
+            error.add_note(f"in {place}")
+            raise
 
     @staticmethod
     def from_tables(data: Any) -> Rig:
@@ -272,9 +276,8 @@ class Rig:
             Row("motor_loop.pole", "motor loop, double pole", loop.pole, "rad/s"),
             Row(
                 "motor_loop.delay_samples",
-                "computation delay",
+                "computation delay, in sampling periods",
                 loop.delay_samples,
-                "samples",
             ),
             Row("period", "sampling period Ts", self.period, "ms"),
         )
@@ -316,7 +319,8 @@ def _in_seconds(data: dict[str, Any]) -> dict[str, Any]:
             allowed="one sampling period",
             remedy="leave one of them out",
         )
-    period = Between(0.0, 1e4, "ms", low_open=True).check(
+    # 10 µs is the period of the fastest drives' current loops; 0.004 would be in seconds
+    period = Between(0.01, 1e4, "ms", remedy="give milliseconds: 4 for 250 Hz").check(
         "period_ms", data["period_ms"]
     )
     rest = {key: value for key, value in data.items() if key != "period_ms"}

@@ -191,12 +191,19 @@ class Decoder(Form):
 def _unknown(key: str, value: Any, known: Mapping[str, Parameter]) -> Refused:
     remedy = suggestion(key, known) or "remove it"
     for own, field in known.items():
-        unit = key.removeprefix(f"{field.name}_")
-        size = size_of(unit) if field.rule.unit else 1.0
-        if size != 1.0 and type(value) in (int, float):
+        _, own_name, unit = key.partition(f"{field.name}_")
+        over, _, under = unit.partition("_per_")
+        size = _size(over) / _size(under)
+        if own_name and field.rule.unit and size != 1.0 and type(value) in (int, float):
             # The same number under the right key would be another value.
             remedy = f"give it in {field.rule.unit}: {own} = {value * size:.10g}"
     return Refused(value, "an unknown key", ", ".join(known), remedy)
+
+
+def _size(unit: str) -> float:
+    """The size in SI units of a unit as keys spell it: 1e-7 of g_cm2."""
+    factors = re.findall(r"([^\d_]+)(\d?)", unit)
+    return math.prod(size_of(name) ** int(power or 1) for name, power in factors)
 
 
 def _missing(key: str, rule: Rule) -> Refused:
