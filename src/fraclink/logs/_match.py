@@ -50,7 +50,7 @@ from fraclink.logs._questions import (
     Question,
     statements,
 )
-from fracsys.checks import Period, Real, checked
+from fracsys.checks import Real, checked
 
 # A vibrating arm is sampled every 0.2 ms to 0.1 s. This window spans less than a factor
 # of 1000, so at most one of s, ms, us and ns puts the step of a clock into it.
@@ -72,20 +72,14 @@ class Match:
 
 
 @checked
-def match(
-    log: Path | str,
-    *,
-    column: Iterable[str] = (),
-    period: Period | None = None,
-    interpolate: bool = False,
-) -> Match:
+def match(log: Path | str, *, column: Iterable[str] = ()) -> Match:
     """Match names and units of a log with the roles of its columns; nothing is fitted.
 
     Parameters
     ----------
     log
         the file, of any format that `read_log` reads.
-    column, period, interpolate
+    column
         what is known, as in `start`.
 
     Raises
@@ -101,9 +95,7 @@ def match(
     >>> result.columns.motor_angle.column, result.questions
     ('motor_angle_rad', ())
     """
-    return match_table(
-        read_table(Path(log)), statements(column, period), str(log), interpolate
-    )
+    return match_table(read_table(Path(log)), statements(column, None), str(log))
 
 
 def match_table(
