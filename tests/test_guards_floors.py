@@ -197,8 +197,8 @@ CEILINGS = {
     "_simulate": 1177,
     "lab": 1922,
     "logs": 706,
-    "studio": 1059,
-    "trials": 1290,
+    "studio": 1057,
+    "trials": 1288,
     "view": 1354,
 }
 

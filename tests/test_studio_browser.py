@@ -531,7 +531,11 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
             "document.querySelector('#outcome')?.textContent.startsWith('Settled after')",
             "the arm moves",
         )
+        page.until(
+            "/--payload .* --move-time/.test(document.querySelector('#command').textContent)"
+        )
         page.click("#fault-nan")
+        page.until("document.querySelector('#copy-command').disabled", "no command")
         page.until(
             "document.querySelector('#outcome').textContent.startsWith('Degraded')"
         )

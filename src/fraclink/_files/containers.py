@@ -217,7 +217,7 @@ def parse_json(text: str, *, source: str = "json") -> Any:
             text,
             problem,
             allowed="JSON text",
-            remedy="give a file that fraclink has written, or make it again",
+            remedy="give a file that fraclink has written; `fraclink identify` makes a model of a log",
         ) from error
 
 

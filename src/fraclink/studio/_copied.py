@@ -21,15 +21,13 @@ __all__ = ["as_command", "copies"]
 def copies(session: Session) -> dict[str, str]:
     """Return the command of every step, by the step's name."""
     rig, fit = _rig_name(session), session.study.fit
-    result, arm = session.study.design, session.study.rig
     design, model = session.folder / "design.json", session.folder / "model.json"
-    # With the heaviest payload, which moves slowest; 40 g is that of the bundled rig.
-    payload = result.payloads[1] if result else arm.payloads.high if arm else 0.04
     options = ["--structure", fit.structure] if fit else []
     if session.heldout is not None:
         options += ["--heldout", f"{session.heldout:g}"]
     rest = {
-        "move": ("simulate", design, "--payload", f"{payload:g}"),
+        # the page adds the move that it shows
+        "move": ("simulate", design),
         "proof": ("certify", design),
         "board": ("export", "c", design, "--out", session.folder / "firmware"),
     }

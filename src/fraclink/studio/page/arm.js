@@ -21,7 +21,9 @@ export class Arm {
     } else if (answer.blocks && this.moving) this.moving.law(answer.blocks);
     this.key = answer.arm_key && this.moving ? answer.arm_key : '';
     this.moved();
+    this.app.line();
   }
+  command(words) { return this.moving ? this.moving.command(words) : words; }
 
   rebuild(text) {
     this.moving?.stop();
@@ -29,7 +31,7 @@ export class Arm {
     document.querySelector('.armbox')?.remove();
     this.box = $('arm-template').content.cloneNode(true).querySelector('.armbox');
     $('arm-design').append(this.box);
-    this.moving = startArm();
+    this.moving = startArm(() => this.app.line());
     this.move(this.app.step);
   }
 

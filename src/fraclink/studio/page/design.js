@@ -224,6 +224,7 @@ export class Design {
     place.hidden = false;
     place.append('Searching for a controller that meets this request …');
     $('step-design').classList.add('stale');
+    this.app.refuse(true);
   }
   /** Take over the nearest request of a refusal. */
   use(nearest) {

@@ -127,8 +127,9 @@ export const app = {
   /** The command line for what the user did in this step. */
   line() {
     const none = app.refused && STEPS.indexOf(app.step) >= STEPS.indexOf('design');
-    say('command', none ? '' : app.study.copies?.[app.step] || '');
-    $('copy-command').disabled = none;
+    const words = app.study.copies?.[app.step] || '', text = none ? '' : app.step === 'move' ? arm.command(words) : words;
+    say('command', text);
+    $('copy-command').disabled = !text;
   },
   /** A request that no design meets has no command; the last command belongs to another request. */
   refuse(is) { app.refused = is; app.line(); },
@@ -232,7 +233,7 @@ function listen() {
   }};
   for (const step of STEPS) clicked[`go-${step}`] = () => app.show(step);
   clicked['copy-command'] = async () => {
-    const text = app.study.copies?.[app.step] || '';
+    const text = $('command').textContent;
     try {
       await navigator.clipboard.writeText(text);
       app.toast('Copied');
