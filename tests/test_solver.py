@@ -313,3 +313,22 @@ def test_the_last_crossing_is_that_of_the_payload_that_crosses_last() -> None:
     assert row.at_payload == pytest.approx(0.020)
     # for the box of the fit, and so slightly above the crossover of the model itself
     assert max(crossings.values()) <= row.achieved < 1.1 * max(crossings.values())
+
+
+def test_a_notch_that_fills_up_does_not_end_the_search_for_a_deeper_one() -> None:
+    # One of the notches tried ends as none at all, where the loop gain at the second
+    # mode is 1.7 times what is asked for.
+    rig = fl.Rig.named("paper-2023-geared")
+    assert rig.model is not None
+    box = replace(fl.ParameterBox.at(rig.model), order=(1.89, 1.95))
+    asked = {"gain_crossover": 6.97, "max_sensitivity": 2.62, "mode_gain": 0.654}
+    made = fl.design(
+        rig.model, rig, payloads=(0.008, 0.080), box=box, law=False, **asked
+    )
+    assert made.passed and made.controller.notch is not None
+
+
+def test_a_refusal_over_a_box_names_the_arm_that_is_in_the_way() -> None:
+    box = replace(fl.ParameterBox.at(MODEL), order=(1.89, 1.95), gauge_delay=(0, 0.02))
+    with pytest.raises(InfeasibleError, match=r"λ 1\.[0-9]+, the gauge's delay 20 ms"):
+        fl.design(MODEL, RIG, box=box, max_sensitivity=1.2, nearest=False)

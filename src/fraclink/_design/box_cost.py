@@ -1,28 +1,37 @@
-"""The cost of a parameter box for a design, and the interval that costs most."""
+"""The cost of a parameter box for a design, the interval that costs most, and an arm of
+the box in words.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from fraclink._arm.box import Arm, ParameterBox
 from fraclink._design.search import Solution
+from fraclink._display import quantity
 from fraclink._law.design import Design
 from fraclink.findings import Finding
 
-__all__ = ["cost_of_box"]
+__all__ = ["arm_in_words", "cost_of_box"]
 
-# for each interval: the word for its parameter, and the remedy that narrows it
+# for each interval: the word for its parameter, its unit, and the remedy that narrows it
 _WORDS = {
-    "order": ("λ", "a longer log, or several logs of the arm,"),
-    "natural_frequency": ("ω₀", "a longer log, or weighing the payload,"),
-    "damping": ("μ", "a longer log that ends at rest"),
-    "gauge_gain": ("the gauge's gain", "calibrating the gauge with known weights"),
+    "order": ("λ", "", "a longer log, or several logs of the arm,"),
+    "natural_frequency": ("ω₀", "", "a longer log, or weighing the payload,"),
+    "damping": ("μ", "", "a longer log that ends at rest"),
+    "gauge_gain": ("the gauge's gain", "", "calibrating the gauge with known weights"),
     "gauge_delay": (
         "the gauge's delay",
+        "ms",
         "measuring the delay that the controller sees",
     ),
-    "motor_ratio": ("the motor", "identifying the motor"),
-    "mode_frequency": ("the second mode", "a log that excites the second mode"),
+    "motor_ratio": ("the motor", "", "identifying the motor"),
+    "mode_frequency": (
+        "the second mode",
+        "rad/s",
+        "a log that excites the second mode",
+    ),
 }
 
 
@@ -43,7 +52,7 @@ def cost_of_box(design: Design, solution: Solution) -> Finding:
         return float(arm.loop(design.controller, design.rig).margins(ends)[1].min())
 
     nominal = margin(Arm(model), exact.natural_frequency)
-    arm = solution.closest
+    arm = solution.worst_arm("phase_margin")
     worst = margin(arm, box.natural_frequency)
     gains: dict[str, float] = {}
     for name in _WORDS:
@@ -67,7 +76,7 @@ def cost_of_box(design: Design, solution: Solution) -> Finding:
         )
     top = max(gains, key=lambda name: gains[name])
     low, high = getattr(box, top)
-    word, remedy = _WORDS[top]
+    word, _, remedy = _WORDS[top]
     return Finding(
         "W407",
         "info",
@@ -75,4 +84,17 @@ def cost_of_box(design: Design, solution: Solution) -> Finding:
         f"{low:.4g} to {high:.4g}: known exactly, it would give back {math.degrees(gains[top]):.1f}°",
         evidence,
         f"{remedy} narrows the interval",
+    )
+
+
+def arm_in_words(arm: Arm, box: ParameterBox) -> str:
+    """Return what an arm of a box has where the box leaves a parameter open.
+
+    ω₀ is left out: its interval widens the range of the payloads.
+    """
+    own = replace(ParameterBox.at(arm.model), motor_ratio=(arm.motor_ratio,) * 2)
+    return ", ".join(
+        f"{word} {quantity(getattr(own, name)[0], unit)}"
+        for name, (word, unit, _) in _WORDS.items()
+        if name != "natural_frequency" and len(set(getattr(box, name))) > 1
     )

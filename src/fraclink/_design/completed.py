@@ -77,8 +77,8 @@ def _assumed(asked: dict[str, Any], made: Design) -> tuple[str, ...]:
     sentences = []
     if not {"gain_crossover", "settling_time"} & set(asked):
         sentences.append(
-            f"gain crossover {made.gain_crossover:.3g} rad/s: nine tenths of the highest "
-            f"that keeps every requirement, {nobody}"
+            f"gain crossover {made.gain_crossover:.3g} rad/s: close to the highest that "
+            f"keeps every requirement, {nobody}"
         )
     if not {"phase_margin", "max_sensitivity"} & set(asked):
         sentences.append(f"sensitivity peak of {SENSITIVITY:g} at most, {nobody}")

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from fraclink._arm.box import ParameterBox, in_loop
+from fraclink._arm.box import ParameterBox, arms_of, in_loop
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
-from fraclink._design.box_cost import cost_of_box
+from fraclink._design.box_cost import arm_in_words, cost_of_box
 from fraclink._design.published import published
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, specification
@@ -166,8 +166,12 @@ def request_of(
         box = True  # nothing requested: also cover the uncertainty of fit and rig
     arms = ParameterBox.of(payload_model, rig) if box is True else None
     if box and arms is None:
-        remedy = "ParameterBox.of(model, rig), or True for it"
-        arms = checked_noun("box", box, ParameterBox, remedy=remedy)
+        arms = checked_noun(
+            "box",
+            box,
+            ParameterBox,
+            remedy="ParameterBox.of(model, rig), or True for it",
+        )
     return Request.of(payload_model, rig, spec, arms)
 
 
@@ -176,12 +180,9 @@ def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     feasible request.
     """
     result, solution = _best(request, goal, law)
-    if not result.missed and result.box is None:
-        return result
     if not result.missed:
-        return replace(
-            result, findings=(*result.findings, cost_of_box(result, solution))
-        )
+        costs = () if result.box is None else (cost_of_box(result, solution),)
+        return replace(result, findings=(*result.findings, *costs))
     condition, sentence = _in_the_way(solution, result)
     # if a requirement is missed that the user did not state, no other request is known
     # to pass
@@ -229,18 +230,20 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
     """
     if goal == "noise":
         return [request]
-    key = "phase_margin" if goal == "margin" else "gain_crossover"
-    most = math.pi if goal == "margin" else request.arms.highest
+    key, most, unit, least = (
+        ("phase_margin", math.pi, math.radians(1.0), 0.0)
+        if goal == "margin"
+        else ("gain_crossover", request.arms.highest, 1.0, request.arms.resonance)
+    )
     best = solved(request.aiming(key, most))
-    highest, least = most * math.exp(-best.easing), request.arms.resonance
-    if goal == "margin":
-        highest, least = math.degrees(most * (1.0 - best.easing)), 0.0
+    # the easing of a crossover is one of its logarithm
+    eased = 1.0 - best.easing if goal == "margin" else math.exp(-best.easing)
+    highest = most / unit * eased
     if best.missed or highest <= least:
         return [request]
-    values = [_floored(share * highest) for share in _SHARES]
-    if goal == "margin":
-        values = [math.radians(value) for value in values]
-    return [request.asking(**{key: value}) for value in values]
+    # below the resonance there is no crossover to ask for
+    values = dict.fromkeys(_floored(max(share * highest, least)) for share in _SHARES)
+    return [request.asking(**{key: unit * value}) for value in values]
 
 
 def _lost_by_law(made: Design) -> dict[str, float]:
@@ -291,9 +294,9 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
     worst = max(missed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3))
     goal, achieved = worst.shown
     resonance = solution.search.request.arms.resonance
-    more, most = "more", "at most"
-    if worst.bound == "at most":
-        more, most = "less", "at least"
+    more, most = (
+        ("more", "at most") if worst.bound == "at least" else ("less", "at least")
+    )
     sentence = f"{most} {achieved}"
     if worst.name == "gain crossover" and not worst.achieved:
         sentence = f"no loop was found that crosses beyond the resonance ({resonance:.3g} rad/s at the heaviest)"
@@ -313,8 +316,18 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
         else ""
     )
     return worst.name, (
-        f"at {1e3 * worst.at_payload:.3g} g {sentence} where {goal} is asked for{even}{why}"
+        f"at {1e3 * worst.at_payload:.3g} g{_arm_of_box(solution, made, worst)} {sentence} "
+        f"where {goal} is asked for{even}{why}"
     )
+
+
+def _arm_of_box(solution: Solution, made: Design, worst: Requirement) -> str:
+    """The arm at which a requirement is worst, if it is one of a box, in brackets."""
+    rows = [row for row, item in solution.measured if item is worst]
+    if made.box is None or not rows or rows[0].implied:
+        return ""
+    arm, corners = solution.worst_arm(rows[0].key), arms_of(made.box, made.model)
+    return f" ({arm_in_words(arm, made.box)})" if arm in corners else ""
 
 
 def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]:
@@ -326,8 +339,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
         for row, item in solution.measured:
             implied = row.key == "phase_margin" and row.key not in request.spec
             near = not item.passed or item.slack < share * item.wanted
-            near = near and 0.0 < item.achieved < math.inf
-            if row.key in request.soft and near and not implied:
+            known = 0.0 < item.achieved < math.inf
+            if row.key in request.soft and near and known and not implied:
                 value = _eased(item, share)
                 most = min if item.bound == "at least" else max
                 values[row.key] = most(value, values.get(row.key, value))
@@ -380,8 +393,7 @@ def link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     link = checked_noun(
         "model", content, LinkModel, remedy="give a fit, fit.model, or rig.model"
     )
-    order = Between(
-        1.0, 2.0, "(λ)", low_open=True, remedy="λ is 2 for a classical link"
+    Between(1.0, 2.0, "(λ)", low_open=True, remedy="λ is 2 for a classical link").check(
+        "order", link.order
     )
-    order.check("order", link.order)
     return in_loop(link, rig)

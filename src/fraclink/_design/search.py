@@ -316,9 +316,15 @@ class Solution:
         return self.missed > 0.0 or bool(np.isinf(self._trial.crossover.value).any())
 
     def equals(self, other: Solution) -> bool:
-        """Whether neither is lost, and both ease the rows by as much."""
-        near = abs(self.easing - other.easing) <= _KEPT
-        return near and not (self.lost or other.lost)
+        """Whether neither is lost, and both ease the rows by as much: with a notch, or
+        without. A notch that fills up ends where the search without one did, which says
+        nothing of a deeper one.
+        """
+        return (
+            self.x.size == other.x.size
+            and not (self.lost or other.lost)
+            and abs(self.easing - other.easing) <= _KEPT
+        )
 
     @property
     def crossovers(self) -> tuple[float, float]:
@@ -327,11 +333,10 @@ class Solution:
         frequencies = np.exp(self._trial.crossover.value)
         return float(frequencies[heavy]), float(frequencies[light])
 
-    @property
-    def closest(self) -> Arm:
-        """The arm with the least phase margin."""
-        arms, margin = self.search.request.arms, self._trial.margin
-        _, link = margin.at(~arms.table.empty[margin.link]).least
+    def worst_arm(self, key: str) -> Arm:
+        """Return the arm on which a row is kept least."""
+        _, link = self._worst.get(key) or self._damping[key]
+        arms = self.search.request.arms
         return arms.cases[arms.table.arm[link]].arm
 
     @property
