@@ -60,7 +60,7 @@ class ExponentialSum:
         # The zeros of D do not depend on its scale. s^6 at 1e100 rad/s would overflow,
         # its ratio to the largest term does not.
         exponents -= exponents.real.max(axis=0)
-        terms = np.asarray(self._signs.reshape(column) * np.exp(exponents))
+        terms = self._signs.reshape(column) * np.exp(exponents)
         powers = self.rates ** np.arange(count)[:, None]
         values: Complex = np.einsum("jk,k...->j...", powers, terms)
         moduli: Real = np.einsum("jk,k...->j...", powers, np.abs(terms))

@@ -311,7 +311,7 @@ class HeldQuotient:
         # Logarithmic spacing; geomspace is avoided because its own checks take an
         # eighth of the time of a short response.
         growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
-        times = np.asarray(shortest * np.exp(growth * np.arange(_CHECKS)))
+        times = shortest * np.exp(growth * np.arange(_CHECKS))
         # The contour integrates the whole function, so that digits lost by splitting
         # off the integrator show.
         exact = step_values(self.whole.misplaced, times)

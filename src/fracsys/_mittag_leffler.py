@@ -168,7 +168,7 @@ def _poles(z: Complex, alpha: float) -> tuple[Complex, Complex]:
         np.angle(z) + 2.0 * math.pi * np.arange(-turns, turns + 1)[:, None]
     ) / alpha
     angles = np.where(np.abs(angles) <= math.pi, angles, np.nan)
-    logs = np.asarray(np.log(radius) + 1j * angles)
+    logs = np.log(radius) + 1j * angles
     return logs, place(logs, math.log(_VERTEX))
 
 
@@ -180,7 +180,7 @@ def _modulus(z: Complex) -> tuple[Real, Real]:
     # underflow.
     parts = [np.ldexp(part, -exponent) for part in (z.real, z.imag, size)]
     (x, dx), (y, dy), (r, dr) = (_square(part) for part in parts)
-    return size, np.asarray(0.5 * (((x - r) + y) + (dx + dy - dr)) / r)
+    return size, 0.5 * (((x - r) + y) + (dx + dy - dr)) / r
 
 
 def _square(x: Real) -> tuple[Real, Real]:
@@ -189,7 +189,7 @@ def _square(x: Real) -> tuple[Real, Real]:
     product, wide = x * x, 134217729.0 * x
     high = wide - (wide - x)
     low = x - high
-    return product, np.asarray(((high * high - product) + 2.0 * high * low) + low * low)
+    return product, ((high * high - product) + 2.0 * high * low) + low * low
 
 
 @lru_cache(maxsize=64)

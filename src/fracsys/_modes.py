@@ -107,8 +107,7 @@ class DiscreteModes:
         poles = np.concatenate([self.decays, pairs, pairs.conj()])
         for gain, pole in zip(gains, poles, strict=True):
             total = total + gain * shift / (1.0 - pole * shift)
-        result: Complex = np.asarray(total * shift**self.lag, np.complex128)
-        return result
+        return total * shift**self.lag
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:
@@ -358,7 +357,7 @@ def _add_cluster(
     )
     shares = weights @ _lagrange((np.exp(points) - centre) / half, _SEGMENT)
     nodes = np.asarray(centre + half * chebpts1(_SEGMENT))
-    modes.add_poles(cluster.centre, nodes, np.asarray(shares))
+    modes.add_poles(cluster.centre, nodes, shares)
 
 
 def _half_length(damping: float, longest: float) -> float:

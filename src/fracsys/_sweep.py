@@ -179,7 +179,7 @@ def bracketed_roots(
     [1.414213562373, 1.732050807569]
     """
     a, b = np.array(low, dtype=float), np.array(high, dtype=float)
-    at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
+    at_a, at_b = function(a), function(b)
     # A bracket of four units in the last place cannot be narrowed any further.
     size = np.abs(a) + np.abs(b)
     tolerance, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
@@ -188,7 +188,7 @@ def bracketed_roots(
             x = b - at_b * (b - a) / (at_b - at_a)
             inside = (x >= np.minimum(a, b)) & (x <= np.maximum(a, b))
             x = np.where(inside, x, 0.5 * (a + b))
-            at_x = np.asarray(function(x))
+            at_x = function(x)
             stays = (at_x > 0.0) == (at_b > 0.0)  # b moves on, a stays
             a, at_a = np.where(stays, a, b), np.where(stays, 0.5 * at_a, at_b)
             step = np.abs(x - b)

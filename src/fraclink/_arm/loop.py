@@ -411,7 +411,7 @@ class Loop(GaugedLink):
             gains.append(
                 np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights))
             )
-        return np.asarray(gains, dtype=float)
+        return np.array(gains)
 
 
 def noise_points(

@@ -116,7 +116,7 @@ class BoxLoop:
             np.maximum(low[:, k], least),
             np.minimum(high[:, k], most),
         )
-        return low, high, np.asarray(low[:, k] <= high[:, k])
+        return low, high, low[:, k] <= high[:, k]
 
     def place(self, point: Real) -> dict[str, float]:
         """The frequency and the parameters at a point of a box, by name."""

@@ -123,8 +123,8 @@ def motor_loop(
         1.0 - np.exp(-decay * period) * x
     )
     motor = x ** (1 + statement.whole) * np.asarray(gain) / decay**2 * response
-    voltage = np.asarray(first / (1.0 + both * motor))
-    return voltage, np.asarray(voltage * motor)
+    voltage = first / (1.0 + both * motor)
+    return voltage, voltage * motor
 
 
 @dataclass(frozen=True)

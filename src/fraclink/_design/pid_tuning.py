@@ -337,7 +337,7 @@ def _run(
         if k + 1 < count:
             outputs[k + 1] = answer.voltage
     return PidStep(
-        np.asarray(law.period * np.arange(count), dtype=np.float64),
+        law.period * np.arange(count, dtype=np.float64),
         measured,
         np.append(outputs[1:], outputs[-1]),
     )

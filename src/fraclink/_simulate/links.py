@@ -248,7 +248,7 @@ def batch_links(
         over = math.log(digits / float(reach.min()))
         ends = -min(digits / slowest, still), min(digits / slowest, over)
         first, last = (math.floor(end / width) for end in ends)
-        grid = np.asarray(width * (np.arange(first, last + 2) + 0.5), dtype=np.float64)
+        grid = width * (np.arange(first, last + 2, dtype=np.float64) + 0.5)
     restoring = 1.0 + ratio[:, None] * np.exp(alpha * (grid + 1j * np.pi))
     density = (
         restoring / (np.exp(order[:, None] * (grid + 1j * np.pi)) + restoring)
