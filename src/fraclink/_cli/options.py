@@ -40,8 +40,8 @@ RigName = Annotated[
 NominalPayload = Annotated[ranges.Payload | None, "Payload; default: nominal"]
 BoxFlag = Annotated[
     bool | None,
-    "Keep every requirement over all that fit and rig leave open of the arm, or at the model alone; "
-    "default: over all of it where neither request nor rig states a crossover or a margin",
+    "Keep every requirement for every arm consistent with fit and rig, or for the model alone; "
+    "default: for every arm, unless the request or the rig states a crossover or a margin",
 ]
 # None if not given, so that it can be rejected together with an option that replaces it
 Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]

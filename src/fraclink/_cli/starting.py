@@ -43,7 +43,7 @@ def start(
     period_ms: Annotated[
         float | None,
         Between(0.0, 1000.0, "ms", low_open=True),
-        "Sampling period of a log without stamps",
+        "Sampling period of a log without time stamps",
     ] = None,
     payload: Annotated[Payload | None, "Payload of the log, if it is known"] = None,
     force: bool = False,

@@ -65,7 +65,7 @@ def tune(
     rig: Annotated[
         str | None,
         typer.Option(metavar="RIG"),
-        "What is known of the arm, to compare scales with",
+        "What is known of the arm; measured scales are compared with it",
     ] = None,
     period_ms: Annotated[
         float | None,
@@ -75,7 +75,7 @@ def tune(
     out: Annotated[Path, "Folder for the results"] = Path("tuned"),
     resume: Annotated[
         bool,
-        "Move the law that is there, with a --payload of its range",
+        "Move with the law already tuned, with another --payload of its range",
     ] = False,
     yes: Annotated[bool, "Do not ask before the arm moves"] = False,
     unsafe_remote: UnsafeRemote = False,
@@ -87,8 +87,8 @@ def tune(
 
     Limits and payload that are not given are asked for; without them nothing moves. The
     plan is shown first. Ctrl-C, a limit, a lost link or a wrong sign switches the drive
-    off; the record is kept. --resume moves the law that is there with another payload.
-    The arm needs its own watchdog and an emergency stop.
+    off; the record is kept. --resume moves with the law already tuned and another
+    payload. The arm needs its own watchdog and an emergency stop.
 
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
