@@ -46,6 +46,7 @@ __all__ = [
 # Points and weights of a panel of the noise integral. The error of the noise gain is
 # 3e-4 on four designs; with three points it is 4e-3, with two 4 %.
 _GAUSS = np.polynomial.legendre.leggauss(6)
+_PANELS = np.geomspace(0.25, 8.0, 26)  # their edges, as multiples of the resonance
 _STEP = 1e-5  # step in ln ω of a central difference: the cube root of the precision
 
 
@@ -422,11 +423,8 @@ def noise_points(
     Six Gauss points on panels that shrink towards the mode, where |1 + L| changes
     fastest.
     """
-    nyquist = math.pi / period
-    mode = float(loop.peak(natural_frequency))
-    edges = np.concatenate(
-        [[0.0, nyquist], mode * np.geomspace(0.25, 8.0, 26), loop.about_mode(17)]
-    )
+    nyquist, mode = math.pi / period, float(loop.peak(natural_frequency))
+    edges = np.concatenate([[0.0, nyquist], mode * _PANELS, loop.about_mode(17)])
     if loop.gauge_delay:
         # |1 + L| oscillates with the delay up to the Nyquist frequency. Without these
         # panels the noise gain of a design for a gauge 20 ms late was 8 % off; with

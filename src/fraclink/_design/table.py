@@ -165,12 +165,12 @@ def stacked(tables: Iterable[Table]) -> Table:
 
 
 def _widened(name: str, value: NDArray[Any], width: int) -> NDArray[Any]:
-    missing = ((0, 0), (0, width - value.shape[1]))
-    if name in ("w", "rest", "slope"):
-        return np.pad(value, missing, mode="edge")
+    missing = len(value), width - value.shape[1]
     # a weight of 0 and a level of e^-1000 have no effect
-    fill = {"weight": 0.0, "modes_level": -1e3}.get(name, 1.0)
-    return np.pad(value, missing, constant_values=fill)
+    fill: Any = {"weight": 0.0, "modes_level": -1e3}.get(name, 1.0)
+    if name in ("w", "rest", "slope"):
+        fill = value[:, -1:]
+    return np.concatenate([value, np.full(missing, fill, value.dtype)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
