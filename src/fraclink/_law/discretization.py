@@ -84,7 +84,6 @@ def discretize_controller(
     precision: Precision = "single",
     link: LinkModel | None = None,
     rig: Rig | None = None,
-    moves: Moves | None = None,
     band: tuple[float, float] | None = None,
 ) -> Law:
     """Return the law that runs the controller at `period` [s].
@@ -110,8 +109,6 @@ def discretize_controller(
     rig
         adds the motor loop, the sensors' limits and the motor's compensations (see
         `equip`).
-    moves
-        the largest move, from which the guards' thresholds follow.
 
     Raises
     ------
@@ -154,7 +151,7 @@ def discretize_controller(
         limits=derive_limits(
             model,
             period,
-            moves or Moves(),
+            Moves(),
             loop=loop,
             kick=abs(correction.feedthrough),
         ),
@@ -163,7 +160,7 @@ def discretize_controller(
         band=reach,
         tracking=tracking_for(model, modes, period, rig=None),
     )
-    return law if rig is None else equip(law, rig, model, moves=moves)
+    return law if rig is None else equip(law, rig, model)
 
 
 def discretize(
