@@ -21,13 +21,14 @@ from fracsys.checks import (
     Angle,
     Array,
     Between,
-    Count,
     Payload,
     Period,
     checked,
     rule,
 )
 from fracsys.checks.equality import compared
+
+Count = Annotated[int, Between(1, 10**9)]
 
 if TYPE_CHECKING:
     pass  # a name that does not exist at run time
