@@ -128,12 +128,11 @@ def domain(period: float | None) -> str:
     """The arms for which a law can be expected, in a sentence; `period` [s] if it is
     known.
     """
-    late = math.degrees(_LATE) / 360.0
     part = f"a period of at most 1/{_PERIODS} of the vibration's"
     if period is not None:
         part += f" ({1e3 * period:g} ms: vibrations up to {1.0 / (_PERIODS * period):.2g} Hz)"
     return (
-        f"domain: {part}; a gauge that is late by at most 1/{1.0 / late:.0f} of it and does not clip; "
+        f"domain: {part}; a gauge that is late by at most 1/{math.tau / _LATE:.0f} of it and does not clip; "
         f"{math.ceil(math.tau / COUNT)} encoder counts a turn or more; no play in the gear, no cable that pulls"
     )
 

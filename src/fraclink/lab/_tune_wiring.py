@@ -322,9 +322,12 @@ def _concluded(
             f"{noise:.2g} N·m"
         )
     stiffness, spread, frequency, gauge_delay, nmse = link
-    if abs(gain) < _SURE * error:
-        return _Unsure("signs not sure: the motion is too small for the sensors' noise")
     voltage = f"{doublets.voltage:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
+    if abs(gain) < _SURE * error:
+        return _Unsure(
+            f"signs not sure: {voltage}, at {math.degrees(_step(record.angle)):.2g}° a count; a finer or quieter "
+            "encoder, or less play in the gear, helps"
+        )
     bend = f"torque over angle {stiffness:+.3g} ± {spread:.1g} N·m/rad, {100 * (1 - nmse):.0f} % explained"
     if min(gain, stiffness) < 0:
         wrong = "gauge" if gain > 0 else "encoder" if stiffness < 0 else "motor"
