@@ -196,9 +196,7 @@ def descend(
             (places[own] <= low[own]) & (slope[own] < 0)
             | (places[own] >= high[own]) & (slope[own] > 0),
         )
-        # Shortened as a whole: with one coordinate stopped, the others would leave the
-        # valley.
-        step /= (np.abs(step) / problem.reach).max(axis=1, initial=1.0, keepdims=True)
+        step = np.clip(step, -problem.reach, problem.reach)
         least = np.maximum(problem.precision * costs[own], _PERFECT * problem.power)
         settled[own] = gain <= least
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
