@@ -140,8 +140,8 @@ export class Plot {
   }
 
   lay() {
-    if (!this.svg.clientWidth) return;
     this.W = this.svg.clientWidth;
+    if (!this.W) return; // hidden: laid out when it is seen, as its width changes then
     const {W} = this, [x, y] = this.home;
     if ('equal' in this.svg.dataset) this.height = TOP + FOOT + ((W - LEFT - RIGHT) * (y.high - y.low)) / (x.high - x.low);
     const {height} = this;
