@@ -365,7 +365,7 @@ def test_foreign_files_are_refused(content: bytes, tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FileFormatError):
             load(tmp_path / name)
-    assert kind_of(tmp_path / "x.json") == kind_of(tmp_path / "x.npz") == ""
+    assert kind_of(tmp_path / "x") == ""
     with pytest.raises(FileFormatError, match="not there"):
         load(tmp_path / "none.json")
     with pytest.raises(FileFormatError):

@@ -184,13 +184,13 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2624,
+    "fracsys": 2623,
     "_arm": 1490,
     "_certify": 841,
     "_cli": 833,
     "_design": 1464,
     "_export": 429,
-    "_files": 555,
+    "_files": 559,
     "_identify": 2575,
     "_law": 953,
     "_reading": 893,
@@ -198,7 +198,7 @@ CEILINGS = {
     "lab": 1921,
     "logs": 706,
     "studio": 1057,
-    "trials": 1288,
+    "trials": 1285,
     "view": 1354,
 }
 

@@ -139,6 +139,20 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
         load_study(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["design.json", "run-20g.npz"])
+@pytest.mark.parametrize("content", [b"", b"{", b"PK\x03\x04half"])
+def test_a_damaged_file_is_named_and_not_left_out(
+    name: str, content: bytes, tmp_path: Path
+) -> None:
+    save_study(Study(rig=RIG, experiment=log()), tmp_path)
+    (tmp_path / "other.json").write_text('{"not": "of fraclink"}')
+    np.savez(tmp_path / "other.npz", values=np.zeros(3))
+    assert load_study(tmp_path).rig == RIG
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileFormatError, match=name):
+        load_study(tmp_path)
+
+
 # --- the steps ------------------------------------------------------------------------
 
 

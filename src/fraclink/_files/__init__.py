@@ -26,6 +26,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self, TypeVar, overload
+from zipfile import is_zipfile
 
 from numpy.typing import NDArray
 
@@ -257,28 +258,34 @@ def _expected(kind: object, wanted: tuple[type, ...], place: Path) -> type:
     cls = kinds.get(str(kind)) if wanted else class_of(kind)
     if cls is None:
         allowed = " or ".join(kinds) or "a file that fraclink wrote"
-        problem, remedy = f"of kind {str(kind)[:40]!r}", "give another file"
-        name = place.name
-        raise FileFormatError("file", name, problem, allowed=allowed, remedy=remedy)
+        problem = f"of kind {str(kind)[:40]!r}"
+        raise broken(allowed, place, problem, "give another file")
     return cls
 
 
 def kind_of(path: Path | str) -> str:
-    """Return the kind in the envelope of a file; an empty text where it is damaged or
-    foreign.
+    """Return the kind in the envelope of a file; an empty text where it is foreign, or
+    not a file.
+
+    Raises FileFormatError where .json or .npz is damaged: it may be what is looked for.
     """
-    place, start = Path(path), b""
+    place, what = Path(path), "a file of fraclink"
     if place.suffix == ".toml":
         return "rig"
-    # A damaged zip archive may raise anything.
-    with contextlib.suppress(Exception):
-        # `save` writes kind and format first: 200 bytes are enough to tell the files of
-        # a folder apart, however large they are.
-        start = first_bytes(place, "a file of fraclink", 200)
-        if start.startswith(_ZIP):
-            with opened_archive(place) as archive:
-                start = str(archive[HEADER])[:200].encode("utf-8", "replace")
+    if not place.is_file():
+        return ""
+    # `save` writes kind and format first: 200 bytes are enough to tell the files of a
+    # folder apart, however large they are.
+    start = first_bytes(place, what, 200)
+    if is_zipfile(place):
+        # A damaged member may raise anything.
+        with contextlib.suppress(Exception), opened_archive(place) as archive:
+            start = str(archive[HEADER])[:200].encode("utf-8", "replace")
+    elif place.suffix == ".npz":
+        raise broken(what, place, "damaged", "make it again, or delete it")
     envelope = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)
+    if not envelope and place.suffix == ".json":
+        parse_json(read_text(place, what), source=place.name)
     return envelope.group(1).decode() if envelope else ""
 
 

@@ -333,7 +333,8 @@ def load_study(folder: Path | str) -> Study:
         )
     by_kind: dict[str, list[Path]] = {}
     for path in sorted(place.iterdir()):
-        by_kind.setdefault(_kind(path), []).append(path)
+        if path.suffix in (".toml", ".json", ".npz"):
+            by_kind.setdefault(kind_of(path), []).append(path)
     # A certificate or a table of faults alone does not describe an arm.
     if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
         raise FileFormatError(
@@ -344,13 +345,6 @@ def load_study(folder: Path | str) -> Study:
             remedy="run `fraclink run` with --out in this folder",
         )
     return _gathered(place, by_kind)
-
-
-def _kind(path: Path) -> str:
-    """The kind of a file; an empty string for a foreign one."""
-    if path.suffix == ".toml":
-        return "rig"
-    return kind_of(path) if path.suffix in (".json", ".npz") else ""
 
 
 def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
