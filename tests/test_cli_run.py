@@ -140,6 +140,20 @@ def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
 
 
 @pytest.mark.slow
+def test_a_refused_run_offers_the_nearest_request_as_options(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    asked = ["--gain-crossover", "16", "--phase-margin-deg", "60"]
+    command = ["run", "--rig", "paper-2023-geared", "--log", "demo", *asked]
+    assert main([*command, "--out", str(tmp_path)]) == 1
+    told = capsys.readouterr()
+    assert "next: the same with --gain-crossover " in told.err
+    page = (tmp_path / "report.html").read_text("utf-8")
+    for face in (told.out, page):
+        assert "gain_crossover=" not in face
+
+
+@pytest.mark.slow
 def test_every_scope_of_the_demo_passes() -> None:
     # The commands of `make demo`. Of the same arms about 120 fail without the gear;
     # with it none, for seeds 0 to 2.

@@ -26,7 +26,7 @@ from fraclink.errors import (
     InfeasibleError,
     MissingExtraError,
 )
-from fraclink.view._text import folded, option
+from fraclink.view._text import folded, options_text
 from fracsys.errors import printable
 
 Answer = TypeVar("Answer")
@@ -184,9 +184,8 @@ def _answer(error: BaseException) -> tuple[int, str]:
     if isinstance(error, FieldError | MissingExtraError):
         return BAD_INPUT, f"error: {words}"
     if isinstance(error, InfeasibleError) and error.nearest:
-        options = " ".join(option(name, value) for name, value in error.nearest.items())
         refusal = f"✗ failed: {error.condition}: {error.explanation}"
-        return FAILED, f"{refusal}; nearest feasible: {options}"
+        return FAILED, f"{refusal}; nearest feasible: {options_text(error.nearest)}"
     if isinstance(error, FraclinkError):
         return FAILED, f"✗ failed: {words}"
     if isinstance(error, OSError):

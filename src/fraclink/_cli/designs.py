@@ -47,6 +47,7 @@ from fraclink.trials._study import load_study
 from fraclink.trials._summary import CampaignRuns
 from fraclink.view._arm_page import write_arm_page
 from fraclink.view._report import write_campaign_report, write_report
+from fraclink.view._text import options_text
 from fracsys.checks import Between, Seed
 
 app = group()
@@ -116,8 +117,11 @@ def run(
         )
         begin("writing the report")
         place = write_report(study, out / "report.html")
-    export = f"fraclink export c {out / 'design.json'} --out firmware"
-    following = export if study.law else ""
+    following = (
+        f"fraclink export c {out / 'design.json'} --out firmware" if study.law else ""
+    )
+    if study.refused:
+        following = f"the same with {options_text(study.refused.nearest)}"
     # Failing arms come before the export: the first thing to look at is a worst case
     # that can be replayed.
     if study.arms and study.arms.summary.failed:

@@ -118,8 +118,9 @@ def run(
                 and error.field.partition(".")[0].partition("[")[0] in wanted
             ):
                 raise
+            # The nearest request goes into `refused`, which every face words its way.
             why = (
-                str(error)
+                f"{error.condition}: {error.explanation}"
                 if isinstance(error, InfeasibleError)
                 else f"{name} failed: {error}"
             )

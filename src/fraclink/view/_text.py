@@ -23,7 +23,7 @@ __all__ = [
     "grams",
     "grams_between",
     "grid_of",
-    "option",
+    "options_text",
     "page_part",
     "plain",
     "plain_text",
@@ -54,20 +54,19 @@ def grams_between(low: float, high: float) -> str:
     return f"{number(1e3 * low)} to {grams(high)}"
 
 
-def option(name: str, value: float) -> str:
-    """A keyword argument as its command-line option, with all significant digits.
+def options_text(arguments: Mapping[str, float]) -> str:
+    """Keyword arguments as command-line options, with all significant digits.
 
-    >>> option("phase_margin", math.radians(50.0)), option("gain_crossover", 12.346)
-    ('--phase-margin-deg 50', '--gain-crossover 12.346')
+    >>> options_text({"gain_crossover": 12.346, "phase_margin": math.radians(50.0)})
+    '--gain-crossover 12.346 --phase-margin-deg 50'
     """
-    word = f"--{name.replace('_', '-')}"
-    amount, word = (
-        (math.degrees(value), f"{word}-deg")
-        if name == "phase_margin"
-        else (value, word)
-    )
+    typed = dict(arguments)
+    if "phase_margin" in typed:
+        typed["phase_margin_deg"] = math.degrees(typed.pop("phase_margin"))
     # Eight digits: with fewer, a request at its bound would be infeasible.
-    return f"{word} {amount:.8g}"
+    return " ".join(
+        f"--{name.replace('_', '-')} {value:.8g}" for name, value in typed.items()
+    )
 
 
 def ranges_of(limits: Iterable[float]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._display import number, source_name
 from fraclink.trials._study import Study
-from fraclink.view._text import grams, grams_between, option
+from fraclink.view._text import grams, grams_between, options_text
 
 __all__ = [
     "arm_sentences",
@@ -48,16 +48,13 @@ def nearest_command(study: Study) -> str:
     """The command line for the nearest request; empty if none is known."""
     if study.refused is None or study.rig is None:
         return ""
-    options = " ".join(
-        option(name, value) for name, value in study.refused.nearest.items()
-    )
     log = "LOG"
     if study.experiment is not None and study.experiment.source:
         log = source_name(study.experiment.source)
     # The command only knows a rig that is not bundled by its file, which lies next to
     # the report.
     rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
-    return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options}"
+    return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options_text(study.refused.nearest)}"
 
 
 def steps(study: Study) -> list[tuple[str, str]]:
