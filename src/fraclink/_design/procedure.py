@@ -195,8 +195,8 @@ def _best(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     second mode, or else with a phase-stabilised one.
     """
     # `loud` needs a known second mode that the user does not bound
-    has_mode = request.model.second_mode is not None and "mode_gain" not in request.spec
-    if has_mode:
+    known = request.model.second_mode is not None and "mode_gain" not in request.spec
+    if known and not request.loud:
         result, solution = _reserved(request, goal, law)
         if not result.missed:
             return result, solution
@@ -350,7 +350,11 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
                 values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        request = request.asking(**values)
+        request = replace(
+            request.asking(**values),
+            # what passes with a phase-stabilised mode needs no search with a quiet one
+            loud=solution.search.request.loud and "mode_gain" not in values,
+        )
         trial, ended = _best(request, goal, law=True)
         if not trial.missed:
             return values

@@ -267,7 +267,8 @@ class Search:
             centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
             notch = np.array([[centre], [math.log(_WIDTH)], [math.log(_DEPTH)]])
             x = np.concatenate([x, np.repeat(notch, beta.size, axis=1)])
-        return np.asarray(np.clip(x.T, *self.bounds))
+        # where the phase needs the largest β, all of them are the same
+        return np.array(list(dict.fromkeys(map(tuple, np.clip(x.T, *self.bounds)))))
 
     # ---- the search
 
@@ -276,7 +277,8 @@ class Search:
         they turn up.
         """
         solution = self.descended(start)
-        while (wider := solution.wider()) is not None:
+        # more links do not meet what fewer miss
+        while not solution.missed and (wider := solution.wider()) is not None:
             solution = wider.descended(solution.x)
         return solution
 
