@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
         run = fl.simulate(
             fl.discretize(design), move, arm=arm, duration=4.0, events=events
         )
-        print(f"{name}: {run.verdict}, settles in {run.metrics.settling_time:.2f} s")
+        print(f"{name}: {run.verdict}")
     fl.save(run, folder / "run.npz")
 
 

@@ -37,6 +37,7 @@ def results() -> dict[str, Any]:
         design,
         design.law(),
         run,
+        run.verdict,
         refused,
     )
     return {type(result).__name__: result for result in made}
@@ -50,6 +51,7 @@ NAMES = (
     "Design",
     "Law",
     "Run",
+    "MoveVerdict",
     "Certificate",
 )
 DRAWN = {"Rig", "Experiment", "Fit", "Comparison", "Design", "Run"}

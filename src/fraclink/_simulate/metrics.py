@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from fraclink import _kernels
-from fraclink._display import Row
+from fraclink._display import Overview, Row, displayed, state_of
 from fraclink._law import MODES, REASONS
 from fracsys.checks import Real
 
@@ -111,12 +111,13 @@ class Metrics:
         )
 
 
+@displayed
 @dataclass(frozen=True)
 class MoveVerdict:
     """Whether a run passed, and why; true where it did.
 
-    >>> bool(MoveVerdict(True, "settled")), str(MoveVerdict(False, "unstable: grows"))
-    (True, 'failed: unstable: grows')
+    >>> bool(MoveVerdict(True, "settled")), MoveVerdict(False, "unstable: grows")
+    (True, MoveVerdict(✗ failed: unstable: grows))
     """
 
     passed: bool
@@ -125,8 +126,9 @@ class MoveVerdict:
     def __bool__(self) -> bool:
         return self.passed
 
-    def __str__(self) -> str:
-        return "passed" if self.passed else f"failed: {self.reason}"
+    def overview(self) -> Overview:
+        """Whether it passed, and the reason."""
+        return Overview(self.reason, state_of(self.passed))
 
 
 @dataclass(frozen=True)
