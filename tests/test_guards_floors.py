@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 953,
     "_reading": 893,
     "_simulate": 1177,
-    "lab": 1921,
+    "lab": 1933,
     "logs": 706,
     "studio": 1057,
     "trials": 1285,

@@ -26,6 +26,7 @@ from fraclink._cli.tunings import _following
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.extend import simulated_torque
 from fraclink.lab._tune_build import _designs
+from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_link import _fitted
 from fraclink.lab._tune_motion import random_steps
 from fraclink.lab._tune_wiring import check_wiring
@@ -83,6 +84,46 @@ def test_a_wrong_wire_is_named_within_the_plan(fault: str) -> None:
     guard.release()
     assert np.ptp(made.record[:, 1]) < planned_motion()
     assert made.record[-1, 4] == 0.0  # the drive is off
+
+
+@pytest.mark.parametrize("fault", ["encoder dead", "both sensors dead"])
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
+def test_a_motor_that_nothing_shows_keeps_to_the_speed_limit(
+    fault: str, speed: float
+) -> None:
+    made = arm()
+    guard = guarded(WRONG[fault](made), replace(LIMITS, speed=speed))
+    with pytest.raises(FraclinkError, match=r"the encoder|encoder dead"):
+        check_wiring(guard, RIG)
+    guard.release()
+    assert np.max(np.abs(made.record[:, 2])) < speed
+
+
+def test_what_an_unknown_motor_may_not_have_is_said() -> None:
+    # One period at the voltage limit takes a motor of 300 rad/s² to 1.2 rad/s.
+    made = arm()
+    guard = guarded(WRONG["both sensors dead"](made), replace(LIMITS, speed=0.4))
+    with pytest.raises(FraclinkError, match=r"neither .* beyond 0\.4 rad/s .* raise"):
+        check_wiring(guard, None)
+    assert 2.0 < np.max(made.record[:, 4]) < 10.0 / 3.0
+
+
+def test_a_gauge_whose_scale_reaches_the_guard_is_named_by_smaller_pulses() -> None:
+    quiet = replace(RIG, gauge=replace(RIG.gauge, noise=1e-3))
+
+    def checked(limits: fl.MotionLimits) -> tuple[Guard, list[str]]:
+        made, said = fl.lab.SimulatedArm(fl.Twin.from_rig(quiet), PERIOD), list[str]()
+        guard = guarded(wired(made, torque=10), limits)
+        with pytest.raises(FraclinkError, match="gauge scale wrong"):
+            check_wiring(guard, RIG, said.append)
+        return guard, said
+
+    guard, said = checked(LIMITS)
+    assert not said
+    # The guard stops at 0.8 of the limit: pulses half as large pass.
+    most = float(np.max(np.abs(guard.record().torque)))
+    _, said = checked(replace(LIMITS, torque=most))
+    assert len(said) == 1 and said[0].endswith("once more, half as large")
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,7 @@ class _Session:
     def go(self, guard: Guard) -> None:
         """Run all stages that are not complete yet."""
         self.begin("wiring")
-        wiring = check_wiring(guard, self.plan.rig)
+        wiring = check_wiring(guard, self.plan.rig, self._tell)
         if self.before is not None:
             self._same_arm(self.before, wiring)
         # From the first guess on, so that moves of the motor cannot exceed the speed

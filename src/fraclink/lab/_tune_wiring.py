@@ -10,7 +10,9 @@ error.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from fraclink._arm.rig import Rig
 from fraclink._files import document
 from fraclink._identify import identify
 from fraclink.errors import FraclinkError
-from fraclink.lab._tune_doublets import edges_of, motor_of_doublets
+from fraclink.lab._tune_doublets import LATEST, edges_of, motor_of_doublets
 from fraclink.lab._tune_guard import Guard, Record
 from fracsys.checks import Real
 
@@ -110,12 +112,14 @@ class Wiring:
         return max(self.encoder_step, math.sqrt(12.0) * self.encoder_noise)
 
 
-def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
+def check_wiring(
+    guard: Guard, stated: Rig | None, tell: Callable[[str], None] = lambda line: None
+) -> Wiring:
     """Find signs, scales and delays with small motions; `WiringFault` where one is
     wrong.
 
     `stated` is the user's description of the arm: scales are compared with its motor
-    and stiffness.
+    and stiffness. `tell` as in `tune_motor`.
     """
     # Samples of a mean: half of a doublet's half, which leaves its motion.
     width = max(1, round(0.5 * _PULSE / guard.period))
@@ -145,15 +149,24 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     strongest = (
         STRONGEST if stated is None else FAR * stated.motor.gain * guard.limits.voltage
     )
-    doublets, largest = _Doublets(guard, still, shake, strongest, width), MOST / _LARGER
-    goal = max(_ANSWER, doublets.clear)
+    doublets = partial(_Doublets, guard, still, shake, strongest, width)
+    return guard.sized(partial(_checked, doublets, noise, stated), noise, tell)[0]
+
+
+def _checked(
+    smallest: Callable[[], _Doublets], noise: float, stated: Rig | None, size: float
+) -> Wiring:
+    """The wiring as doublets show it that are `size` times as large; `noise` of the gauge
+    [N·m].
+    """
+    doublets = smallest()
+    goal, largest = max(size * _ANSWER, doublets.clear), size * MOST / _LARGER
     found: Wiring | WiringFault = WiringFault(
         f"small doublets take the motor {math.degrees(MOST):.2g}° from where it stood: its weight, a cable or a "
         "spring pulls it; take that away, or level the arm"
     )
     while doublets.grow(goal):
         record, earlier = doublets.train()
-        guard.release()
         found = _concluded(record, earlier, noise, doublets, stated)
         if not isinstance(found, _Unsure) or goal >= largest or not doublets.room:
             break
@@ -169,8 +182,8 @@ class _Doublets:
     """Doublets about the place where the arm stood, each larger than the last. Internal,
     mutable.
 
-    Until the encoder has shown a motion, a half is no longer than the strongest motor
-    takes for `MOST`.
+    Until the encoder has shown a motion, which the guard needs, a half is no longer than
+    the strongest motor takes for `MOST` or the speed limit.
     """
 
     def __init__(
@@ -229,9 +242,17 @@ class _Doublets:
         torque = self._guard.record(self._start).torque
         noise = self._swing * (1.0 + _SURE * math.sqrt(2.0 / torque.size))
         if float(np.var(torque)) <= noise:
+            limits = self._guard.limits
+            beyond = (
+                f"; more could take the motor beyond {limits.speed:g} rad/s within a period: if friction holds it, "
+                "raise that limit"
+                if self.voltage < limits.voltage
+                else ""
+            )
             raise WiringFault(
                 f"neither encoder nor gauge answers {self.voltage:.3g} V: drive not enabled, voltage not "
-                "connected, brake on, both sensors dead, or the encoder, beside a noisy gauge"
+                "connected, brake on, both sensors dead, or the encoder, beside a noisy "
+                f"gauge{beyond}"
             )
         raise WiringFault(
             f"encoder dead: it stands still while the gauge answers the drive ({self.voltage:.3g} V) with "
@@ -241,19 +262,28 @@ class _Doublets:
     def _enlarged(self) -> bool:
         """Whether the next doublet is larger: longer, or with more voltage."""
         most = self._guard.limits.voltage
-        # At the same voltage the motion grows with the square of the time.
-        share = MOST / _LARGER / max(self.travel, 1e-12) if self._seen else 1.0
-        longer = min(int(self.half * math.sqrt(share)), self._longest)
-        if longer > self.half:
-            self.half = longer
-            return True
+        if self._seen:
+            # As the last doublet has shown, with the same acceleration in both halves.
+            shown = max(self.travel, 1e-12) / (self.half * self._guard.period) ** 2
+            if (longer := self._longest_half(shown, MOST / _LARGER)) > self.half:
+                self.half = longer
+                return True
         if self.voltage == most:
             return False
-        self.voltage = min(max(_GROWTH * self.voltage, _FIRST * most), most)
-        if not self._seen:
-            reach = math.sqrt(MOST * most / (self._strongest * self.voltage))
-            self.half = min(int(reach / self._guard.period), self._longest)
-        return self.half > 0
+        voltage = min(max(_GROWTH * self.voltage, _FIRST * most), most)
+        strongest = self._strongest * voltage / most
+        half = self.half if self._seen else self._longest_half(strongest, MOST)
+        if half > 0:
+            self.voltage, self.half = voltage, half
+        return half > 0
+
+    def _longest_half(self, acceleration: float, travel: float) -> int:
+        """Periods in which a motor with that `acceleration` [rad/s²] neither exceeds the
+        speed limit nor, with the other half, the `travel` [rad].
+        """
+        speed = self._guard.limits.speed
+        duration = min(math.sqrt(travel / acceleration), speed / acceleration)
+        return min(int(duration / self._guard.period), self._longest)
 
     @property
     def room(self) -> bool:
@@ -278,6 +308,7 @@ class _Doublets:
             # excite none.
             guard.rest(0.05 * (k % 4))
         guard.rest(0.3)
+        guard.release()
         return guard.record(start), guard.record(0, start)
 
 
@@ -447,10 +478,13 @@ def _link(
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     # Of the two channels either may be sampled first, but none shows a motion before it
     # happens: a vibration that leads is one of the opposite sign, later by half of its
-    # period, as the second mode shows it behind a late gauge.
-    gain, delay = (
-        (-fit.gain, fit.delay + math.pi / abs(fit.model.pole))
-        if fit.delay < -record.period
-        else (fit.gain, fit.delay)
+    # period, as the second mode shows it behind a late gauge. Of a slow first mode that
+    # is later than any gauge, and its lead an error of the fit.
+    gain, delay, opposite = (
+        fit.gain,
+        fit.delay,
+        fit.delay + math.pi / abs(fit.model.pole),
     )
+    if delay < -record.period and opposite < LATEST:
+        gain, delay = -gain, opposite
     return gain, error, fit.model.natural_frequency, delay, fit.nmse
