@@ -239,6 +239,17 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
     assert run.metrics.growth == part["growth"][by_growth[0]]
 
 
+def test_a_gauge_that_reads_too_much_makes_no_stiffer_arms():
+    """A torque log of it is fitted with as much more stiffness, and the same ω₀."""
+    rig, model, law = small().rig, small().model, small().law
+    stiffer = replace(model, stiffness=1.2 * model.stiffness)
+    plain, fitted = (
+        Campaign.of(rig, each, law, runs=1).draws for each in (model, stiffer)
+    )
+    assert fitted.stiffness == plain.stiffness
+    assert fitted.gauge_gain.low == pytest.approx(1.2 * plain.gauge_gain.low)
+
+
 def test_a_part_has_the_gauges_delay_and_gain_and_the_second_mode():
     """In groups of eight and one by one the results equal those of the kernel of one
     arm, to the last bit.

@@ -107,6 +107,9 @@ def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
         "twin-20g.npz",
         "twin-30g.npz",
         "twin-40g.npz",
+        "twin-told-20g.npz",
+        "twin-told-30g.npz",
+        "twin-told-40g.npz",
     ]
 
 

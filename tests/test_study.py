@@ -177,3 +177,5 @@ def test_an_ordinarily_damped_arm_passes(
         arms=50,
     )
     assert study.verdict.passed, study.verdict.reasons
+    # a payload may be told to the law that ships: those moves are judged too
+    assert sum(bool(run.about["payload_given"]) for run in study.twins) == 3

@@ -327,6 +327,19 @@ def test_a_rig_that_contradicts_its_model_is_refused():
         Twin.from_rig(replace(RIG, model=other))
 
 
+def test_the_twins_gauge_reads_what_it_read_in_the_log(law):
+    """A torque log of a gauge that reads 20 % too much is fitted with as much more
+    stiffness; the twin of the fit is the arm that was recorded.
+    """
+    fitted = replace(RIG.model, stiffness=1.2 * RIG.link.stiffness)
+    arm, twin = Twin.from_rig(RIG, gauge_gain=1.2), Twin.from_rig(RIG, model=fitted)
+    runs = [
+        fl.simulate(smooth(law), MOVE, arm=each, duration=1.0) for each in (arm, twin)
+    ]
+    assert np.allclose(runs[0].torque_measured, runs[1].torque_measured, atol=1e-9)
+    assert np.allclose(runs[0].tip_angle, runs[1].tip_angle, atol=1e-9)
+
+
 @pytest.mark.slow
 def test_single_precision_is_the_law_of_the_board(law):
     """The law in single precision is computed in floats: not bitwise equal to the

@@ -164,7 +164,7 @@ class Twin:
             default the material of the model (`damping_of`)
         gauge_delay, gauge_gain
             of the strain amplifier [s], [1]; what was identified where they are left
-            out
+            out: a bend reads as much torque as in the log
         """
         link = rig.model if model is None else model
         if damping is None:
@@ -178,8 +178,15 @@ class Twin:
             damping = damping_of(link)
         # A fit expresses a delayed motor angle as a leading gauge; a real gauge never
         # leads.
+        # A torque log shows the product of stiffness and gain only; the beam bends by
+        # the rig's stiffness.
         late, gain = (
-            (max(link.gauge_delay, 0.0), link.gauge_gain) if link else (0.0, 1.0)
+            (
+                max(link.gauge_delay, 0.0),
+                link.gauge_gain * link.stiffness / rig.link.stiffness,
+            )
+            if link
+            else (0.0, 1.0)
         )
         return Twin(
             beam=Beam.from_rig(rig, payload=payload, link_mass=link_mass),

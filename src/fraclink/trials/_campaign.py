@@ -160,8 +160,9 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %,
     viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset
     ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the rig's own: one more sample is
-    another design, not a tolerance. The gauge's delay and gain are those that were
-    identified.
+    another design, not a tolerance. The gauge's delay is the identified one; the
+    stiffness is that of ω₀ and payload, eq. (5), and the gauge's gain what it read in
+    the log over that.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
@@ -171,16 +172,23 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     # With λ above 2 a link would generate energy: for a model near 2 the range is
     # reduced on both sides, so that its mean remains that of the model.
     reach = min(0.02, 2.0 - model.order)
+    # A torque log shows the product of stiffness and gain only, and its ω₀ the
+    # stiffness alone.
+    link = with_payload(model, rig).at_payload(rig.payloads.nominal)
+    stiffness = (
+        rig.link.stiffness
+        * (link.natural_frequency / rig.natural_frequency(rig.payloads.nominal)) ** 2
+    )
     return Draws(
         payload=Distribution("uniform", rig.payloads.low, rig.payloads.high),
-        stiffness=_around(model.stiffness, 0.08),
+        stiffness=_around(stiffness, 0.08),
         order=Distribution("normal", model.order - reach, model.order + reach),
         gauge_offset=Distribution("uniform", -0.05, 0.05),
         delay_samples=_always(float(rig.motor_loop.delay_samples)),
         # A negative identified delay means that the motor angle is delayed; no gauge
         # shows a future torque.
         gauge_delay=_always(max(model.gauge_delay, 0.0)),
-        gauge_gain=_always(model.gauge_gain),
+        gauge_gain=_always(link.gauge_gain * link.stiffness / stiffness),
         # without μ there is nothing to draw or to correlate with
         damping=_around(1.0, 0.3) if model.damping else _always(1.0),
     )

@@ -217,15 +217,13 @@ def designed(study: Study, **wanted: Any) -> Study:
 
 def moved(study: Study) -> Study:
     """Return the study with moves of the model and of the twin: at both ends of the
-    payload range and at the nominal payload.
+    payload range and at the nominal payload, which the law of the twin is also told.
     """
     assert study.design is not None  # noqa: S101
-    low, high = study.design.payloads
-    nominal = study.design.rig.payloads.nominal
-    # The margin is smallest at one of the ends, and people look at the nominal payload.
-    payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
     design, law = study.design, study.law or study.design.law()
-    twin = Twin.from_rig(design.rig, model=design.model)
+    low, high = design.payloads
+    # The margin is smallest at one of the ends, and people look at the nominal payload.
+    payloads = sorted({low, min(max(design.rig.payloads.nominal, low), high), high})
     return replace(
         study,
         runs=tuple(
@@ -240,8 +238,15 @@ def moved(study: Study) -> Study:
             for m in payloads
         ),
         twins=tuple(
-            simulate(law, _MOVE, arm=twin, payload=m, duration=_WATCHED)
+            simulate(
+                law,
+                _MOVE,
+                arm=Twin.from_rig(design.rig, model=design.model, payload=m),
+                told=told,
+                duration=_WATCHED,
+            )
             for m in payloads
+            for told in (False, True)
         ),
     )
 

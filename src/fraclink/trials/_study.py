@@ -68,7 +68,7 @@ class Study:
     there, by its name ("design", "certificate", "arms"); refused: the request and the
     nearest that can be met, where it was the request that ended the study;
     runs: simulated moves, one for each payload; twins: the same moves of the twin, under
-    the law's own compensation;
+    the law's own compensation, each without and with its payload told to the law;
     arms: the runs of varied arms; faults: a fault campaign; assumptions:
     sentences on everything that was not stated.
 
@@ -141,7 +141,7 @@ class Study:
         if self.design is None:
             return self.missing.get("design", self.verdict.sentence)
         parts = self.design.sentence.split("; ")
-        times = [run.metrics.settling_time for run in self.runs]
+        times = [run.metrics.settling_time for run in (*self.runs, *self.twins)]
         if times:
             longest = max(times)
             parts.insert(
@@ -266,7 +266,7 @@ def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
 
 
 def _failed_move(run: Run) -> str:
-    return f"move at {1e3 * run.payload:g} g: {run.verdict.reason}"
+    return f"move at {run.carried}: {run.verdict.reason}"
 
 
 # --- a study as a folder --------------------------------------------------------------------------------
@@ -296,7 +296,10 @@ def save_study(study: Study, folder: Path | str) -> None:
         selected = study.fit is not None and fit.structure == study.fit.structure
         parts["model.json" if selected else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
-    parts |= {f"twin-{1e3 * move.payload:.6g}g.npz": move for move in study.twins}
+    parts |= {
+        f"twin-{'told-' if move.about.get('payload_given') else ''}{1e3 * move.payload:.6g}g.npz": move
+        for move in study.twins
+    }
     for name, part in parts.items():
         # Missing parts leave no empty file: the files of a folder show what was done.
         if part is not None:
