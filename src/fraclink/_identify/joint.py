@@ -158,17 +158,15 @@ class JointProblem(Problem):
             [1.0 if column == 2 else math.inf for column in self.columns]
         )
 
-    @property
-    def samples(self) -> int:
+    @cached_property
+    def measured(self) -> Real:
         """See `Problem`."""
-        return sum(search.window.samples for search in self.searches)
-
-    @property
-    def power(self) -> float:
-        """See `Problem`."""
-        outputs = (search.window.output for search in self.searches)
-        pairs = zip(self.weights, outputs, strict=True)
-        return float(sum(weight * (y @ y) for weight, y in pairs))
+        return np.concatenate(
+            [
+                math.sqrt(weight) * search.window.output
+                for weight, search in zip(self.weights, self.searches, strict=True)
+            ]
+        )
 
     def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`: the weighted sum over all logs; the cost is infinite for

@@ -111,14 +111,9 @@ class LinkProblem(Problem):
         return high[list(self.free)]
 
     @property
-    def samples(self) -> int:
+    def measured(self) -> Real:
         """See `Problem`."""
-        return self.search.window.samples
-
-    @property
-    def power(self) -> float:
-        """See `Problem`."""
-        return float(self.search.window.output @ self.search.window.output)
+        return self.search.window.output
 
     @property
     def names(self) -> tuple[str, ...]:

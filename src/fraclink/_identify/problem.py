@@ -16,6 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
@@ -73,13 +74,18 @@ class Problem(ABC):
 
     @property
     @abstractmethod
-    def samples(self) -> int:
-        """Number of measured values."""
+    def measured(self) -> Real:
+        """The values that are fitted (n,), weighted as in the cost."""
 
     @property
-    @abstractmethod
+    def samples(self) -> int:
+        """Number of measured values."""
+        return self.measured.size
+
+    @cached_property
     def power(self) -> float:
         """The sum of their squares."""
+        return float(self.measured @ self.measured)
 
     @property
     def precision(self) -> float:
@@ -193,10 +199,9 @@ def descend(
             normal[own],
             slope[own],
             damping[own],
-            (places[own] <= low[own]) & (slope[own] < 0)
-            | (places[own] >= high[own]) & (slope[own] > 0),
+            np.maximum(low[own] - places[own], -problem.reach),
+            np.minimum(high[own] - places[own], problem.reach),
         )
-        step = np.clip(step, -problem.reach, problem.reach)
         least = np.maximum(problem.precision * costs[own], _PERFECT * problem.power)
         settled[own] = gain <= least
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
@@ -238,14 +243,34 @@ def descend_within_samples(
 
 
 def _damped_steps(
+    normal: Real, slope: Real, damping: Real, low: Real, high: Real
+) -> tuple[Real, Real]:
+    """Damped steps (M, p) between `low` and `high`, and the gain of undamped ones (M,).
+
+    A coordinate that would go beyond is held at its end, and the others follow from the
+    quadratic model given its step: cut off alone, it would lead them out of the valley.
+    """
+    held = (low >= 0) & (slope < 0) | (high <= 0) & (slope > 0)
+    # What overflowed says nothing about the others.
+    normal = np.where(np.isfinite(normal), normal, 0.0)
+    step, gain = _free_steps(normal, slope, damping, held)
+    while (beyond := ~held & ((step < low) | (step > high))).any():
+        held |= beyond
+        given = np.where(held, np.clip(step, low, high), 0.0)
+        rest = slope - np.einsum("mpq,mq->mp", normal, given)
+        step = given + _free_steps(normal, rest, damping, held)[0]
+    return step, gain
+
+
+def _free_steps(
     normal: Real, slope: Real, damping: Real, held: Mask
 ) -> tuple[Real, Real]:
-    """Damped steps (M, p) and the gain of undamped ones (M,).
+    """Damped steps (M, p), zero for held coordinates, and the gain of undamped ones
+    (M,).
 
-    A coordinate stopped by a limit is held, since it would distort the step of the
-    others. In units of each coordinate's own curvature (Marquardt) a step does not
-    depend on the units of the parameters, and in the axes of the valley one
-    decomposition serves damped and undamped steps.
+    In units of each coordinate's own curvature (Marquardt) a step does not depend on
+    the units of the parameters, and in the axes of the valley one decomposition serves
+    damped and undamped steps.
     """
     values, vectors, size = _axes(normal, held)
     along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
@@ -254,7 +279,7 @@ def _damped_steps(
     # Along an undetermined direction any step is equally good, and rounding would
     # choose it.
     step = np.where(visible, along / (values + damping[:, None]), 0.0)
-    return np.einsum("mpk,mk->mp", vectors, step) / size, gain
+    return np.where(held, 0.0, np.einsum("mpk,mk->mp", vectors, step) / size), gain
 
 
 def _axes(normal: Real, held: Mask) -> tuple[Real, Real, Real]:

@@ -161,8 +161,9 @@ def _straight_interval(
         float(problem.coordinate(name, x)) for x in (*problem.limits[name], value)
     )
     below, above = max(centre - reach, low), min(centre + reach, high)
-    ends = Interval(below, above, below <= low, above >= high)
-    return _in_values(problem, name, ends)
+    return _in_values(
+        problem, name, Interval(below, above, below <= low, above >= high)
+    )
 
 
 def _in_values(problem: StructureProblem, name: str, ends: Interval) -> Interval:

@@ -173,14 +173,9 @@ class StructureProblem(Problem):
         )
 
     @property
-    def samples(self) -> int:
+    def measured(self) -> Real:
         """See `Problem`."""
-        return self.data.measured.size
-
-    @cached_property
-    def power(self) -> float:
-        """See `Problem`."""
-        return float(self.data.measured @ self.data.measured)
+        return self.data.measured
 
     @property
     def precision(self) -> float:

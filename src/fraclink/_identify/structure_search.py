@@ -92,8 +92,10 @@ def best_places(
             for k, name in enumerate(problem.moving)
             if problem.structure.roles[name] == "delay"
         ]
-    bests = [place_of(problem, end, int(np.argmin(end.costs))) for end in ends]
-    best = min(bests, key=lambda place: place.cost)
+    best = min(
+        (place_of(problem, end, int(np.argmin(end.costs))) for end in ends),
+        key=lambda place: place.cost,
+    )
     return [best, *(place_of(problem, first, k) for k in others)]
 
 
@@ -142,14 +144,13 @@ def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
 
 def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
     """Indices of the ends of descents, best first, without repetitions."""
-    # Within the precision of a descent, costs belong to the same function, found twice
-    # or with its parameters exchanged.
-    same = 1.0 + problem.precision
     best: list[int] = []
     for k in np.argsort(found.costs).tolist():
         if not math.isfinite(found.costs[k]):
             break
-        if not best or found.costs[k] > found.costs[best[-1]] * same:
+        # Within the precision of a descent, costs belong to the same function, found
+        # twice or with its parameters exchanged.
+        if not best or found.costs[k] > found.costs[best[-1]] * (1 + problem.precision):
             best.append(k)
     return best
 

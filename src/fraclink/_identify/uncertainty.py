@@ -169,9 +169,10 @@ def _sandwich(inverse: Real, noise: Real, products: Real) -> Real:
 
     `inverse` is that of the normal matrix of the regressors.
     """
-    ratios = _diagonal(inverse, products) / _diagonal(inverse, noise)
-    wider = np.sqrt(np.maximum(ratios, 1.0))
-    return np.asarray(inverse @ noise @ inverse * np.outer(wider, wider))
+    wider = np.sqrt(
+        np.maximum(_diagonal(inverse, products) / _diagonal(inverse, noise), 1.0)
+    )
+    return inverse @ noise @ inverse * np.outer(wider, wider)
 
 
 def _diagonal(inverse: Real, meat: Real) -> Real:
