@@ -277,8 +277,7 @@ class Search:
         they turn up.
         """
         solution = self.descended(start)
-        # more links do not meet what fewer miss
-        while not solution.missed and (wider := solution.wider()) is not None:
+        while (wider := solution.wider()) is not None:
             solution = wider.descended(solution.x)
         return solution
 
