@@ -102,7 +102,7 @@ def _judge(
         normal, least = (
             np.where(loud, b, a) for a, b in zip(of_loop, of_inverse, strict=True)
         )
-        point, loss, weight = _downhill(
+        point, loss, weight, gain = _downhill(
             loop.axes, plain, inverse, loud, normal, low, high
         )
         # With the same aliases as the box: the point lies in it, but may lie on the
@@ -115,6 +115,12 @@ def _judge(
             - radius
             - 4 * ROUNDING * (1 + np.abs(value))
             - loss
+        )
+        # Where even exact slopes would not close the gap, no half plane contains the
+        # whole box: it is cut along the axis that moves the value most.
+        missing = least + (_SLACK - 1.0) - distance
+        weight = np.where(
+            (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], gain, weight
         )
         # A half plane holds the disc of a limit below one only.
         bounded = (np.isfinite(plain.r) | np.isfinite(inverse.r)) & (limit < 0.99)
@@ -132,12 +138,12 @@ def _downhill(
     normal: Complex,
     first: Real,
     second: Real,
-) -> tuple[Real, Real, Real]:
+) -> tuple[Real, Real, Real, Real]:
     """(point to evaluate, largest loss along the other axes, gain from a cut of each
-    axis).
+    axis, and change of the value along each).
     """
     point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
-    weight = np.full(first.shape, -1.0)
+    weight, gain = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
     for name in axes:
         k = AXES.index(name)
         a, b = plain.d[name], inverse.d[name]
@@ -163,7 +169,8 @@ def _downhill(
         weight[:, k] = np.where(
             width > 0.0, width * np.where(fixed, spread, steep), -1.0
         )
-    return point, loss, weight
+        gain[:, k] = np.where(width > 0.0, width * slope.most(), -1.0)
+    return point, loss, weight, gain
 
 
 def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
