@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1490,
     "_certify": 844,
     "_cli": 833,
-    "_design": 1464,
+    "_design": 1465,
     "_export": 429,
     "_files": 559,
     "_identify": 2575,

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     pass  # a name that does not exist at run time
 
 
-Count = Annotated[int, Between(1, 10**9)]
 Series = Annotated[NDArray[np.float64], Array(1)]
 SeriesLike = Annotated[ArrayLike, Array(1)]
 

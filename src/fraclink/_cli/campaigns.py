@@ -54,7 +54,7 @@ def montecarlo(
 ) -> Answer:
     """Run a law on many varied arms, with the same result whatever the workers.
 
-    $ fraclink campaign montecarlo --design design.json --runs 10000 --out mc.npz
+    $ fraclink campaign montecarlo --design design.json --runs 10000
     """
     subject = Design.load(design)
     # Both set the payload of the law, and the summary would not show which one was

@@ -7,7 +7,7 @@ published (section 6, (54)–(57)) is available alongside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -208,7 +208,8 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
-    for solution in _solutions(request, goal):
+    for attempt in _asked(request, goal):
+        solution = solved(attempt)
         result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.kept else 0):
             result = result.with_law()
@@ -222,14 +223,13 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
     return result, solution
 
 
-def _solutions(request: Request, goal: Goal) -> Iterator[Solution]:
-    """The solutions for nine tenths of the highest feasible crossover or margin, and
-    for less in case the law does not keep it; that of the request itself without such a
-    goal, or if no loop meets the other rows.
+def _asked(request: Request, goal: Goal) -> list[Request]:
+    """The requests for nine tenths of the highest feasible crossover or margin, and for
+    less in case the law does not keep it; the request itself without such a goal, or if
+    no loop meets the other rows.
     """
     if goal == "noise":
-        yield solved(request)
-        return
+        return [request]
     key, most, unit, least = (
         ("phase_margin", math.pi, math.radians(1.0), 0.0)
         if goal == "margin"
@@ -240,14 +240,10 @@ def _solutions(request: Request, goal: Goal) -> Iterator[Solution]:
     eased = 1.0 - best.easing if goal == "margin" else math.exp(-best.easing)
     highest = most / unit * eased
     if best.missed or highest <= least:
-        # The same rows are in the way of the request: its search goes on from there.
-        yield replace(best.search, request=request).over_links(best.x)
-    else:
-        # below the resonance there is no crossover to ask for
-        values = dict.fromkeys(
-            _floored(max(share * highest, least)) for share in _SHARES
-        )
-        yield from (solved(request.asking(**{key: unit * value})) for value in values)
+        return [request]
+    # below the resonance there is no crossover to ask for
+    values = dict.fromkeys(_floored(max(share * highest, least)) for share in _SHARES)
+    return [request.asking(**{key: unit * value}) for value in values]
 
 
 def _lost_by_law(made: Design) -> dict[str, float]:

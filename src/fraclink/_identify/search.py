@@ -180,9 +180,8 @@ class Search:
 
     @cached_property
     def _scanned(self) -> list[Real]:
-        """Undamped links as starts, tables (K, 5) of which the best end counts: every
-        valley of a scan over frequencies with each delay, the guess, and the vibrations
-        after a cut.
+        """Undamped links as starts: every valley of a scan over frequencies with each
+        delay, the guess, and the vibrations after a cut.
         """
         low, high = self._range
         # 2ζ: the width of a resonance at half its power.
@@ -196,16 +195,14 @@ class Search:
         delays = np.linspace(*_DELAY_LIMITS, 5)[1::2]
         delays = delays[:1] if "delay" in self.fixed else delays
         starts = [
-            *np.stack(
-                [self._links(valleys, _SCAN_ORDER, part) for part in delays], axis=1
-            )
+            row for part in delays for row in self._links(valleys, _SCAN_ORDER, part)
         ]
         if self.start is not None:
             order, place, *_, delay = self.start
             # Not at 2: on the limit the slope in λ may point outwards, and the descent
             # would never leave it.
             order = self.fixed.get("order", min(order, 1.95))
-            starts.append(np.array([[order, place, 0.0, 1.0, delay]]))
+            starts.append(np.array([order, place, 0.0, 1.0, delay]))
         if self.window.angle.size > self.window.samples:
             starts += self._sharp()
         return starts
@@ -222,9 +219,7 @@ class Search:
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
             rows = self._links(places[apart <= width], order, 0.0)
-            starts.extend(
-                rows[lowest_valleys(self._shares(rows), _SHARP_VALLEYS), None]
-            )
+            starts.extend(rows[lowest_valleys(self._shares(rows), _SHARP_VALLEYS)])
         return starts
 
     def _ringing(self) -> tuple[Real, float]:
@@ -267,7 +262,7 @@ class Search:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
             ends = [
-                self._descended(name, rows, first=True) for rows in self._starts(name)
+                self._descended(name, row, first=True) for row in self._starts(name)
             ]
             if not math.isfinite(min(end.cost for end in ends)):
                 raise NotConvergedError(
@@ -276,9 +271,7 @@ class Search:
                     wanted=0.0,
                     remedy="examine the log with diagnose",
                 )
-            ends = [
-                self._descended(name, end.shape[None]) for end in self._valleys(ends)
-            ]
+            ends = [self._descended(name, end.shape) for end in self._valleys(ends)]
             solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
@@ -303,18 +296,18 @@ class Search:
     def _descended(
         self,
         name: str,
-        rows: Real,
+        row: Real,
         delays: tuple[float, float] | None = None,
         *,
         first: bool = False,
     ) -> Solution:
-        """The best end of the kernel's descents from rows (K, 5) of one resonance, with
-        the delay in a range, or after their `first` steps, on averages of samples; with
-        infinite cost if there is no response.
+        """The end of the kernel's descent from a row, with the delay in a range, or
+        after its `first` steps, on averages of samples; with infinite cost if there is
+        no response.
         """
         # Room for a descent to twice the resonance that it begins at.
-        width = int(self.window.widths(2 * np.exp(rows[0, 1]))) if first else 1
-        shortest, longest = delays or self._delays(rows[0])
+        width = int(self.window.widths(2 * np.exp(row[1]))) if first else 1
+        shortest, longest = delays or self._delays(row)
         low, high = self._range
         lower = np.array([ORDER_LIMITS[0], low, 0.0, ALPHA_LIMITS[0], shortest])
         # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
@@ -324,11 +317,11 @@ class Search:
             # poles, and hardly at all.
             lower[1], upper[2] = lower[1] - 3.0, 50.0
         free = list(self.free(name))
-        starts = rows.copy()
-        starts[:, 4] = self.fixed.get("delay", rows[:, 4])
-        starts[:, free] = np.clip(starts[:, free], lower[free], upper[free])
+        start = row.copy()
+        start[4] = self.fixed.get("delay", row[4])
+        start[free] = np.clip(start[free], lower[free], upper[free])
         status, shape, gain, offset, cost = self.averages(width)[0].solve(
-            starts,
+            start[None],
             mask_of(free),
             lower,
             upper,
@@ -373,11 +366,11 @@ class Search:
             low = max((k - 1 + 1e-6) * period, shortest)
             high = min(k * period, longest)
             if low <= high:
-                ends.append(self._descended(name, row[None], (low, high)))
+                ends.append(self._descended(name, row, (low, high)))
         best = min(ends, key=lambda each: each.cost)
         if not held and -1.5 * period < best.shape[4] < 0:
             row[4] = 0.5 * period
-            return self._descended(name, row[None], (0.0, longest))
+            return self._descended(name, row, (0.0, longest))
         return best
 
     def reconcile(self) -> None:
@@ -394,11 +387,11 @@ class Search:
         ):
             inner, outer = self.solve(special), self.solve(name)
             if outer.cost > inner.cost * (1 + 1e-9):
-                again = self._descended(name, embedded(inner.shape, name)[None])
+                again = self._descended(name, embedded(inner.shape, name))
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
     def _starts(self, name: str) -> Iterator[Real]:
-        """Tables of starts; only the undamped fractional link, which fits any ring-down,
+        """Starts; only the undamped fractional link, which fits any ring-down,
         needs a scan, and the others start in its valleys.
         """
         if name == FRACTIONAL:
@@ -416,7 +409,7 @@ class Search:
         if not {"order", "damping_order"} & {*self.fixed}:
             for special in special_cases(name):
                 if {"order", "damping"} & {*structure(special).free}:
-                    yield embedded(self.solve(special).shape, name)[None]
+                    yield embedded(self.solve(special).shape, name)
         if "order" in free:
             return
         others = (0.4, 1.5) if "damping_order" in free else (1.0,)
@@ -428,7 +421,7 @@ class Search:
             ratio = max(-math.cos(math.pi / order), 1e-3)
             for other in others:
                 damped = min(ratio, 0.9 * largest_ratio(other))
-                yield np.array([[2.0, place, damped, other, delay]])
+                yield np.array([2.0, place, damped, other, delay])
 
     def _undamped(self, near: Real) -> Iterator[Real]:
         # Without damping the phase must fit over the whole log: the cost has a minimum
@@ -442,4 +435,4 @@ class Search:
         rows = np.array(
             [[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}]
         )
-        yield from rows[np.argsort(self._shares(rows))[:3], None]
+        yield from rows[np.argsort(self._shares(rows))[:3]]
