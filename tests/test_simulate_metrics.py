@@ -187,6 +187,5 @@ def test_an_unstable_run_says_when_the_law_trips_and_a_tip_that_is_no_number_is_
 def test_the_verdict_says_how_far_away_the_tip_still_is_and_when() -> None:
     tip = REFERENCE - 0.25 * (TIME > 5.9)
     assert judged(tip).reason == "not settled; the tip is still 0.25 rad away at 6 s"
-    assert str(judged(REFERENCE)) == "passed" and judged(REFERENCE).reason.startswith(
-        "settled in 0."
-    )
+    verdict = judged(REFERENCE)
+    assert verdict.passed and verdict.reason.startswith("settled in 0.")
