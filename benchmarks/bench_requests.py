@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink._arm.beam import model_at
+from fraclink._arm.box import Arm
 from fraclink._law.modes import higher_modes
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.extend import Loop
 from harness import line, sizes
 
 Real = NDArray[np.float64]
@@ -314,9 +314,8 @@ class Judge:
         """ln of a half over what the circles of the modes that the model does not know
         leave of the distance to -1.
         """
-        loop = Loop.around(self.model, self.inner, self.rig.motor, self.rig.period)
-        light, heavy = self.options["payloads"]
-        modes = higher_modes(self.model, self.rig, loop, np.geomspace(light, heavy, 3))
+        masses = np.geomspace(*self.options["payloads"], 3)
+        modes = higher_modes(Arm(self.model), self.rig, self.inner, masses)
         assert modes is not None
         if self.model.second_mode is not None:
             modes = modes.above(2)  # the table of the loop contains the second one

@@ -77,6 +77,43 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
     assert second.achieved == pytest.approx(gain, rel=0.01)
 
 
+@pytest.mark.parametrize("frequency", [300.0, 600.0, 740.0])
+def test_the_gain_at_an_identified_mode_contains_its_aliases(frequency: float) -> None:
+    """Near the Nyquist frequency, 785 rad/s, the alias is as large as the mode."""
+    rig, mode = Rig.named("paper-2023"), fl.SecondMode(frequency, 0.5, 0.01)
+    model = replace(rig.model, second_mode=mode)
+    design = fl.design(model, rig, **WANTED, **FREE, motor_loop="ideal", law=False)
+
+    def held(s: np.ndarray) -> np.ndarray:
+        """Hold, motor loop and what the gauge shows, in continuous time."""
+        link = model.at_payload(second.at_payload).tip()(s)
+        shown = link - mode.gain * s**2 / (s**2 + 0.02 * frequency * s + frequency**2)
+        hold = (1.0 - np.exp(-s * rig.period)) / (s * rig.period)
+        return hold * shown / (1.0 + s / rig.motor_loop.pole) ** 2
+
+    (second,) = mode_gains(design)
+    w = frequency * np.linspace(0.97, 1.03, 2001)
+    turn = 2.0 * math.pi / rig.period
+    sampled = sum(held(1j * (w + k * turn)) for k in range(-20, 21))
+    gain = np.abs(sampled * design.controller.response(w)).max()
+    assert second.achieved == pytest.approx(gain, rel=0.02)
+
+
+@pytest.mark.parametrize("frequency", [784.0, 900.0])
+def test_an_identified_mode_beyond_the_nyquist_frequency_has_a_gain(
+    frequency: float,
+) -> None:
+    rig = Rig.named("paper-2023")
+    achieved = []
+    for share in (0.1, 0.2):
+        mode = fl.SecondMode(frequency, share, 0.01)
+        model = replace(rig.model, second_mode=mode)
+        made = fl.design(rig.model, rig, **WANTED, motor_loop="ideal", law=False)
+        (second,) = mode_gains(replace(made, model=model))
+        achieved.append(second.achieved)
+    assert achieved[1] == pytest.approx(2.0 * achieved[0], rel=0.05)
+
+
 @pytest.mark.slow
 def test_a_viscous_link_has_its_own_damping_at_mode_two() -> None:
     rig = with_mass(0.00735)

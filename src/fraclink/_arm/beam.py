@@ -350,13 +350,13 @@ def material_law(
 
 
 def unmodelled_modes(
-    model: LinkModel, rig: Rig, payload: float
+    model: LinkModel, rig: Rig, payload: float, damping_ratio: float | None = None
 ) -> Callable[[Complex], Complex] | None:
     """Return the part of Γ/(c θm) in the beam's modes 2 and 3 that the model does not
     include, at complex s.
 
     None for a link without mass. `payload` [kg] > 0 is at its tip; the damping is the
-    model's law.
+    model's law, unless a ratio is given.
 
     >>> rig = Rig.named("paper-2023")
     >>> heavy = replace(rig, link=replace(rig.link, mass=0.00735))
@@ -366,7 +366,7 @@ def unmodelled_modes(
     """
     if rig.link.mass <= 0.0:
         return None
-    ratio = assumed_ratio(model)
+    ratio = damping_ratio or assumed_ratio(model)
     frequencies, sizes = (
         part[modes_of(model) :]
         for part in modal_shares(Beam.from_rig(rig, payload=payload))

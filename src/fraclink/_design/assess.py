@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fraclink._arm.box import Arm
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
@@ -273,15 +274,15 @@ def mode_gains(
     >>> second.passed, round(second.achieved, 1)
     (True, 0.3)
     """
-    loop = design.full_loop
     modes = higher_modes(
-        design.model,
+        Arm(design.model),
         design.rig,
-        loop,
+        design.motor_loop,
         np.geomspace(*design.payloads, 3),
         damping_ratio=damping_ratio,
     )
-    return () if modes is None else mode_requirements(modes, loop, limit)
+    response = design.controller.response
+    return () if modes is None else mode_requirements(modes, response, limit)
 
 
 @displayed

@@ -129,10 +129,10 @@ class Arms:
 
     def modes(self, number: int) -> HigherModes | None:
         """The higher modes of a case that are judged by their gain."""
-        case, loop = self.cases[number], self.loops[number]
+        case = self.cases[number]
         if self.modes_above is None or case.empty:
             return None
-        modes = higher_modes(case.arm.model, self.rig, loop, case.payloads)
+        modes = higher_modes(case.arm, self.rig, self.motor_loop, case.payloads)
         return None if modes is None else modes.above(self.modes_above)
 
     @cached_property

@@ -1,27 +1,30 @@
 """The loop at the higher modes of the link.
 
-The strain gauge responds to them clearly. On a uniform clamped beam with a payload the
-response of the tip estimate to the motor is
-
-    Θ̂t/Θm = 1 - Σ share_i s²/(s² + ω_i² D_i(s)),   share_i = Γi² ω_i²/c,
-
-where D is the damping law of the link model: s^(2-λ), or 1 + μ s^α/ω₀². For a massless
-link the sum has one term, of share one, and is the G of the design. A second mode that
-was identified takes the place of the beam's.
+The strain gauge responds to them clearly. Their level is that of the sampled plant, with
+the first aliases: near the Nyquist frequency they double it. A second mode that was
+identified takes the place of the beam's.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.beam import Beam, assumed_ratio, material_law, modal_shares, modes_of
+from fraclink._arm.beam import (
+    Beam,
+    assumed_ratio,
+    material_law,
+    modal_shares,
+    modes_of,
+    unmodelled_modes,
+)
+from fraclink._arm.box import Arm
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import Loop
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._law.requirement import Requirement
 from fracsys.checks import Between, Complex, Real
@@ -51,8 +54,8 @@ class HigherModes:
     """Frequencies of modes 2 and 3 of a link, and the loop without Ĉ there.
 
     One row for each payload and mode: ``number`` (K,), ``payload`` (K,) [kg],
-    ``frequency`` (K, N) [rad/s] as the computer sees it, ``level`` (K, N), ln(hold · M
-    · Θ̂t/Θm), whose imaginary part is NaN where the phase does not count.
+    ``frequency`` (K, N) [rad/s] as the computer sees it, ``level`` (K, N), ln of the
+    sampled plant, whose imaginary part is NaN where the phase does not count.
     """
 
     number: NDArray[np.int64]
@@ -67,9 +70,11 @@ class HigherModes:
             *(getattr(self, part.name)[above] for part in fields(HigherModes))
         )
 
-    def gains(self, loop: Loop) -> Real:
-        """Return the loop gain of each row towards -1 with the Ĉ of `loop`, shape (K,)."""
-        log = loop.outer_log(self.frequency) + self.level
+    def gains(self, response: Callable[[Real], Complex]) -> Real:
+        """Return the loop gain of each row towards -1 with Ĉ(jω) of a controller or of
+        its law, shape (K,).
+        """
+        log = np.log(response(self.frequency)) + self.level
         peak = np.argmax(log.real, axis=1)[:, np.newaxis]
         return gain_towards(np.take_along_axis(log, peak, axis=1)[:, 0])[0]
 
@@ -100,9 +105,9 @@ def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
 
 
 def higher_modes(
-    model: LinkModel,
+    arm: Arm,
     rig: Rig,
-    loop: Loop,
+    settings: MotorLoop,
     payloads: Iterable[float],
     *,
     damping_ratio: float | None = None,
@@ -112,78 +117,64 @@ def higher_modes(
 
     Parameters
     ----------
-    model
-        its second mode, where it was identified; its damping law for the modes of the
-        rig's beam.
+    arm
+        the link with its second mode, where it was identified, its gauge and its motor;
+        the damping law of the link is that of the rig's beam.
     rig
-        length, stiffness and mass of the link; control period.
-    loop
-        the loop whose motor loop and gauge stand around the link.
+        length, stiffness and mass of the link; motor and control period.
+    settings
+        the motor loop.
     payloads
         [kg], > 0.
     damping_ratio
         of the beam's modes, 0 < ζ < 1, instead of the model's law; 0.02 where the model
         has no damping.
     """
+    model = arm.model
     if rig.link.mass <= 0.0 and model.second_mode is None:
         return None
     if damping_ratio is not None:
         damping_ratio = Between(0.0, 0.999, low_open=True).check(
             "damping_ratio", damping_ratio
         )
-    else:
-        # A fractional or viscous damping law damps the higher modes like the first.
-        # Without one their peaks would be infinite, and no filter would suffice.
-        damping_ratio = assumed_ratio(model)
     rows: list[tuple[int, float, Real, Complex]] = []
+    nyquist = math.pi / rig.period
     for payload in payloads:
-        if model.second_mode is not None:
-            width = min(model.second_mode.damping_ratio, _WIDEST)
-            w = model.second_mode.frequency * np.exp(width * _POINTS)
-            link = (
-                model.at_payload(payload).natural_frequency
-                if model.payload
-                else model.natural_frequency
-            )
-            rows.append((2, payload, w, loop.link_log(w, link)))
-        if rig.link.mass > 0.0:
-            rows += _beam_modes(model, rig, payload, damping_ratio)
-    number, masses, frequencies, answers = zip(*rows, strict=True)
-    w = np.array(frequencies)
-    level = _rest(loop, w, rig.period) + np.array(answers)
+        link = model.at_payload(payload) if model.payload else model
+        higher = unmodelled_modes(link, rig, payload, damping_ratio)
+        whole = replace(arm, model=link).plant(settings, rig, rig.period, higher=higher)
+        for mode, w in _about_modes(link, rig, payload, damping_ratio):
+            seen = _seen(w, rig.period)
+            # A mode beyond the Nyquist frequency may fold back to where the loop
+            # crosses: there, only its own part counts.
+            lower = replace(link, second_mode=None) if mode == 2 else link
+            without = replace(arm, model=lower).plant(settings, rig, rig.period)
+            rest = np.where(w > nyquist, without(seen, aliases=1), 0.0)
+            level = np.log(whole(seen, aliases=1) - rest)
+            rows.append((mode, payload, w, level))
+    number, masses, frequencies, levels = map(np.array, zip(*rows, strict=True))
     # The phase counts where the beam was measured, by its second mode, up to the Nyquist
     # frequency; the bound on that mode itself is one on its gain, whatever its phase.
-    known = (np.array(number)[:, np.newaxis] > 2) & (w < math.pi / rig.period)
+    known = (number[:, np.newaxis] > 2) & (frequencies < nyquist)
     known &= model.second_mode is not None
-    level.imag[~known] = math.nan
-    return HigherModes(np.array(number), np.array(masses), _seen(w, rig.period), level)
+    levels.imag[~known] = math.nan
+    return HigherModes(number, masses, _seen(frequencies, rig.period), levels)
 
 
-def _beam_modes(
-    model: LinkModel, rig: Rig, payload: float, ratio: float | None
-) -> list[tuple[int, float, Real, Complex]]:
-    """(number, payload, ω, ln Θ̂t/Θm) of the modes of the beam that were not
-    identified.
-    """
-    frequencies, sizes = modal_shares(Beam.from_rig(rig, payload=payload))
-    modes = []
-    for i in range(modes_of(model), frequencies.size):
-        w = _around(model, float(frequencies[i]), ratio)
-        s = np.asarray(1j * w, dtype=np.complex128)
-        answer = np.ones(s.shape, dtype=np.complex128)
-        for frequency, share in zip(frequencies, sizes / model.stiffness, strict=True):
-            answer -= (
-                share
-                * s**2
-                / (
-                    s**2
-                    + frequency**2 * material_law(model, s, float(frequency), ratio)
-                )
-            )
-        # The whole sum instead of the mode's own term: the gauge also shows the tails
-        # of the neighbouring modes, which add to it or subtract from it.
-        modes.append((i + 1, payload, w, np.log(answer) - s * model.gauge_delay))
-    return modes
+def _about_modes(
+    model: LinkModel, rig: Rig, payload: float, damping_ratio: float | None
+) -> Iterator[tuple[int, Real]]:
+    """(number, frequencies about its peak) of the higher modes of the link."""
+    if model.second_mode is not None:
+        width = min(model.second_mode.damping_ratio, _WIDEST)
+        yield 2, model.second_mode.frequency * np.exp(width * _POINTS)
+    if rig.link.mass > 0.0:
+        # A fractional or viscous damping law damps the higher modes like the first.
+        # Without one their peaks would be infinite, and no filter would suffice.
+        ratio = damping_ratio or assumed_ratio(model)
+        frequencies, _ = modal_shares(Beam.from_rig(rig, payload=payload))
+        for i in range(modes_of(model), frequencies.size):
+            yield i + 1, _around(model, float(frequencies[i]), ratio)
 
 
 def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
@@ -213,20 +204,11 @@ def _seen(w: Real, period: float) -> Real:
     )
 
 
-def _rest(loop: Loop, w: Real, period: float) -> Complex:
-    """ln(hold · M); beyond the Nyquist frequency M is taken at that frequency, where it
-    is larger.
-    """
-    half = 0.5 * period * w
-    motor = loop.motor_log(np.minimum(w, math.pi / period))
-    return np.log(np.abs(np.sin(half)) / half + 1e-300) + motor
-
-
 def mode_requirements(
-    modes: HigherModes, loop: Loop, limit: float
+    modes: HigherModes, response: Callable[[Real], Complex], limit: float
 ) -> tuple[Requirement, ...]:
     """Return the worst loop gain towards -1 of each higher mode, against `limit`."""
-    gains = modes.gains(loop)
+    gains = modes.gains(response)
     result = []
     for number in np.unique(modes.number):
         rows = np.flatnonzero(modes.number == number)
