@@ -103,7 +103,7 @@ nitpick_ignore_regex = [
     (
         r"py:class",
         r"fraclink\.trials\._fault_trial\.FaultTrial"
-        r"|fraclink\._simulate\.kernel\.ArmState",
+        r"|fraclink\._simulate\.kernel\.ArmState|fraclink\.view\._drawing\.Figure",
     ),
     (
         r"py:class",

@@ -251,7 +251,7 @@ def _lost_by_law(made: Design, solution: Solution) -> dict[str, float]:
     higher modes where the law is unstable and has more of it.
     """
     margin, modulus = made.requirements[-2:]
-    if margin.achieved < 0.0:
+    if made.has_law and margin.achieved < 0.0:
         louder = _louder_law(made, solution.search.request)
         if louder > 0.0:
             return {"mode_gain": louder + RESERVE}
