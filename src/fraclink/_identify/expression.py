@@ -68,7 +68,7 @@ class Expression:
         )
         # a candidate may overflow: its cost is infinite, and it is dropped
         with np.errstate(all="ignore"):
-            return np.asarray(_value(self.tree, leaves), dtype=np.complex128)
+            return _value(self.tree, leaves)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError if there is none for these values (a

@@ -85,7 +85,7 @@ def simulated_torque(
         motor_angle, np.zeros_like(motor_angle), period, chosen_hold(motor_angle, hold)
     )
     kernel = window.kernel(abs(model.pole), longest_delay=abs(delay))
-    return np.asarray(model.stiffness * columns_of(kernel, shape_of(model, delay))[0])
+    return model.stiffness * columns_of(kernel, shape_of(model, delay))[0]
 
 
 def make_search(
@@ -174,9 +174,7 @@ def _activity(signal: Real) -> Real:
     energy = np.maximum(blocks - 2 * np.quantile(blocks, 0.05), 0.0)
     # the same everywhere: a periodic motion
     energy = energy if energy.sum() > 0 else np.ones(_BLOCKS)
-    return np.asarray(
-        np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum()
-    )
+    return np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum()
 
 
 def _activities(angle: Real, output: Real) -> tuple[Real, Real]:
@@ -240,9 +238,7 @@ def predicted_output(search: Search, solution: Solution, log: Experiment) -> Rea
     """The output over the whole log, of which the search only used the first part."""
     whole = fitted_window(log, log.output.size, search.window.hold)
     kernel = search.kernel_of(whole)
-    return np.asarray(
-        solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
-    )
+    return solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
 
 
 def fit_from(

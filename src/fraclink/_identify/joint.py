@@ -133,7 +133,7 @@ class JointProblem(Problem):
         # An undamped fit starts where damping is no longer visible.
         rows[:, _LOGARITHMS] = np.log(np.maximum(rows[:, _LOGARITHMS], 1e-6))
         place, values = self.index.ravel(), rows[:, self.columns].ravel()
-        return np.asarray(np.bincount(place, values) / np.bincount(place))
+        return np.bincount(place, values) / np.bincount(place)
 
     def _of_each(self, values: Sequence[float]) -> Real:
         """A value for every parameter of θ, from one for every name."""

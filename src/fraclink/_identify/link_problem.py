@@ -200,7 +200,7 @@ class LinkProblem(Problem):
         gram = self.search.kernel.grams(shape, mask_of(moving))[0]
         # Its rows: measured, response, constant, derivatives.
         rows = [*range(3, len(gram)), 1, 2]
-        return np.asarray(weights @ gram[np.ix_(rows, rows)] @ weights.T)
+        return weights @ gram[np.ix_(rows, rows)] @ weights.T
 
     def linearised(self) -> tuple[Real, Real]:
         """∂(output)/∂(coordinates, then gain and offset if free), shape (q, n), and the
@@ -211,7 +211,7 @@ class LinkProblem(Problem):
         raw = columns_of(own.kernel, at.shape, mask_of(moving))
         residual = own.window.output - at.gain * raw[0] - at.offset
         rows = np.vstack([raw[1:], raw[0], np.ones(residual.size)])
-        return np.asarray(weights @ rows), residual
+        return weights @ rows, residual
 
     @property
     def linear(self) -> tuple[str, ...]:

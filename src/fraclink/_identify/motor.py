@@ -359,9 +359,7 @@ class _Bumps:
         products = np.correlate(padded, weights, "valid")
         # products[k] has the sample k − (abs(whole) + 1) of u, shifted by `whole`, at
         # the centre of its bump.
-        return np.asarray(
-            products[self.centres + abs(whole) + 1 - whole], dtype=np.float64
-        )
+        return products[self.centres + abs(whole) + 1 - whole]
 
     def matrix(self, u: Real, delay: float, zone: float) -> Real:
         """Columns of A, B, C (and 1/J) (and k/J, and k θ₀/J)."""
@@ -382,7 +380,7 @@ class _Bumps:
         values = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
         return (
             matrix,
-            np.asarray(values, dtype=np.float64),
+            np.asarray(values),
             self.acceleration - matrix @ values,
         )
 

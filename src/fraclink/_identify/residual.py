@@ -30,9 +30,7 @@ def autocovariance(first: Real, second: Real | None = None) -> Real:
     size = next_fast_len(2 * count, real=True)
     spectrum = rfft(first, size)
     other = spectrum if second is None else rfft(second, size)
-    return np.asarray(
-        irfft(spectrum * other.conj(), size)[:count] / count, dtype=np.float64
-    )
+    return irfft(spectrum * other.conj(), size)[:count] / count
 
 
 def long_run_covariance(scores: Real, lags: int) -> Real:
@@ -52,9 +50,7 @@ def long_run_covariance(scores: Real, lags: int) -> Real:
         [[lags + 1.0], (np.sin((lags + 1) * half) / np.sin(half)) ** 2 / (lags + 1)]
     )
     kernel[1 : (size + 1) // 2] *= 2  # the negative frequencies
-    return np.asarray(
-        ((spectrum * kernel) @ spectrum.conj().T).real / size, dtype=np.float64
-    )
+    return ((spectrum * kernel) @ spectrum.conj().T).real / size
 
 
 def mean_with_error(series: Real) -> tuple[float, float]:
@@ -142,7 +138,7 @@ def noise_behind(regressors: Real, residual: Real) -> tuple[Real, float]:
         """The covariance of basis · noise with this spectrum."""
         # Each line but the first counts for its negative frequency, too.
         both = np.where(np.arange(power.size) > 0, 2.0, 1.0) / length
-        return np.asarray(((spectra * (power * both)) @ spectra.conj().T).real)
+        return ((spectra * (power * both)) @ spectra.conj().T).real
 
     meat = weights @ met(slow / np.abs(rfft(fast, length)) ** 2) @ weights.T
     observed = met(variance / np.abs(rfft(coefficients, length)) ** 2)
@@ -351,7 +347,7 @@ def find_second_mode(
 
     def response(place: Real) -> Real:
         column = columns_of(kernel, place)[0]
-        return np.asarray(column - basis @ (basis.T @ column))
+        return column - basis @ (basis.T @ column)
 
     grid = np.arange(low, high, _STEP)
     costs = kernel.costs(np.array([row(x, _RATIO) for x in grid]), math.nan, math.nan)

@@ -95,7 +95,7 @@ def lowest_valleys(costs: Real, count: int) -> NDArray[np.int_]:
     """
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     valleys = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
-    return np.asarray(valleys[np.argsort(costs[valleys])][:count])
+    return valleys[np.argsort(costs[valleys])][:count]
 
 
 def link_parameters(shapes: Real) -> tuple[Real, Real]:
@@ -152,7 +152,7 @@ def shape_of(model: LinkModel, delay: float = 0.0) -> Real:
     """The shape of a link model."""
     square = model.natural_frequency**2
     parameters = [square, model.order, model.damping, model.damping_order, delay]
-    return np.asarray(shapes_of(np.array([parameters]))[0])
+    return shapes_of(np.array([parameters]))[0]
 
 
 def shapes_of(parameters: Real) -> Real:
@@ -286,7 +286,7 @@ class Window:
         finer = np.minimum(
             self.frequency_limits[1] / highest, self.samples / LEAST_SAMPLES
         )
-        return np.asarray(2 ** np.log2(np.maximum(finer, 1.0)).astype(int))
+        return 2 ** np.log2(np.maximum(finer, 1.0)).astype(int)
 
     @cached_property
     def halved(self) -> Window:

@@ -38,7 +38,7 @@ def _of_many(
     """G at points (K,) for parameters (M, 1), shape (M, K)."""
     count = max(np.shape(value)[0] for value in values.values())
     response = structure.response(values, points)
-    return np.asarray(np.broadcast_to(response, (count, points.size)))
+    return np.broadcast_to(response, (count, points.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,22 +115,19 @@ class Signals:
         """The first `count` samples; the input is relative to rest, at the beginning of
         the used part of `earlier`.
         """
-        own = np.asarray(record.input, dtype=np.float64)
-        before = (
-            np.zeros(0) if earlier is None else np.asarray(earlier, dtype=np.float64)
-        )
-        history = last_of(before, own.size, _HISTORY)
+        before = np.zeros(0) if earlier is None else earlier
+        history = last_of(before, record.input.size, _HISTORY)
         # Not from the beginning of a longer history: the input would jump from there to
         # here, which no motor did. From here on the output differs at most by a
         # constant, and `offset` refers to a rest here.
         rest = float(history[0]) if history.size else record.input_at_rest
-        whole = np.concatenate([history, own])
+        whole = np.concatenate([history, record.input])
         # A constant input is a step at the first sample, which the next samples do not
         # distinguish from a straight line.
         steps = hold == "auto" and np.ptp(whole) == 0
         return cls(
-            own[:count] - rest,
-            np.asarray(record.output)[:count],
+            record.input[:count] - rest,
+            record.output[:count],
             record.period,
             "zero" if steps else chosen_hold(whole, hold),
             history - rest,
@@ -201,7 +198,7 @@ class Blocks:
         """Sums of the blocks, scaled so that white noise keeps its variance."""
         output, width = self.data.measured, self.width
         sums = output[: output.size // width * width].reshape(-1, width).sum(axis=1)
-        return np.asarray(sums / math.sqrt(width))
+        return sums / math.sqrt(width)
 
     @cached_property
     def constant(self) -> Real:
@@ -246,9 +243,7 @@ class Blocks:
         # Undo the damping that made the transform converge.
         times = self._middle + self.width * np.arange(self.measured.size)
         growth = np.exp(_BACK / self.data.whole_input.size * times)
-        return np.asarray(
-            output[:, : self.measured.size] * (growth / math.sqrt(self.width))
-        )
+        return output[:, : self.measured.size] * (growth / math.sqrt(self.width))
 
 
 def _held(samples: Complex, x: Complex, hold: str, first: float) -> Complex:
@@ -257,10 +252,10 @@ def _held(samples: Complex, x: Complex, hold: str, first: float) -> Complex:
     """
     if hold == "zero":
         # expm1: at the lowest lines x is 1e-5, where 1 − e^(−x) would lose five digits.
-        return np.asarray(samples * -np.expm1(-x) / x)
+        return samples * -np.expm1(-x) / x
     # The triangle around the first sample is cut in half, because nothing precedes it.
     before = first * (np.expm1(x) - x) / x**2
-    return np.asarray(samples * (np.sinh(x / 2) / (x / 2)) ** 2 - before)
+    return samples * (np.sinh(x / 2) / (x / 2)) ** 2 - before
 
 
 Samples = Signals | Blocks | Lines

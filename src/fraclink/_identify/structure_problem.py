@@ -90,7 +90,7 @@ class StructureProblem(Problem):
         wanted = np.repeat([1.0, 0.0], len(rows) // 2)
         exponents = np.linalg.lstsq(rows, wanted, rcond=None)[0]
         own = exponents[[self.names.index(name) for name in self.moving]]
-        return np.asarray(own * np.allclose(rows @ exponents, wanted, atol=1e-4))
+        return own * np.allclose(rows @ exponents, wanted, atol=1e-4)
 
     def sized(self, places: Real) -> Real:
         """Places whose coefficients are scaled such that the response has the size of
@@ -137,7 +137,7 @@ class StructureProblem(Problem):
 
     def place_of(self, values: Mapping[str, float]) -> Real:
         """The place (p,) of single values."""
-        return np.asarray(self.places_of(values)[0])
+        return self.places_of(values)[0]
 
     def values(self, places: Real) -> dict[str, Any]:
         """Parameters (M, 1) at places (M, p); a gain is 1."""
@@ -151,7 +151,7 @@ class StructureProblem(Problem):
     def output(self, values: Values) -> Real:
         """The response (R,) with single values of all parameters."""
         single = {name: np.array([[value]]) for name, value in values.items()}
-        return np.asarray(self.data.response(self.structure, single)[0])
+        return self.data.response(self.structure, single)[0]
 
     # --- as of `Problem`
 
@@ -240,7 +240,7 @@ class StructureProblem(Problem):
         """
         role = self.structure.roles[name]
         if role == "coefficient":
-            return np.asarray(_STEP * self.slope(name, value))
+            return _STEP * self.slope(name, value)
         if role == "order":
             return np.full_like(value, _STEP)
         step = _STEP * self.data.shortest

@@ -124,7 +124,7 @@ class Covariance:
     def correlations(self) -> Real:
         """Correlation of each pair (p, p)."""
         size = np.sqrt(np.diag(self.inverse))
-        return np.asarray(self.inverse / np.outer(size, size))
+        return self.inverse / np.outer(size, size)
 
     @cached_property
     def errors(self) -> dict[str, float]:
@@ -181,7 +181,7 @@ def _diagonal(inverse: Real, meat: Real) -> Real:
     terms = np.diag(np.abs(inverse) @ np.abs(meat) @ np.abs(inverse))
     float64 = np.finfo(np.float64)
     floor = np.maximum(float64.eps * terms, float64.tiny)
-    return np.asarray(np.maximum(np.diag(inverse @ meat @ inverse), floor))
+    return np.maximum(np.diag(inverse @ meat @ inverse), floor)
 
 
 def link_intervals(
@@ -304,4 +304,4 @@ def _innovations(
     # One step is enough: the fit without the filter is within a few standard errors of
     # the filtered one, where the prediction is linear.
     step = lstsq(columns.T, rows[-1], cond=1e-9)[0]
-    return columns, np.asarray(rows[-1] - step @ columns)
+    return columns, rows[-1] - step @ columns

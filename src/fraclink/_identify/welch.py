@@ -33,14 +33,14 @@ def segments(signals: Sequence[Real], period: float) -> tuple[Real, list[Complex
     for signal in signals:
         rows = sliding_window_view(signal, size)[:: size // 2]
         rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
-        transforms.append(np.asarray(np.fft.rfft(rows)[:, 1:]))
+        transforms.append(np.fft.rfft(rows)[:, 1:])
     frequency = 2 * math.pi * np.fft.rfftfreq(size, period)[1:]
-    return np.asarray(frequency, dtype=np.float64), transforms
+    return np.asarray(frequency), transforms
 
 
 def mean_power(transforms: Complex) -> Real:
     """Mean power of the segments at each frequency."""
-    return np.asarray(np.mean(np.abs(transforms) ** 2, axis=0))
+    return np.mean(np.abs(transforms) ** 2, axis=0)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     16
     """
     frequency, (u, y, model) = segments(
-        (log.motor_angle, log.output, np.asarray(fit.predicted)), log.period
+        (log.motor_angle, log.output, fit.predicted), log.period
     )
     power = mean_power(u)
     usable = power > EXCITED * power.max()
