@@ -137,16 +137,16 @@ def _read(path: Path) -> dict[str, Any]:
             path.name,
             str(path.parent),
             "not there",
-            allowed="a TOML file",
-            remedy=remedy,
+            "a TOML file",
+            remedy,
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(
             "published",
             str(path),
             f"not valid TOML ({error})",
-            allowed="a TOML file",
-            remedy="correct that line",
+            "a TOML file",
+            "correct that line",
         ) from error
 
 
@@ -166,16 +166,16 @@ def _items(
                 "published",
                 str(folder),
                 f"wrong in {row} ({error})",
-                allowed="the known keys",
-                remedy="correct it",
+                "the known keys",
+                "correct it",
             ) from error
         if getattr(item, field) not in allowed:
             raise FileFormatError(
                 field,
                 getattr(item, field),
                 "unknown",
-                allowed=", ".join(allowed),
-                remedy=f"correct {row}",
+                ", ".join(allowed),
+                f"correct {row}",
             )
         made.append(item)
     return tuple(made)

@@ -190,7 +190,7 @@ CEILINGS = {
     "_cli": 833,
     "_design": 1473,
     "_export": 429,
-    "_files": 559,
+    "_files": 558,
     "_identify": 2575,
     "_law": 949,
     "_reading": 893,

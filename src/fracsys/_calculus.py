@@ -130,8 +130,8 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
             "y",
             values.size,
             "not one for each time",
-            allowed=str(times.size),
-            remedy="give t and y of one length",
+            str(times.size),
+            "give t and y of one length",
         )
     period = float(times[-1] - times[0]) / (times.size - 1)
     gaps = np.diff(times)
@@ -140,8 +140,8 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
             "t",
             [float(gaps.min()), float(gaps.max())],
             "not uniform, by its shortest and longest step",
-            allowed="one period between all times",
-            remedy="interpolate: np.interp(uniform, t, y)",
+            "one period between all times",
+            "interpolate: np.interp(uniform, t, y)",
         )
     return CubicSpline(times[0] + period * np.arange(times.size), values), period
 

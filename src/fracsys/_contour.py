@@ -235,8 +235,8 @@ def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction
             "delay",
             max(late),
             "on the highest power of the denominator: the response jumps anew after each delay",
-            allowed="a highest power without delay",
-            remedy="add roll-off: a strictly proper loop has no jumps",
+            "a highest power without delay",
+            "add roll-off: a strictly proper loop has no jumps",
         )
     denominator = tuple(term for term in G.denominator if term.delay == 0.0)
     return FractionalTransferFunction(G.numerator, denominator)

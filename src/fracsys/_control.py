@@ -68,8 +68,8 @@ def to_control(
             "system",
             repr(system),
             "not a fractional transfer function with a response",
-            allowed="FractionalTransferFunction other than 0",
-            remedy="build it from fracsys.s",
+            "FractionalTransferFunction other than 0",
+            "build it from fracsys.s",
         )
     try:
         import control
@@ -110,16 +110,16 @@ def from_control(system: Any) -> FractionalTransferFunction:
             "system",
             type(system).__name__,
             "not a model",
-            allowed="control.TransferFunction or control.StateSpace",
-            remedy="frequency data has no transfer function: pass a callable to margins instead",
+            "control.TransferFunction or control.StateSpace",
+            "frequency data has no transfer function: pass a callable to margins instead",
         )
     if (system.ninputs, system.noutputs) != (1, 1):
         raise FieldError(
             "system",
             (system.noutputs, system.ninputs),
             "of several inputs or outputs",
-            allowed="one input and one output",
-            remedy="select one channel, such as system[0, 0]",
+            "one input and one output",
+            "select one channel, such as system[0, 0]",
         )
     # dt = None means that no time base was stated; it counts as continuous
     if system.dt:
@@ -127,8 +127,8 @@ def from_control(system: Any) -> FractionalTransferFunction:
             "system.dt",
             system.dt,
             "a sampling period",
-            allowed="continuous time (dt = 0)",
-            remedy="pass it to margins, which takes it as it is",
+            "continuous time (dt = 0)",
+            "pass it to margins, which takes it as it is",
         )
     if not hasattr(system, "num"):
         import control

@@ -201,8 +201,8 @@ def _target(
             "response",
             "0 or infinite",
             "not finite, or zero, at some frequency",
-            allowed="finite values that are not zero",
-            remedy="check it between the band's ends and the Nyquist frequency",
+            "finite values that are not zero",
+            "check it between the band's ends and the Nyquist frequency",
         )
     emphasis = np.where(within, 1.0 if weight is None else weight(w), 1.0)
     half = 0.5 * w * period
@@ -228,8 +228,8 @@ def checked_band(band: object, period: float) -> tuple[float, float]:
             "band",
             (low, high),
             "beyond the Nyquist frequency",
-            allowed=f"0 < low < high <= {limit:.6g} rad/s",
-            remedy="lower the upper end or shorten the period",
+            f"0 < low < high <= {limit:.6g} rad/s",
+            "lower the upper end or shorten the period",
         )
     return low, high
 

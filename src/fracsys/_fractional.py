@@ -87,8 +87,8 @@ class FractionalTransferFunction:
                 "denominator",
                 self.denominator,
                 "zero",
-                allowed="at least one nonzero term",
-                remedy="check the signs",
+                "at least one nonzero term",
+                "check the signs",
             )
         if bottom[-1].order < 0.0:
             remedy, lowest = (
@@ -99,8 +99,8 @@ class FractionalTransferFunction:
                 "denominator",
                 lowest,
                 "a negative order",
-                allowed="orders >= 0",
-                remedy=remedy,
+                "orders >= 0",
+                remedy,
             )
         numerator, denominator = normal(top, bottom)
         object.__setattr__(self, "numerator", numerator)
@@ -177,8 +177,8 @@ class FractionalTransferFunction:
                 "exponent",
                 exponent,
                 "a real power of a sum",
-                allowed="integers to 64, or any real power of a single term c·s^a with c > 0",
-                remedy="a real power of a sum is not a quotient of sums of powers of s",
+                "integers to 64, or any real power of a single term c·s^a with c > 0",
+                "a real power of a sum is not a quotient of sums of powers of s",
             )
         top, bottom = self.numerator[0], self.denominator[0]
         order = (top.order - bottom.order) * power
@@ -217,8 +217,8 @@ class FractionalTransferFunction:
                 "sign",
                 sign,
                 "not a sign",
-                allowed="-1 or +1",
-                remedy="-1 is negative feedback",
+                "-1 or +1",
+                "-1 is negative feedback",
             )
         right = _operand(other)
         if right is NotImplemented:
@@ -226,8 +226,8 @@ class FractionalTransferFunction:
                 "other",
                 other,
                 "not a transfer function",
-                allowed="a function or a number",
-                remedy="build it from s",
+                "a function or a number",
+                "build it from s",
             )
         # Built from the four sums: G/(1 + GH) would carry the denominator of G in both
         # numerator and denominator.
@@ -409,8 +409,8 @@ def _ratio(
             "denominator",
             0.0,
             "zero",
-            allowed="a nonzero function",
-            remedy="do not divide by zero",
+            "a nonzero function",
+            "do not divide by zero",
         )
     return _crosswise(a.numerator, a.denominator, b.denominator, b.numerator)
 

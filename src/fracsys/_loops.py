@@ -57,16 +57,16 @@ class SampledLoop:
                 "loop",
                 values.shape,
                 "of another shape than its argument",
-                allowed=f"shape {x.shape}",
-                remedy="write the callable with numpy operations on arrays of s",
+                f"shape {x.shape}",
+                "write the callable with numpy operations on arrays of s",
             )
         if np.isnan(values).any():
             raise FieldError(
                 "loop",
                 "nan",
                 f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s",
-                allowed="finite values (infinite at a pole on the axis)",
-                remedy="check the callable there or lower limit=",
+                "finite values (infinite at a pole on the axis)",
+                "check the callable there or lower limit=",
             )
         return values
 
@@ -90,8 +90,8 @@ def as_loop(loop: object, limit: float | None) -> SampledLoop:
             "loop",
             type(loop).__name__,
             "not a loop",
-            allowed="a transfer function or a callable of s",
-            remedy="pass a FractionalTransferFunction or a function of s = jω",
+            "a transfer function or a callable of s",
+            "pass a FractionalTransferFunction or a function of s = jω",
         )
     return _callable_loop(loop, limit)
 
@@ -107,8 +107,8 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
             "loop",
             "dt = True",
             "sampled, without a period",
-            allowed="a sampling period in seconds, or continuous time",
-            remedy="give it one, such as control.tf(num, den, 0.01)",
+            "a sampling period in seconds, or continuous time",
+            "give it one, such as control.tf(num, den, 0.01)",
         )
     step = float(period) if isinstance(period, (int, float)) else 0.0
     if step > 0.0:

@@ -107,8 +107,8 @@ def _numbers(z: ArrayLike) -> NDArray[Any]:
             "z",
             value_text(z),
             "not finite numbers",
-            allowed="finite real or complex numbers",
-            remedy="give one number, or an array without NaN",
+            "finite real or complex numbers",
+            "give one number, or an array without NaN",
         )
     return numbers
 

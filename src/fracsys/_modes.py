@@ -226,8 +226,8 @@ def _refuse_overflow(quotient: Quotient, longest: float) -> None:
             "span",
             longest,
             f"too long for the unstable pole at {growth:.4g} 1/s: the response leaves the range of numbers",
-            allowed=f"at most {690.0 / growth:.4g} s",
-            remedy="shorten it, or close a stabilising loop first",
+            f"at most {690.0 / growth:.4g} s",
+            "shorten it, or close a stabilising loop first",
         )
 
 

@@ -59,8 +59,8 @@ class Quotient:
                 "denominator",
                 f"a pole at exp({worst:.6g}) rad/s",
                 "beyond the range of floating-point numbers",
-                allowed=f"exp(±{_RANGE:g}) rad/s",
-                remedy="look for two orders that are nearly equal",
+                f"exp(±{_RANGE:g}) rad/s",
+                "look for two orders that are nearly equal",
             )
         return cls(tuple(top), tuple(bottom), zeros)
 

@@ -146,24 +146,24 @@ def _check(system: FractionalTransferFunction) -> None:
             "system",
             repr(system),
             "delayed",
-            allowed="systems without delay",
-            remedy="approximate the system without its delay and keep the delay as samples",
+            "systems without delay",
+            "approximate the system without its delay and keep the delay as samples",
         )
     if not system.numerator:
         raise FieldError(
             "system",
             repr(system),
             "zero at every frequency",
-            allowed="functions other than 0",
-            remedy="approximate what is not zero: every error is relative",
+            "functions other than 0",
+            "approximate what is not zero: every error is relative",
         )
     if system.relative_degree <= -1:
         raise FieldError(
             "system",
             repr(system),
             "improper by one order or more",
-            allowed="relative degree > -1",
-            remedy="divide by a power of s: s^1.65 is s times s^0.65",
+            "relative degree > -1",
+            "divide by a power of s: s^1.65 is s times s^0.65",
         )
 
 
@@ -178,8 +178,8 @@ def _fitted(
             "system",
             repr(system),
             "not stable",
-            allowed="stable poles for method='minimax'",
-            remedy="use method='oustaloup'",
+            "stable poles for method='minimax'",
+            "use method='oustaloup'",
         )
     # Few enough for Newton steps of microseconds, and more than ten per pole at the
     # highest order.

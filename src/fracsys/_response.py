@@ -239,8 +239,8 @@ def discrete_modes(
             "delay",
             sorted(groups),
             "several in the numerator",
-            allowed="one delay common to all terms",
-            remedy="take the parts one by one, or use time_response",
+            "one delay common to all terms",
+            "take the parts one by one, or use time_response",
         )
     delay, top = next(iter(groups.items()), (0.0, ()))
     quotient = held_quotient(top, G.denominator)
@@ -250,8 +250,8 @@ def discrete_modes(
             "order",
             order,
             "a power of 1/s without a sum of modes",
-            allowed="singular powers s^-a with a < 0.94, and the integrator 1/s",
-            remedy="use time_response",
+            "singular powers s^-a with a < 0.94, and the integrator 1/s",
+            "use time_response",
         )
     return quotient.modes(
         period, hold=hold, span=span, tolerance=tolerance, delay=delay
@@ -264,8 +264,8 @@ def _instants(time: object, period: float | None) -> Real:
         period = required(
             "period",
             period,
-            allowed="> 0 s",
-            remedy="give the period of the samples, or an array of times",
+            "> 0 s",
+            "give the period of the samples, or an array of times",
         )
         refuse_beyond_memory("time", time / period)
         # 0.3/0.1 is 2.9999999999999996; the last sample would be missing.
@@ -275,8 +275,8 @@ def _instants(time: object, period: float | None) -> Real:
             "period",
             period,
             "given beside an array of times",
-            allowed="a duration and a period, or times alone",
-            remedy="leave the period out",
+            "a duration and a period, or times alone",
+            "leave the period out",
         )
     return np.array(time, np.float64)
 
@@ -292,8 +292,8 @@ def _fixed(
                 "time",
                 "an array of times" if period is None else "an impulse",
                 "not available with delays in the denominator",
-                allowed="step responses given by a duration and a period",
-                remedy="give a duration and a period; the impulse response is the step response of s·G",
+                "step responses given by a duration and a period",
+                "give a duration and a period; the impulse response is the step response of s·G",
             )
         return time_response(G, np.ones(len(times)), period)
     parts = []
@@ -370,8 +370,8 @@ def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]
             "relative_degree",
             G.relative_degree,
             "negative: the system is improper",
-            allowed=">= 0",
-            remedy="add a filter: a time response of a derivative of a step does not exist",
+            ">= 0",
+            "add a filter: a time response of a derivative of a step does not exist",
         )
     if any(t.delay for t in G.denominator):
         longest, remedy = (
@@ -382,8 +382,8 @@ def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]
             "delay",
             longest,
             "in the denominator",
-            allowed="delays in the numerator",
-            remedy=remedy,
+            "delays in the numerator",
+            remedy,
         )
     groups: dict[float, tuple[Term, ...]] = {}
     for t in G.numerator:

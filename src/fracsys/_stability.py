@@ -180,8 +180,8 @@ def _delayed_zeros(terms: Sequence[Term]) -> int:
                 "denominator",
                 list(terms),
                 "zero on the imaginary axis, or too close to it to tell",
-                allowed="poles away from the axis",
-                remedy="change the gain or the delay a little, or cancel what is zero at s = 0",
+                "poles away from the axis",
+                "change the gain or the delay a little, or cancel what is zero at s = 0",
             )
     return count
 
@@ -270,8 +270,8 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complex, Complex]:
             "denominator",
             repr(system),
             "delayed: it has infinitely many poles",
-            allowed="delays in the numerator only",
-            remedy="use is_stable or margins",
+            "delays in the numerator only",
+            "use is_stable or margins",
         )
     rest = zeros_of_terms(system.denominator, math.pi).tolist()
     cancelled: list[complex] = []

@@ -49,8 +49,8 @@ def sweep(loop: SampledLoop, turn: float = TURN) -> tuple[Real, Complex, float]:
         "limit",
         math.exp(loop.high),
         "too high for a response that keeps turning",
-        allowed=f"at most {POINT_LIMIT} points of the response",
-        remedy="give limit=, the highest frequency of interest in rad/s",
+        f"at most {POINT_LIMIT} points of the response",
+        "give limit=, the highest frequency of interest in rad/s",
     )
 
 

@@ -45,8 +45,8 @@ class Term:
                 "delay",
                 self.delay,
                 "negative",
-                allowed="≥ 0 s",
-                remedy="an output cannot precede its input",
+                "≥ 0 s",
+                "an output cannot precede its input",
             )
 
 
@@ -65,8 +65,8 @@ def finite(name: str, value: object) -> float:
             name,
             value,
             "not a finite real number",
-            allowed="real numbers",
-            remedy="give a float",
+            "real numbers",
+            "give a float",
         )
     return number
 
@@ -186,8 +186,8 @@ def as_terms(field: str, value: object) -> tuple[Term, ...]:
         field,
         value,
         "not a sum of terms",
-        allowed="Term, a sequence of Term, or a number",
-        remedy="use Term(c, a)",
+        "Term, a sequence of Term, or a number",
+        "use Term(c, a)",
     )
 
 
@@ -205,8 +205,8 @@ def normal(
             "delay",
             early,
             "negative",
-            allowed="≥ 0 s",
-            remedy="the function would answer before its input",
+            "≥ 0 s",
+            "the function would answer before its input",
         )
     # Monic in the highest order, whose coefficient is never zero.
     lead = bottom[0].coefficient
@@ -270,8 +270,8 @@ def evaluate(
             "s",
             s,
             "not a number",
-            allowed="complex numbers or arrays of them",
-            remedy="give s in rad/s",
+            "complex numbers or arrays of them",
+            "give s in rad/s",
         )
     flat = points.astype(np.complex128).ravel()
     with np.errstate(all="ignore"):
@@ -358,6 +358,6 @@ def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
             field,
             count,
             f"too many samples: they need {count * each:.2g} bytes",
-            allowed=f"at most {available // each:.3g} samples on this machine",
-            remedy="shorten the span or lengthen the period",
+            f"at most {available // each:.3g} samples on this machine",
+            "shorten the span or lengthen the period",
         )

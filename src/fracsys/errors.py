@@ -9,7 +9,6 @@ FracsysError
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TypeVar
 
 __all__ = [
@@ -93,16 +92,16 @@ class FieldError(FracsysError, ValueError):
     beside the field. The problem "missing" reads ``field is required; expected range.
     Remedy.``, as there is no value to show.
 
-    >>> raise FieldError("payload", -0.03, "negative", allowed="> 0 kg", remedy="give the mass in kg")
+    >>> raise FieldError("payload", -0.03, "negative", "> 0 kg", "give the mass in kg")
     Traceback (most recent call last):
     fracsys.errors.FieldError: payload: negative (got -0.03); expected > 0 kg. Give the mass in kg.
-    >>> raise FieldError("rig", None, "missing", allowed="a Rig", remedy="use Rig.named or Rig.load")
+    >>> raise FieldError("rig", None, "missing", "a Rig", "use Rig.named or Rig.load")
     Traceback (most recent call last):
     fracsys.errors.FieldError: rig is required; expected a Rig. Use Rig.named or Rig.load.
     """
 
     def __init__(
-        self, field: str, value: object, problem: str, *, allowed: str, remedy: str
+        self, field: str, value: object, problem: str, allowed: str, remedy: str
     ) -> None:
         self.field, self.value, self.problem = field, value, problem
         self.allowed, self.remedy = allowed, remedy
@@ -118,16 +117,16 @@ class FieldError(FracsysError, ValueError):
         super().__init__(f"{head}; expected {expected.rstrip('.')}.{advice}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        # The default pickle protocol loses keyword-only arguments, and errors cross
-        # process borders (file readers run in a child process that may be killed).
-        rebuilt = partial(type(self), allowed=self.allowed, remedy=self.remedy)
-        return rebuilt, (self.field, self.value, self.problem)
+        # By its parts and not by its message, since errors cross process borders (file
+        # readers run in a child process that may be killed).
+        parts = (self.field, self.value, self.problem, self.allowed, self.remedy)
+        return type(self), parts
 
 
-def required(field: str, value: Value | None, *, allowed: str, remedy: str) -> Value:
+def required(field: str, value: Value | None, allowed: str, remedy: str) -> Value:
     """Return a value that has to be given; FieldError where it is None."""
     if value is None:
-        raise FieldError(field, None, "missing", allowed=allowed, remedy=remedy)
+        raise FieldError(field, None, "missing", allowed, remedy)
     return value
 
 

@@ -114,8 +114,8 @@ class Beam:
                 "payload",
                 self.payload,
                 "zero on a massless link",
-                allowed="link_mass + payload > 0 kg",
-                remedy="give the mass of the link or of the payload",
+                "link_mass + payload > 0 kg",
+                "give the mass of the link or of the payload",
             )
 
     @property

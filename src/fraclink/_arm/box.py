@@ -171,8 +171,8 @@ class ParameterBox:
                     "others",
                     f"{other.second_mode.frequency:.4g} rad/s",
                     "with a second mode that the model does not know",
-                    allowed="models without one, or a model that knows it, too",
-                    remedy="begin from the model that knows it, and give the other one beside it",
+                    "models without one, or a model that knows it, too",
+                    "begin from the model that knows it, and give the other one beside it",
                 )
             # ω₀ depends on the payload of its log: two logs can only be compared at the
             # same payload.
@@ -281,8 +281,8 @@ def _gauge_delay(model: LinkModel, tolerance: float) -> Interval:
             "model.gauge_delay",
             model.gauge_delay,
             "negative",
-            allowed=">= 0 s",
-            remedy="check which of encoder and gauge the logger delays",
+            ">= 0 s",
+            "check which of encoder and gauge the logger delays",
         )
     return max(low, 0.0), max(high, 0.0)
 

@@ -115,8 +115,8 @@ class Experiment:
                     name,
                     values.size,
                     f"another number of samples than motor_angle has ({count})",
-                    allowed=f"{count} samples",
-                    remedy="cut the channels to their common span of time",
+                    f"{count} samples",
+                    "cut the channels to their common span of time",
                 )
 
     @classmethod
@@ -193,8 +193,8 @@ class Experiment:
                 "time",
                 f"{data['time'].size} stamps",
                 f"not one for each of {samples} samples",
-                allowed="arrays of one length",
-                remedy="cut them to the samples that belong together",
+                "arrays of one length",
+                "cut them to the samples that belong together",
             )
         return cls(
             period=base.period,
@@ -333,15 +333,15 @@ def _column(frame: Any, channel: Channel) -> Real:
             "columns",
             channel.column,
             f"no column of numbers ({type(error).__name__})",
-            allowed="the name of a column of numbers",
-            remedy="state a column of the frame",
+            "the name of a column of numbers",
+            "state a column of the frame",
         ) from error
     if values.ndim != 1 or values.size < 2:
         raise LogError(
             "columns",
             channel.column,
             f"of shape {values.shape}",
-            allowed="(N,)",
-            remedy="give one-dimensional arrays of one length",
+            "(N,)",
+            "give one-dimensional arrays of one length",
         )
     return values

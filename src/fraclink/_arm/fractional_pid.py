@@ -79,8 +79,8 @@ class FractionalPid(Saved):
                 "proportional",
                 0.0,
                 "zero like the other gains",
-                allowed="> 0",
-                remedy="give at least one gain above 0",
+                "> 0",
+                "give at least one gain above 0",
             )
 
     @property

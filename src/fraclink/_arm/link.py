@@ -257,8 +257,8 @@ class LinkModel:
                 "natural_frequency",
                 0.0,
                 "zero without damping",
-                allowed="> 0",
-                remedy="give ω₀ = sqrt(c/(m L²))",
+                "> 0",
+                "give ω₀ = sqrt(c/(m L²))",
             )
 
     def interval(self, name: str) -> tuple[float, float] | None:
@@ -351,8 +351,8 @@ class LinkModel:
                 "natural_frequency",
                 0.0,
                 "zero: the link is a springpot without a spring",
-                allowed="> 0",
-                remedy="state the same link by λ = 2 − α and ω₀ = √μ, without damping",
+                "> 0",
+                "state the same link by λ = 2 − α and ω₀ = √μ, without damping",
             )
         return self.damping / self.natural_frequency**2
 
@@ -440,8 +440,8 @@ class LinkModel:
                 "payload",
                 None,
                 "not known",
-                allowed="> 0 kg",
-                remedy="make the model with the payload at which its frequency was found",
+                "> 0 kg",
+                "make the model with the payload at which its frequency was found",
             )
         return self.payload
 

@@ -149,8 +149,8 @@ class LogColumns:
                 "log",
                 "(no output)" if self.torque is None else "torque and deflection",
                 "not one output",
-                allowed="torque or deflection",
-                remedy="state exactly one of log.torque and log.deflection",
+                "torque or deflection",
+                "state exactly one of log.torque and log.deflection",
             )
         for role, channel in self.channels().items():
             factors = UNITS[QUANTITY_OF[role]]
@@ -159,8 +159,8 @@ class LogColumns:
                     f"log.{role}.unit",
                     channel.unit,
                     f"not a unit of {role}",
-                    allowed=", ".join(factors),
-                    remedy=_way_to(role, channel, factors),
+                    ", ".join(factors),
+                    _way_to(role, channel, factors),
                 )
 
     def channels(self) -> dict[str, Channel]:
@@ -312,8 +312,8 @@ def _not_understood(text: str, problem: str) -> FieldError:
         "column",
         text,
         problem,
-        allowed=f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
-        remedy='write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
+        f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
+        'write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
     )
 
 
@@ -346,8 +346,8 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
             "column",
             ", ".join(channels) or "(nothing)",
             "not one time, one motor_angle and one output",
-            allowed="time, motor_angle, and torque or deflection; voltage as well",
-            remedy="state every column once, or write [log] in the rig file",
+            "time, motor_angle, and torque or deflection; voltage as well",
+            "state every column once, or write [log] in the rig file",
         )
     return LogColumns(**channels)
 

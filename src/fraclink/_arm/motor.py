@@ -168,8 +168,8 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
             "motor.gain",
             gain,
             "not positive",
-            allowed="> 0 rad/(s²·V)",
-            remedy="check K and J of the rig",
+            "> 0 rad/(s²·V)",
+            "check K and J of the rig",
         )
     # The four closed-loop poles at −p have the same sum as those of the open loop: the
     # motor's B and the filter's c.
@@ -178,8 +178,8 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
             "motor_loop.pole",
             pole,
             "too slow for this motor",
-            allowed=f"> B/4 = {decay / 4:.4g} rad/s",
-            remedy="ask for a faster motor loop; its filter pole 4p − B must be positive",
+            f"> B/4 = {decay / 4:.4g} rad/s",
+            "ask for a faster motor loop; its filter pole 4p − B must be positive",
         )
     p = float(pole)
     return ContinuousPid(

@@ -241,8 +241,8 @@ def direct_placement(
             "motor_loop.pole",
             pole,
             "not to be placed with this delay",
-            allowed="a slower motor loop",
-            remedy=f"with a delay of {delay_samples} × {period:g} s an unstable pole is left over",
+            "a slower motor loop",
+            f"with a delay of {delay_samples} × {period:g} s an unstable pole is left over",
         )
     return _parallel(feedback, r, math.exp(-pole * period), period)
 

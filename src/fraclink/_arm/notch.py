@@ -47,8 +47,8 @@ class Notch:
                 "notch.zeros",
                 self.zeros,
                 "above the damping ratio of the poles: a peak",
-                allowed=f"at most {self.poles:g}",
-                remedy="exchange the two",
+                f"at most {self.poles:g}",
+                "exchange the two",
             )
 
     def log(self, frequency: NDArray[Any]) -> Complex:

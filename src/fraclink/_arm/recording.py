@@ -69,8 +69,8 @@ class Recording:
                 "output",
                 self.output.size,
                 f"not as long as the input ({self.input.size} samples)",
-                allowed="equal lengths",
-                remedy="cut both to their common span of time",
+                "equal lengths",
+                "cut both to their common span of time",
             )
 
     def overview(self) -> Overview:
@@ -120,8 +120,8 @@ class Recording:
                 "output",
                 int(values.size),
                 "no ring-down",
-                allowed=">= 50 samples that move",
-                remedy="record from before the link is let go",
+                ">= 50 samples that move",
+                "record from before the link is let go",
             )
         rested = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
         # The mean of the last fifth averages over the periods of a vibration that is
@@ -163,8 +163,8 @@ class Recording:
                     "input",
                     role,
                     "not in the log",
-                    allowed=", ".join(channels),
-                    remedy="name another channel",
+                    ", ".join(channels),
+                    "name another channel",
                 )
         # The first reading of the encoder is the position of the arm, not a step from
         # zero.
@@ -242,8 +242,8 @@ class FrequencyResponse:
                     name,
                     str(column.shape),
                     f"not as long as frequency {self.frequency.shape}",
-                    allowed="equal lengths",
-                    remedy="give one for each frequency",
+                    "equal lengths",
+                    "give one for each frequency",
                 )
 
     @property
@@ -274,8 +274,8 @@ class FrequencyResponse:
                 "band",
                 (low, high),
                 "without a line",
-                allowed=f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s",
-                remedy="widen the band",
+                f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s",
+                "widen the band",
             )
         magnitude, coherence = (
             None if column is None else column[inside]
@@ -299,8 +299,8 @@ def coherence_weights(response: Complex, coherence: Real) -> Real:
             "response",
             0,
             "zero at a line",
-            allowed="|H| > 0",
-            remedy="leave that line out",
+            "|H| > 0",
+            "leave that line out",
         )
     # γ² = 1 would have infinite weight. A limit of one millionth below is an error of
     # 0.1 % of a line, less than any measurement has.

@@ -204,8 +204,8 @@ class SampledReference(Reference):
                 "values",
                 shape,
                 "not a table",
-                allowed=f"(3, 2 … {LONGEST})",
-                remedy="give rows of angle, velocity, acceleration",
+                f"(3, 2 … {LONGEST})",
+                "give rows of angle, velocity, acceleration",
             )
         object.__setattr__(self, "duration", self.period * (shape[1] - 1))
 
@@ -264,16 +264,16 @@ def spline(
             "angle",
             angle.shape,
             "not one a time",
-            allowed=f"{time.shape}",
-            remedy="pair them",
+            f"{time.shape}",
+            "pair them",
         )
     if not (time[0] >= 0.0 and np.all(np.diff(time) >= _SHORTEST)):
         raise FieldError(
             "time",
             time[:3].tolist(),
             "not rising",
-            allowed="rising from 0 s on",
-            remedy="sort them, and leave repeated ones out",
+            "rising from 0 s on",
+            "sort them, and leave repeated ones out",
         )
     # Clamped: at rest at both ends. SciPy stores the highest power first, a `Path` the
     # lowest.
@@ -396,8 +396,8 @@ def sampled(reference: Reference, period: float, length: float) -> Real:
             "duration",
             f"{count} samples ({48e-6 * count:.0f} MB)",
             "too long",
-            allowed=f"<= {LONGEST} samples",
-            remedy="simulate a shorter time or a longer period",
+            f"<= {LONGEST} samples",
+            "simulate a shorter time or a longer period",
         )
     time = period * np.arange(count)
     path = np.array([reference.derivative(time, order) for order in range(3)])
@@ -406,8 +406,8 @@ def sampled(reference: Reference, period: float, length: float) -> Real:
             "reference",
             "NaN",
             "not finite",
-            allowed="finite",
-            remedy="check the reference",
+            "finite",
+            "check the reference",
         )
     return path
 

@@ -139,8 +139,8 @@ class Rig:
                 "rig",
                 name,
                 "unknown",
-                allowed=", ".join(names),
-                remedy=(
+                ", ".join(names),
+                (
                     suggestion(str(name), names)
                     or "give one of these, or the path of your own file"
                 ),
@@ -169,8 +169,8 @@ class Rig:
                 "rig",
                 str(path),
                 "not a file",
-                allowed="a rig file (TOML)",
-                remedy=f"check the path; rigs by name: {', '.join(Rig.names())}",
+                "a rig file (TOML)",
+                f"check the path; rigs by name: {', '.join(Rig.names())}",
             )
         try:
             return Rig.from_tables(read_toml(place))
@@ -316,8 +316,8 @@ def _in_seconds(data: dict[str, Any]) -> dict[str, Any]:
             "period_s",
             data["period_s"],
             "given twice, as period_s and as period_ms",
-            allowed="one sampling period",
-            remedy="leave one of them out",
+            "one sampling period",
+            "leave one of them out",
         )
     # 10 µs is the period of the fastest drives' current loops; 0.004 would be in seconds
     period = Between(0.01, 1e4, "ms", remedy="give milliseconds: 4 for 250 Hz").check(

@@ -196,8 +196,8 @@ class Link:
                 "link.stiffness",
                 "(nothing)",
                 "missing",
-                allowed="a stiffness [N·m/rad] or EI [N·m²]",
-                remedy="state stiffness, or flexural_rigidity",
+                "a stiffness [N·m/rad] or EI [N·m²]",
+                "state stiffness, or flexural_rigidity",
             )
         if self.flexural_rigidity is None:
             # Eq. (3), c = 3 EI/L: whichever was measured, the torque at rest is the
@@ -248,16 +248,16 @@ class Payloads:
                 "payloads.low",
                 self.low,
                 f"above payloads.high = {self.high:g} kg",
-                allowed="low <= nominal <= high [kg]",
-                remedy="exchange the two",
+                "low <= nominal <= high [kg]",
+                "exchange the two",
             )
         if self.empty is not None and self.empty > self.low:
             raise FieldError(
                 "payloads.empty",
                 self.empty,
                 "above the lightest payload",
-                allowed=f"at most {self.low:g} kg",
-                remedy="give what the gripper weighs at the tip without a load",
+                f"at most {self.low:g} kg",
+                "give what the gripper weighs at the tip without a load",
             )
         if self.nominal is None:
             object.__setattr__(self, "nominal", 0.5 * (self.low + self.high))
@@ -266,8 +266,8 @@ class Payloads:
                 "payloads.nominal",
                 self.nominal,
                 "outside the payload range",
-                allowed=f"{self.low:g} … {self.high:g} kg",
-                remedy="choose a nominal payload between low and high",
+                f"{self.low:g} … {self.high:g} kg",
+                "choose a nominal payload between low and high",
             )
 
     def doubt(self, payload: float) -> Finding | None:

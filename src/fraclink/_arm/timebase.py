@@ -50,8 +50,8 @@ def time_base(
             "time",
             f"{stamps.size} stamps",
             "too few rows for a step",
-            allowed=">= 2",
-            remedy="record for longer",
+            ">= 2",
+            "record for longer",
         )
     steps = np.diff(stamps)
     _check_order(stamps, steps, resample)
@@ -64,8 +64,8 @@ def time_base(
             "time",
             f"{typical:.6g} s between samples",
             "too slow for a vibrating arm; it looks like milliseconds called seconds",
-            allowed=f"< {slowest:g} s",
-            remedy='state unit = "ms" for the time column',
+            f"< {slowest:g} s",
+            'state unit = "ms" for the time column',
         )
     # After the check of the unit, because gaps are counted in periods.
     gaps = np.flatnonzero(steps > _longest_step(typical))
@@ -117,8 +117,8 @@ def _check_order(stamps: Real, steps: Real, resample: bool) -> None:
             "time",
             f"{stamps[row]:.9g} s at sample {row}",
             f"decreasing (after {stamps[row - 1]:.9g} s; {back.size} such)",
-            allowed="increasing stamps",
-            remedy="sort the log, or cut it where the clock was set",
+            "increasing stamps",
+            "sort the log, or cut it where the clock was set",
         )
     same = np.flatnonzero(steps == 0)
     if same.size == steps.size:
@@ -126,8 +126,8 @@ def _check_order(stamps: Real, steps: Real, resample: bool) -> None:
             "time",
             f"{stamps[0]:.9g} s",
             "constant",
-            allowed="increasing stamps",
-            remedy="state another time column",
+            "increasing stamps",
+            "state another time column",
         )
     if same.size and not resample:
         rows = ", ".join(str(int(row) + 1) for row in same[:5]) + (
@@ -137,8 +137,8 @@ def _check_order(stamps: Real, steps: Real, resample: bool) -> None:
             "time",
             f"{stamps[same[0]]:.9g} s",
             f"repeated at sample {rows} ({same.size} such)",
-            allowed="increasing stamps",
-            remedy="remove the repeated rows, or read with resample=True (--resample)",
+            "increasing stamps",
+            "remove the repeated rows, or read with resample=True (--resample)",
         )
 
 
@@ -164,8 +164,8 @@ def _gap(
             "time",
             f"{worst * 1e3:.6g} ms between samples, first after {first:.6g} s",
             f"not uniform: {gaps.size} gaps, about {missing} samples lost at {typical * 1e3:.6g} ms",
-            allowed=f"gaps below {_longest_step(typical) * 1e3:.4g} ms",
-            remedy="record again, read a stretch without gaps (--keep), or with resample=True (--resample)",
+            f"gaps below {_longest_step(typical) * 1e3:.4g} ms",
+            "record again, read a stretch without gaps (--keep), or with resample=True (--resample)",
         )
     return Finding(
         "W205",
@@ -192,8 +192,8 @@ def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
             "time",
             numbers,
             "not uniform (largest distance of a stamp from the uniform grid)",
-            allowed=f"<= {100 * _TOLERATED:g} % of {period * 1e3:.6g} ms",
-            remedy="record with a steady clock, or read with resample=True (--resample)",
+            f"<= {100 * _TOLERATED:g} % of {period * 1e3:.6g} ms",
+            "record with a steady clock, or read with resample=True (--resample)",
         )
     return (
         Finding(

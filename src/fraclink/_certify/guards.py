@@ -37,8 +37,8 @@ def check_guards(statement: Statement) -> None:
                 f"law.{name}",
                 value,
                 "not that of the arm of the claim",
-                allowed=f"{low:.6g} … {high:.6g}",
-                remedy="make the law with Design.law()",
+                f"{low:.6g} … {high:.6g}",
+                "make the law with Design.law()",
             )
     for name, least in _least(statement, link):
         value = float(statement.coefficients[name])
@@ -48,8 +48,8 @@ def check_guards(statement: Statement) -> None:
                 f"law.{name}",
                 value,
                 "too small for the moves of the claim",
-                allowed=f">= {least:.6g}",
-                remedy="use the limits of Design.law() for these payloads, or state the rig's [moves]",
+                f">= {least:.6g}",
+                "use the limits of Design.law() for these payloads, or state the rig's [moves]",
             )
 
 

@@ -230,16 +230,16 @@ def _statement(
             "subject",
             "a fractional PID's law",
             "of another plant",
-            allowed="a law of an arm: the proof knows its motor, link and gauge, and no other plant",
-            remedy="PidTuning.sampled_margins computes this loop's margins, which is no proof",
+            "a law of an arm: the proof knows its motor, link and gauge, and no other plant",
+            "PidTuning.sampled_margins computes this loop's margins, which is no proof",
         )
     if model is None or rig is None:
         raise FieldError(
             "model" if model is None else "rig",
             None,
             "missing",
-            allowed="a link model and a rig",
-            remedy="give both beside a controller or a law, or certify a design",
+            "a link model and a rig",
+            "give both beside a controller or a law, or certify a design",
         )
     if isinstance(subject, Controller):
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
@@ -298,8 +298,8 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
             "law.limits.reference_rate",
             law.limits.reference_rate,
             "not that of this link at any payload",
-            allowed="a law that was made for this link",
-            remedy="discretise the controller with this link",
+            "a law that was made for this link",
+            "discretise the controller with this link",
         )
     # The statement is written with six digits, from which the checker forms the
     # resonance; the law must use the same rounded value.

@@ -394,8 +394,8 @@ def _check_law(law: Law, model: LinkModel) -> None:
             "law.stiffness",
             law.stiffness,
             "not the link's: the law would compute another tip angle than the claim",
-            allowed=f"{model.stiffness:g} N·m/rad",
-            remedy="discretise the controller with this link",
+            f"{model.stiffness:g} N·m/rad",
+            "discretise the controller with this link",
         )
 
 
@@ -408,24 +408,24 @@ def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox) -> 
             "model.order",
             box.order[1],
             "two without damping: the link's pole lies on the stability boundary",
-            allowed="λ < 2, or damping > 0",
-            remedy="certify with the identified damping, which every real link has",
+            "λ < 2, or damping > 0",
+            "certify with the identified damping, which every real link has",
         )
     if law.motor_loop and not rig.motor.decay > 0.0:
         raise FieldError(
             "motor.viscous_friction",
             rig.motor.viscous_friction,
             "no friction: the motor's pole lies on the stability boundary",
-            allowed="> 0 N·m·s",
-            remedy="state the motor's viscous friction, which every motor has",
+            "> 0 N·m·s",
+            "state the motor's viscous friction, which every motor has",
         )
     if box.gauge_delay[0] < 0 or box.gauge_gain[0] <= 0:
         raise FieldError(
             "model.gauge_delay",
             model.gauge_delay,
             "negative",
-            allowed=">= 0 s",
-            remedy="certify with the gauge's true sign and delay",
+            ">= 0 s",
+            "certify with the gauge's true sign and delay",
         )
 
 

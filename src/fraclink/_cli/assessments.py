@@ -223,7 +223,7 @@ def _plant(text: str) -> FractionalTransferFunction:
             "plant",
             ", ".join(expression.names),
             "unknown",
-            allowed="numbers and s",
-            remedy="write numbers, or give the file of `identify --structure`, which finds them",
+            "numbers and s",
+            "write numbers, or give the file of `identify --structure`, which finds them",
         )
     return expression.function({})

@@ -109,8 +109,8 @@ def ask(
                 option.removeprefix("--").replace("-", "_"),
                 None,
                 "missing",
-                allowed=f"an answer to: {question.rstrip('?')}",
-                remedy=f"give {option} where nobody can be asked",
+                f"an answer to: {question.rstrip('?')}",
+                f"give {option} where nobody can be asked",
             )
         try:
             return understood(line.strip() or default)

@@ -105,7 +105,7 @@ def _link(
 
 def _rig(name: str | None) -> str:
     remedy = "give --rig rig.toml, or --rig paper-2023"
-    return required("rig", name, allowed="a rig", remedy=remedy)
+    return required("rig", name, "a rig", remedy)
 
 
 def _several(
@@ -145,7 +145,7 @@ def _motor(
     """
     if not column:
         remedy = "give --rig, or --column for time, motor_angle and voltage"
-        rig = required("rig", rig, allowed="a rig, or the columns", remedy=remedy)
+        rig = required("rig", rig, "a rig, or the columns", remedy)
     arm = None if rig is None else load_rig(rig)
     # --column describes the whole log: mixed with the rig's mapping, two columns could
     # have the same role.
@@ -156,8 +156,8 @@ def _motor(
             "log",
             logs[0],
             "without the amplifier's voltage",
-            allowed="a log with a voltage column",
-            remedy='name it in the rig file\'s [log], or by --column "voltage=NAME [V]"',
+            "a log with a voltage column",
+            'name it in the rig file\'s [log], or by --column "voltage=NAME [V]"',
         )
     torque = _load(experiment, arm)
     fit = identification.identify_motor(
@@ -183,8 +183,8 @@ def _load(log: Experiment, rig: Rig | None) -> Real | None:
             "log",
             log.source,
             "with a deflection only",
-            allowed="the link's torque",
-            remedy="give --rig, whose stiffness makes a torque of the deflection",
+            "the link's torque",
+            "give --rig, whose stiffness makes a torque of the deflection",
         )
     return rig.link.stiffness * log.output
 
@@ -268,7 +268,7 @@ def _transfer_function(
             input = output
         remedy = "a recording needs both, anything else none of them"
         channels = [
-            required(name, column, allowed="the name of a column", remedy=remedy)
+            required(name, column, "the name of a column", remedy)
             for name, column in {"input": input, "output": output}.items()
         ]
         period = in_seconds(period_ms)
@@ -296,8 +296,8 @@ def _named(texts: list[str] | None) -> dict[str, str] | None:
                 "column",
                 text,
                 "given twice" if name else "without a name",
-                allowed="ROLE=NAME, each role once",
-                remedy="as in --column frequency=f",
+                "ROLE=NAME, each role once",
+                "as in --column frequency=f",
             )
         by_role[role] = name
     return by_role or None
@@ -361,7 +361,7 @@ def _kind(data: list[str], structure: str | None) -> str:
             "data",
             ", ".join(data),
             "several files",
-            allowed="one file",
-            remedy="give one; only logs of a link are fitted together",
+            "one file",
+            "give one; only logs of a link are fitted together",
         )
     return kind

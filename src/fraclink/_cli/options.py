@@ -182,9 +182,7 @@ def refuse_beside(option: str, instead: str, **given: object) -> None:
             remedy = f"leave out --{name.replace('_', '-')}"
             if option.startswith("--"):
                 remedy += f" or {option}"
-            raise FieldError(
-                name, text, f"given beside {option}", allowed=instead, remedy=remedy
-            )
+            raise FieldError(name, text, f"given beside {option}", instead, remedy)
 
 
 def load_log(
@@ -215,8 +213,8 @@ def load_logs(
             "payload",
             len(payloads),
             "not one for each log",
-            allowed=f"{len(names)} values",
-            remedy="repeat --payload",
+            f"{len(names)} values",
+            "repeat --payload",
         )
     masses: list[float | None] = list(payloads) if payloads else [None] * len(names)
     return [

@@ -65,8 +65,8 @@ def studio(
             "place",
             str(place),
             "no such file",
-            allowed="a folder, a log, a design or a model that is there",
-            remedy="check the name, or leave it out",
+            "a folder, a log, a design or a model that is there",
+            "check the name, or leave it out",
         )
     session = serve(
         lambda: _opened(place, rig, out),

@@ -193,8 +193,8 @@ def watch(
             "record",
             str(record),
             "neither",
-            allowed="a run in real time, or a log",
-            remedy="record one: `fraclink run-realtime --out realtime.npz`",
+            "a run in real time, or a log",
+            "record one: `fraclink run-realtime --out realtime.npz`",
         )
     comparison = watch_arm(log, load(place, Tuning))
     following = (

@@ -94,8 +94,8 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
             "payload",
             payload,
             "without a gain crossover",
-            allowed="a payload at which |L| crosses one",
-            remedy="give the mass in kg",
+            "a payload at which |L| crosses one",
+            "give the mass in kg",
         )
     # The highest crossing: at those where |L| rises through one the loop is slow, and a
     # delay costs nothing.

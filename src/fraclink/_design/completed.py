@@ -47,8 +47,8 @@ def design_for(
     link = required(
         "model",
         model or rig.model,
-        allowed="a model file",
-        remedy="identify a log first, then give --model model.json",
+        "a model file",
+        "identify a log first, then give --model model.json",
     )
     request = {name: value for name, value in wanted.items() if value is not None}
     for name, instead in _COMPLETED.items():

@@ -258,8 +258,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             "plant",
             "0",
             "zero",
-            allowed="a plant that answers",
-            remedy="build it from s",
+            "a plant that answers",
+            "build it from s",
         )
     # |L| of a plant that does not fall at high frequency may stay above 1, and the 1.5
     # periods of delay then turn it around −1 without end, so that the count of turns,
@@ -269,8 +269,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             "plant",
             str(own),
             "not strictly proper",
-            allowed="|P| -> 0 for high frequencies",
-            remedy="write down the lag of its sensor or actuator",
+            "|P| -> 0 for high frequencies",
+            "write down the lag of its sensor or actuator",
         )
     order = own.denominator[-1].order
     # A pole at the origin is allowed: the scan knows how far L turns there. It is
@@ -282,8 +282,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             "plant",
             str(own),
             "unstable: it has a pole with Re s >= 0 beside the origin",
-            allowed="a stable plant, or one with integrators",
-            remedy="stabilise it first, and tune for the closed loop",
+            "a stable plant, or one with integrators",
+            "stabilise it first, and tune for the closed loop",
         )
     # The sign of the gain at rest: with gains of C >= 0, a plant of negative gain gives
     # positive feedback.
@@ -293,8 +293,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             "plant",
             str(own),
             "of negative gain at rest",
-            allowed="> 0",
-            remedy="tune for -plant, and negate the controller's output",
+            "> 0",
+            "tune for -plant, and negate the controller's output",
         )
     return own
 
@@ -323,8 +323,8 @@ def _problem(
                 name,
                 order,
                 f"given for a {form}",
-                allowed="none",
-                remedy=f"leave it out, or ask for another form than {form}",
+                "none",
+                f"leave it out, or ask for another form than {form}",
             )
     # ω_c and φ_m determine two gains; a PI or PD has only its order left to make the
     # phase flat.
@@ -334,8 +334,8 @@ def _problem(
             "flat_phase",
             True,
             f"asked of a {form} whose order is given: nothing is left to make the phase flat with",
-            allowed="False",
-            remedy="give flat_phase=False (--no-flat-phase), or leave the order free",
+            "False",
+            "give flat_phase=False (--no-flat-phase), or leave the order free",
         )
     usual = (
         _INTEGRAL_ORDERS if integral else (1.0, 1.0),
@@ -377,8 +377,8 @@ def _crossovers(
             "gain_crossover",
             None,
             "left out for a plant without a delay: the faster the better, without end",
-            allowed="> 0 rad/s",
-            remedy="give gain_crossover=, or period= of the law, whose delay bounds it",
+            "> 0 rad/s",
+            "give gain_crossover=, or period= of the law, whose delay bounds it",
         )
     # Above π/τ the delay alone costs 180°. Three decades below, it no longer matters
     # for any plant.

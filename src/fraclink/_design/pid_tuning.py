@@ -239,8 +239,8 @@ class PidTuning(Saved):
                     name,
                     None,
                     "missing",
-                    allowed="a number > 0",
-                    remedy=f"give {name}= here or to tune_pid (--{option})",
+                    "a number > 0",
+                    f"give {name}= here or to tune_pid (--{option})",
                 )
         step = Between(0.0, 1e3, "s", low_open=True).check("period", values["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / step

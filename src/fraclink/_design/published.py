@@ -96,8 +96,8 @@ def published(
             "unknown to the published procedure"
             if field in unknown
             else "missing for the published procedure",
-            allowed="crossover and margin, and nothing else",
-            remedy='leave out procedure="published" for the solver, which needs none and knows all',
+            "crossover and margin, and nothing else",
+            'leave out procedure="published" for the solver, which needs none and knows all',
         )
     ideal = {"motor_loop": "ideal", "placement": "tustin", **spec}
     request = Request.of(with_payload(model, rig), rig, ideal, None)

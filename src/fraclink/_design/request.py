@@ -203,16 +203,16 @@ class Request:
                 "mode_gain",
                 self.spec["mode_gain"],
                 "asked for on a massless link, which has one mode",
-                allowed="a rig that states the mass of its link, or a model that knows its second mode",
-                remedy="state mass_kg in [link] (--link-mass on the command line)",
+                "a rig that states the mass of its link, or a model that knows its second mode",
+                "state mass_kg in [link] (--link-mass on the command line)",
             )
         if "natural_frequencies" in self.spec and "payloads" in self.spec:
             raise FieldError(
                 "natural_frequencies",
                 self.spec["natural_frequencies"],
                 "given beside payloads",
-                allowed="one of the two",
-                remedy="leave one out",
+                "one of the two",
+                "leave one out",
             )
         if self.motor_loop.kind == "sampled":
             # fails at once if its poles cannot be placed
@@ -236,8 +236,8 @@ class Request:
                     "gain_crossover",
                     self.speed,
                     problem,
-                    allowed=f"< {limit:.6g} rad/s",
-                    remedy=remedy,
+                    f"< {limit:.6g} rad/s",
+                    remedy,
                 )
 
     # ---- what is wanted

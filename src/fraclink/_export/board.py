@@ -108,8 +108,8 @@ def export_reference(
             "out",
             place.name,
             "of another kind",
-            allowed=".csv or .h",
-            remedy="end the name in .csv, or in .h for C",
+            ".csv or .h",
+            "end the name in .csv, or in .h for C",
         )
     # The last row lies at or after the end of the motion, where the reference rests.
     # Pieces of 0.1 and 0.2 s last 3.0000000000000004 periods of 0.1 s; without the 1e-9

@@ -104,8 +104,8 @@ def export_c(
             "out",
             str(place),
             "already there",
-            allowed="a new or an empty folder",
-            remedy="choose another name or add --force",
+            "a new or an empty folder",
+            "choose another name or add --force",
         )
     # fails before any work if the folder cannot be made
     output_path(place / "law.c", force=True)

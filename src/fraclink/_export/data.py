@@ -52,8 +52,8 @@ def identifier(field: str, name: object) -> str:
             field,
             name,
             "not a C identifier",
-            allowed="a letter, then letters, digits or _, at most 31, no keyword",
-            remedy="choose a name such as law_data",
+            "a letter, then letters, digits or _, at most 31, no keyword",
+            "choose a name such as law_data",
         )
     # law.h uses all names with this prefix, in upper case for its macros. Only
     # "law_data", the default, does not occur in law.h.
@@ -62,8 +62,8 @@ def identifier(field: str, name: object) -> str:
             field,
             name,
             "in the law's own name space",
-            allowed="another prefix",
-            remedy="e.g. arm_law",
+            "another prefix",
+            "e.g. arm_law",
         )
     return name
 
@@ -85,8 +85,8 @@ def law_source(name: str) -> bytes:
         name,
         "missing",
         "not in this installation",
-        allowed="a complete package",
-        remedy="reinstall",
+        "a complete package",
+        "reinstall",
     )
 
 

@@ -85,8 +85,8 @@ def export_fmu(
             "out",
             place.name,
             "of another kind",
-            allowed=".fmu",
-            remedy="end the name in .fmu",
+            ".fmu",
+            "end the name in .fmu",
         )
     name = identifier("out", place.stem)
     shipped = law if precision is None else law.in_precision(precision)
@@ -103,8 +103,8 @@ def export_fmu(
                 "compiler",
                 platform,
                 "a platform that FMI has no name for",
-                allowed=", ".join(PLATFORMS),
-                remedy="export sources only",
+                ", ".join(PLATFORMS),
+                "export sources only",
             )
         library = f"binaries/{platform}/{name}{PLATFORMS[platform]}"
         if library in parts:
@@ -112,8 +112,8 @@ def export_fmu(
                 "compiler",
                 compiler,
                 f"the second one for {platform}",
-                allowed="one for each platform",
-                remedy="leave one of them out",
+                "one for each platform",
+                "leave one of them out",
             )
         parts[library] = compiled(sources, compiler)
     with atomic_write(place, "wb") as out:
@@ -188,8 +188,8 @@ def found(compiler: str, remedy: str = "install it, or export sources only") -> 
             "compiler",
             compiler,
             "not installed",
-            allowed="gcc, clang or a cross compiler of theirs",
-            remedy=remedy,
+            "gcc, clang or a cross compiler of theirs",
+            remedy,
         )
     return path
 
@@ -245,7 +245,7 @@ def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
                 "compiler",
                 compiler,
                 f"unable to compile the FMU ({message})",
-                allowed="a C99 compiler with its standard library",
-                remedy="install another one, or export sources only",
+                "a C99 compiler with its standard library",
+                "install another one, or export sources only",
             )
         return library.read_bytes()

@@ -133,9 +133,7 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
         problem, remedy = "too large to save", "save a part of it"
         if file_format.container == "either":
             remedy += ", or end its name in .npz"
-        raise SizeError(
-            file_format.kind, len(text), problem, allowed=allowed, remedy=remedy
-        )
+        raise SizeError(file_format.kind, len(text), problem, allowed, remedy)
     write_text(place, text)
     return place
 
@@ -156,8 +154,8 @@ def check_ending(cls: type, place: Path) -> str:
             "out",
             place.name,
             "of another kind of file",
-            allowed=f".{container}, the ending of a {file_format.kind}",
-            remedy="change the ending",
+            f".{container}, the ending of a {file_format.kind}",
+            "change the ending",
         )
     return container
 
@@ -312,8 +310,8 @@ def _check_version(version: object, expected: int) -> None:
             "format",
             version,
             "a version this release does not read",
-            allowed=str(expected),
-            remedy="make the file again with this release",
+            str(expected),
+            "make the file again with this release",
         )
 
 
@@ -334,4 +332,4 @@ def _check_digest(
     if field:
         remedy = "make the file again; to try another value, give it to the command or the function"
         value, allowed = data.get(field), f"{expected}, that of its content"
-        raise FileFormatError(field, value, problem, allowed=allowed, remedy=remedy)
+        raise FileFormatError(field, value, problem, allowed, remedy)

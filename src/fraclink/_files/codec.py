@@ -279,7 +279,7 @@ def faults_of(
     if error is FileFormatError:  # such a file was not written by hand
         remedy = _AGAIN
     field, value = path or "content", refused.value
-    return [error(field, value, refused.problem, allowed=allowed, remedy=remedy)]
+    return [error(field, value, refused.problem, allowed, remedy)]
 
 
 def plain(

@@ -90,7 +90,7 @@ def output_path(path: Path | str, *, force: bool = False) -> Path:
         problem, allowed = "already there", "a new name"
         remedy = "choose another name or add --force"
     if problem:
-        raise FieldError("out", str(place), problem, allowed=allowed, remedy=remedy)
+        raise FieldError("out", str(place), problem, allowed, remedy)
     return place
 
 
@@ -184,7 +184,7 @@ def read_text(path: Path | str, what: str, *, limit: int = JSON_LIMIT) -> str:
 
 def broken(what: str, place: Path, problem: str, remedy: str) -> FileFormatError:
     """Return the error about a file as a whole."""
-    return FileFormatError("file", place.name, problem, allowed=what, remedy=remedy)
+    return FileFormatError("file", place.name, problem, what, remedy)
 
 
 def parse_json(text: str, *, source: str = "json") -> Any:
@@ -216,8 +216,8 @@ def parse_json(text: str, *, source: str = "json") -> Any:
             source,
             text,
             problem,
-            allowed="JSON text",
-            remedy="give a file that fraclink has written; `fraclink identify` makes a model of a log",
+            "JSON text",
+            "give a file that fraclink has written; `fraclink identify` makes a model of a log",
         ) from error
 
 
@@ -228,8 +228,8 @@ def _finite(text: str) -> float:
             "number",
             text,
             "not a finite number",
-            allowed="finite numbers",
-            remedy="remove it from the file",
+            "finite numbers",
+            "remove it from the file",
         )
     return value
 
@@ -243,8 +243,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             twice,
             "two values",
             "given twice",
-            allowed="each key once",
-            remedy="remove one",
+            "each key once",
+            "remove one",
         )
     return dict(pairs)
 
@@ -282,8 +282,8 @@ def write_archive(
             "arrays",
             size,
             "too large to save",
-            allowed=f"<= {0.9 * UNPACKED_LIMIT:.0f} bytes, which can be read back",
-            remedy="save a shorter run",
+            f"<= {0.9 * UNPACKED_LIMIT:.0f} bytes, which can be read back",
+            "save a shorter run",
         )
     members = {name: np.asarray(values, order="C") for name, values in arrays.items()}
     np.savez(stream, **members, **{HEADER: np.array(header)})  # type: ignore[arg-type]

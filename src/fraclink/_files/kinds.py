@@ -103,8 +103,8 @@ def document_of(cls: type) -> document:
                 "value",
                 cls.__name__,
                 "without a file format",
-                allowed="a result of fraclink",
-                remedy="save what a public function returned",
+                "a result of fraclink",
+                "save what a public function returned",
             )
         document(kind, container="either")(cls)
     return _DOCUMENTS[cls]

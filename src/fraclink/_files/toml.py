@@ -52,9 +52,8 @@ class FileFaults(FieldError):
     def __init__(self, faults: Iterable[FieldError]) -> None:
         self.faults = tuple(faults)
         first = self.faults[0]
-        allowed, remedy = first.allowed, first.remedy
         super().__init__(
-            first.field, first.value, first.problem, allowed=allowed, remedy=remedy
+            first.field, first.value, first.problem, first.allowed, first.remedy
         )
         self.args = ("\n".join(str(fault) for fault in self.faults),)
 
@@ -117,8 +116,8 @@ def read_toml(path: Path) -> dict[str, Any]:
             "rig",
             str(path),
             f"not valid TOML ({error})",
-            allowed="a rig file (TOML)",
-            remedy="correct that line",
+            "a rig file (TOML)",
+            "correct that line",
         ) from error
 
 

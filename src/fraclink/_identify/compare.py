@@ -184,8 +184,8 @@ def identify(
             "structure",
             structure,
             "a formula",
-            allowed=", ".join(STRUCTURES),
-            remedy="identify_structure(log, formula) fits any other",
+            ", ".join(STRUCTURES),
+            "identify_structure(log, formula) fits any other",
         )
     if structure is not None:
         names = [structure_row(structure).name]

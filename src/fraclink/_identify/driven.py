@@ -139,8 +139,8 @@ class DrivenLinkFit(StructureFit):
                 "fit",
                 gates,
                 "not passed",
-                allowed="a fit without errors",
-                remedy="measure a band that shows anti-resonance and peak, and fit again",
+                "a fit without errors",
+                "measure a band that shows anti-resonance and peak, and fit again",
             )
         values, intervals = self.parameters, self.intervals
         rows = []

@@ -172,8 +172,8 @@ def parse_expression(text: str) -> Expression:
             "expression",
             text,
             "not a formula",
-            allowed="a text",
-            remedy='write it as in "k/(T*s**a + 1)"',
+            "a text",
+            'write it as in "k/(T*s**a + 1)"',
         )
     try:
         # Parsed as Python but never executed: `_check` compares every node with the few
@@ -189,8 +189,8 @@ def parse_expression(text: str) -> Expression:
             "expression",
             text,
             f"not a formula{where}",
-            allowed=_FORMS,
-            remedy="check brackets and operators; a product needs its *",
+            _FORMS,
+            "check brackets and operators; a product needs its *",
         ) from error
     # A number is a transfer function too, but a text without s is nearly always a
     # mistake.
@@ -228,7 +228,7 @@ def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
         text = ast.unparse(node)
     except RecursionError:  # a sum of hundreds of terms is a tree of that depth
         text = f"characters {node.col_offset + 1} to {node.end_col_offset}"
-    return FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy)
+    return FieldError("expression", text, problem, _FORMS, remedy)
 
 
 def _check(node: ast.expr, depth: int) -> None:

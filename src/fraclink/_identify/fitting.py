@@ -117,8 +117,8 @@ def make_search(
             "output",
             window.samples,
             "too few samples to fit",
-            allowed=f">= {LEAST_SAMPLES}",
-            remedy="record a longer log",
+            f">= {LEAST_SAMPLES}",
+            "record a longer log",
         )
     check_motion(motor_angle=window.angle, output=window.output)
     start = None
@@ -151,8 +151,8 @@ def check_motion(**channels: Real) -> None:
                 name,
                 float(values[0]),
                 "constant over the fitted part",
-                allowed="a motion",
-                remedy="check the wiring, or fit a part in which the arm moves",
+                "a motion",
+                "check the wiring, or fit a part in which the arm moves",
             )
 
 

@@ -196,8 +196,8 @@ def identify_motor(
                 name,
                 values.size,
                 "of another length",
-                allowed=f"{motor_angle.size} samples, as of motor_angle",
-                remedy="cut them to their common span",
+                f"{motor_angle.size} samples, as of motor_angle",
+                "cut them to their common span",
             )
     check_motion(**channels)
     longest = period * motor_angle.size
@@ -217,8 +217,8 @@ def identify_motor(
             "motor_angle",
             int(bumps.places.size),
             "too little motion in one direction",
-            allowed=f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
-            remedy="drive further, with voltages of both signs",
+            f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
+            "drive further, with voltages of both signs",
         )
     best_delay, best_zone = _search(bumps, voltage, period, delay, dead_zone)
     return _judged(_result(bumps, voltage, best_delay, best_zone, inertia))
@@ -243,8 +243,8 @@ def _judged(fit: MotorFit) -> MotorFit:
                 name,
                 value,
                 f"{symbol} of an impossible sign, with a standard error of {error:.3g}",
-                allowed=">= 0",
-                remedy="check the sign of voltage and angle, the period, and give the link's torque if there is one",
+                ">= 0",
+                "check the sign of voltage and angle, the period, and give the link's torque if there is one",
             )
     findings = []
     if fit.inertia is not None and "inertia" in fit.standard_errors:
@@ -255,8 +255,8 @@ def _judged(fit: MotorFit) -> MotorFit:
                 "inertia",
                 fit.inertia,
                 f"J of an impossible sign, 1/J with a standard error of {error:.3g}",
-                allowed="> 0",
-                remedy="check the sign and the unit of the link's torque, and that it is of this motor",
+                "> 0",
+                "check the sign and the unit of the link's torque, and that it is of this motor",
             )
         if 1 / fit.inertia < CERTAIN * error:
             findings.append(

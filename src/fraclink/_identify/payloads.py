@@ -301,8 +301,8 @@ def _check(logs: Sequence[Experiment], tied: bool) -> None:
             "logs",
             len(logs),
             "too few",
-            allowed=">= 2",
-            remedy="use identify for a single log",
+            ">= 2",
+            "use identify for a single log",
         )
     payloads = [log.payload for log in logs]
     if tied and (None in payloads or len(set(payloads)) < 2):
@@ -310,8 +310,8 @@ def _check(logs: Sequence[Experiment], tied: bool) -> None:
             "payload",
             str(payloads),
             "missing or all the same",
-            allowed="a mass for every log, two of them different",
-            remedy="state payload= when reading the logs",
+            "a mass for every log, two of them different",
+            "state payload= when reading the logs",
         )
 
 

@@ -205,8 +205,8 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
             "weighting",
             kind,
             f"without a {kind}",
-            allowed=f"a response with {kind}",
-            remedy="weigh errors as relative",
+            f"a response with {kind}",
+            "weigh errors as relative",
         )
     else:
         # A relative weight of such a line would be infinite, and with an absolute one
@@ -216,8 +216,8 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
                 "response",
                 0,
                 "zero at a line",
-                allowed="|H| > 0",
-                remedy="leave that line out",
+                "|H| > 0",
+                "leave that line out",
             )
         weight = 1.0 / np.abs(h) if kind == "relative" else np.ones(h.size)
     # Scaled to a sum of squares of 1: the error is then a share, as used by the gates
@@ -248,8 +248,8 @@ def _check_used(
                 field,
                 value,
                 f"given beside {beside}",
-                allowed=f"{other} with it",
-                remedy="leave it out",
+                f"{other} with it",
+                "leave it out",
             )
 
 
@@ -276,8 +276,8 @@ def _check_names(
                 f"bounds[{name!r}]",
                 bounds[name],
                 f"given beside fixed[{name!r}]",
-                allowed="one of both",
-                remedy="leave one of them out",
+                "one of both",
+                "leave one of them out",
             )
 
 
@@ -303,8 +303,8 @@ def _problem(
                 f"bounds[{name!r}]",
                 pair,
                 "empty",
-                allowed="low < high",
-                remedy="give the lower one first; a known value belongs into fixed",
+                "low < high",
+                "give the lower one first; a known value belongs into fixed",
             )
         limits[name] = (low, high)
     fixed = {
@@ -317,8 +317,8 @@ def _problem(
             "expression",
             structure.text,
             "without a free parameter",
-            allowed=">= 1 free parameter",
-            remedy="leave one out of fixed",
+            ">= 1 free parameter",
+            "leave one out of fixed",
         )
     return problem
 
@@ -334,8 +334,8 @@ def _check_start(
             "data",
             measured,
             "too few to fit",
-            allowed=f">= {least} numbers for {len(problem.names)} parameters",
-            remedy="measure more, or fix parameters that are known",
+            f">= {least} numbers for {len(problem.names)} parameters",
+            "measure more, or fix parameters that are known",
         )
     for name in problem.moving if start is not None else ():
         if start is None or name not in start:
@@ -343,8 +343,8 @@ def _check_start(
                 "start",
                 name,
                 "without a parameter that is free",
-                allowed=", ".join(problem.moving),
-                remedy="give all of them, or leave start out",
+                ", ".join(problem.moving),
+                "give all of them, or leave start out",
             )
         low, high = problem.limits[name]
         Between(low, high, remedy="begin inside the bounds").check(

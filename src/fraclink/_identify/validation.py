@@ -259,8 +259,8 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
             "output_kind",
             log.output_kind,
             "not what the fit predicts",
-            allowed=fit.output_kind,
-            remedy="state the same output in both [log] tables, or fit that log by itself",
+            fit.output_kind,
+            "state the same output in both [log] tables, or fit that log by itself",
         )
     link = replace(_at_payload(fit.model, log.payload), stiffness=1.0)
     angle = moving_angle(log)
@@ -293,8 +293,8 @@ def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
             "logs",
             0,
             "none given",
-            allowed="one at least",
-            remedy="give a log that the fit was not made from",
+            "one at least",
+            "give a log that the fit was not made from",
         )
     validation = Validation(
         fit,

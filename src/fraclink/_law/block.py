@@ -155,8 +155,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
                 name,
                 len(items),
                 "too many for the law",
-                allowed=f"at most {length}",
-                remedy="ask for a lower order",
+                f"at most {length}",
+                "ask for a lower order",
             )
         # A mode with gain 0 adds nothing, so shorter lists are padded with them; the
         # counts keep them out of the arithmetic.
@@ -169,8 +169,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
             "law",
             str(error),
             "not representable",
-            allowed=f"{precision} precision",
-            remedy="use double",
+            f"{precision} precision",
+            "use double",
         ) from error
     # 0 marks a state that was never started; one block in 4 billion has this CRC
     if zlib.crc32(body) == 0:
@@ -178,8 +178,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
             "law",
             0,
             "a block with CRC 0",
-            allowed="any other",
-            remedy="change a limit slightly",
+            "any other",
+            "change a limit slightly",
         )
     return framed(VERSION, body, precision)
 
@@ -478,8 +478,8 @@ def linear_range(coefficients: Mapping[str, Any]) -> float:
             "law.limits",
             reach,
             "too narrow for the correction",
-            allowed=f"limits that errors of {LEAST_RANGE:g} rad do not meet",
-            remedy="use the derived limits",
+            f"limits that errors of {LEAST_RANGE:g} rad do not meet",
+            "use the derived limits",
         )
     digit = 10.0 ** (math.floor(math.log10(reach)) - 1)
     return float(f"{math.floor(reach / digit) * digit:.2g}")

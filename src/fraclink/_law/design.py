@@ -425,8 +425,8 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
             "realisation",
             repr(response),
             "not a response",
-            allowed="Ĉ as a function of ω [rad/s], shape kept",
-            remedy="say 'law' for what is shipped",
+            "Ĉ as a function of ω [rad/s], shape kept",
+            "say 'law' for what is shipped",
         )
 
 

@@ -126,8 +126,8 @@ def discretize_controller(
     model = required(
         "link",
         link or controller.link,
-        allowed="a LinkModel",
-        remedy="give the nominal link model: tip estimate and feed-forward need it",
+        "a LinkModel",
+        "give the nominal link model: tip estimate and feed-forward need it",
     )
     _check_period(controller, period)
     reach = _band(controller, period) if band is None else checked_band(band, period)
@@ -211,15 +211,15 @@ def discretize(
             "design",
             repr(design),
             "no Design",
-            allowed="a Design or a Controller",
-            remedy="fl.design makes one",
+            "a Design or a Controller",
+            "fl.design makes one",
         )
     usual = controller.period if isinstance(design, Controller) else design.rig.period
     step = required(
         "period",
         usual if period is None else period,
-        allowed="> 0 s",
-        remedy="give the control period in seconds",
+        "> 0 s",
+        "give the control period in seconds",
     )
     law = discretize_controller(controller, step, order=order, precision=precision)
     if isinstance(design, Controller):
@@ -292,8 +292,8 @@ def check_rigs_period(law: Law, rig: Rig) -> None:
             "period",
             law.period,
             "not the rig's",
-            allowed=f"{rig.period} s",
-            remedy="discretise the controller at the rig's period",
+            f"{rig.period} s",
+            "discretise the controller at the rig's period",
         )
 
 
@@ -331,8 +331,8 @@ def _check_period(controller: Controller, period: float) -> None:
             "period",
             period,
             "not the one the controller was designed for",
-            allowed=f"{designed} s",
-            remedy="design again for this period, or use controller.period",
+            f"{designed} s",
+            "design again for this period, or use controller.period",
         )
     # The band of the fit begins at LOWEST; five times that frequency must lie below the
     # Nyquist frequency.
@@ -341,8 +341,8 @@ def _check_period(controller: Controller, period: float) -> None:
             "period",
             period,
             "too long",
-            allowed="<= 12 s",
-            remedy="give the period in seconds",
+            "<= 12 s",
+            "give the period in seconds",
         )
 
 
@@ -369,8 +369,8 @@ def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Mod
             field,
             f"{len(fit.decays)} real modes and {len(fit.pole_decays)} pairs",
             "more than law.c holds",
-            allowed=f"{reals} real modes and {pairs} pairs",
-            remedy="ask for a lower order",
+            f"{reals} real modes and {pairs} pairs",
+            "ask for a lower order",
         )
     # Sorted, so that a controller gives the same block, and the same digest, whatever
     # order the fit ends in.

@@ -178,8 +178,8 @@ class PayloadEstimator(Block):
                 "estimator",
                 REASONS[reason],
                 "refused by payload_estimator.c",
-                allowed="a valid block",
-                remedy="report it",
+                "a valid block",
+                "report it",
             )
         return bytes(state)
 
@@ -214,8 +214,8 @@ class PayloadEstimator(Block):
                 "torque",
                 (angle.shape, twist.shape, numbers.shape),
                 "of another length",
-                allowed="one value a period",
-                remedy="cut or extend",
+                "one value a period",
+                "cut or extend",
             )
         numbers = np.ascontiguousarray(
             numbers.astype(np.int64) % 2**32, dtype=np.uint32
@@ -285,8 +285,8 @@ def payload_estimator(
             "payload",
             link.payload,
             "not known to the law",
-            allowed="> 0 kg",
-            remedy="fit or design with the payload at which the link's frequency was found",
+            "> 0 kg",
+            "fit or design with the payload at which the link's frequency was found",
         )
     if gain_doubt is None:
         # A 95 % interval is 3.92 standard deviations wide.

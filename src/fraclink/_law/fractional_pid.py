@@ -170,8 +170,8 @@ def pid_response(law: Law, frequency: ArrayLike) -> Complex:
             "law",
             repr(law),
             "no law of a PID",
-            allowed="that of a FractionalPid",
-            remedy="discretize_pid makes one; Law.frequency_response is that of every other",
+            "that of a FractionalPid",
+            "discretize_pid makes one; Law.frequency_response is that of every other",
         )
     return _response(law.motor_loop.pid, frequency) * (
         1.0 + law.frequency_response(frequency)
@@ -195,8 +195,8 @@ def _integer_part(
             "proportional",
             0.0,
             "zero in a controller without an integral: at rest it would do nothing",
-            allowed="> 0",
-            remedy="give a proportional or an integral gain",
+            "> 0",
+            "give a proportional or an integral gain",
         )
     return DiscretePid(
         period=period,

@@ -303,8 +303,8 @@ class Law(Block, Saved):
                 "law",
                 REASONS[reason],
                 "refused by law.c",
-                allowed="a valid block",
-                remedy="report it",
+                "a valid block",
+                "report it",
             )
         return bytes(state)
 
@@ -346,8 +346,8 @@ class Law(Block, Saved):
                 "inputs",
                 [x.shape for x in four],
                 "not four signals",
-                allowed="four of one shape (N,)",
-                remedy="give arrays",
+                "four of one shape (N,)",
+                "give arrays",
             )
         count = four[0].size
         signals = np.ascontiguousarray(
@@ -364,8 +364,8 @@ class Law(Block, Saved):
                 "ticks",
                 numbers.shape,
                 "not one number a period",
-                allowed=f"({count},)",
-                remedy="give N numbers",
+                f"({count},)",
+                "give N numbers",
             )
         outputs, marks = np.empty((5, count)), np.empty((3, count), dtype=np.uint32)
         after = _kernels.law_run(
@@ -396,8 +396,8 @@ class Law(Block, Saved):
                 "torque",
                 twist.shape,
                 "not one value a sample",
-                allowed=f"{angle.shape}",
-                remedy="give two signals",
+                f"{angle.shape}",
+                "give two signals",
             )
         reason = _kernels.law_wiring(self.block, angle, twist, self.single)
         return REASONS[int(reason)]

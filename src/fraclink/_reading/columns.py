@@ -48,8 +48,8 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
                 f"column of {role}",
                 name,
                 f"stated twice, as {channels[role].column!r} too",
-                allowed="one column for each role",
-                remedy="say in [log] of the rig file which one is meant",
+                "one column for each role",
+                "say in [log] of the rig file which one is meant",
             )
         if role:
             channels[role] = Channel(name, unit)
@@ -86,7 +86,7 @@ def check_count(count: int) -> None:
     if count < _FEWEST:
         allowed = f">= {_FEWEST} samples and 3 periods of the vibration"
         size, remedy = f"{count} samples", "record for longer"
-        raise LogError("log", size, "too short", allowed=allowed, remedy=remedy)
+        raise LogError("log", size, "too short", allowed, remedy)
 
 
 def check_signals(angle: Real, output: Real, kind: str) -> None:
@@ -100,9 +100,7 @@ def check_signals(angle: Real, output: Real, kind: str) -> None:
         # that moves by a billionth is left to `diagnose`.
         if np.ptp(values) == 0:
             text = f"{float(values[0]):.6g} in all {values.size} samples (standard deviation 0)"
-            raise LogError(
-                role, text, "constant", allowed="a signal that moves", remedy=remedy
-            )
+            raise LogError(role, text, "constant", "a signal that moves", remedy)
 
 
 def stated_payload(
@@ -117,8 +115,8 @@ def stated_payload(
             "payload_kg",
             ", ".join(sorted(labels)),
             "given more than once",
-            allowed="one label",
-            remedy="remove one",
+            "one label",
+            "remove one",
         )
     masses = [
         mass.check("payload_kg", float(text) if NUMBER.fullmatch(text) else text)

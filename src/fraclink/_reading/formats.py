@@ -87,7 +87,7 @@ def sniffed_kind(path: Path) -> str:
 
 
 def _other(path: Path, content: str, allowed: str, remedy: str) -> FileFormatError:
-    return FileFormatError("log", path.name, content, allowed=allowed, remedy=remedy)
+    return FileFormatError("log", path.name, content, allowed, remedy)
 
 
 def read_table(path: Path) -> LogTable:
@@ -105,8 +105,8 @@ def read_table(path: Path) -> LogTable:
             "log",
             path.name,
             f"a {kind} file without a numeric array of two samples or more",
-            allowed="arrays of real numbers",
-            remedy="export plain arrays; in MATLAB save log.mat t theta torque -v7",
+            "arrays of real numbers",
+            "export plain arrays; in MATLAB save log.mat t theta torque -v7",
         )
     return table
 
@@ -169,6 +169,6 @@ def _damaged(path: Path, kind: str, reason: str) -> FileFormatError:
         "log",
         path.name,
         f"damaged or hostile: {reason}",
-        allowed=f"a sound {kind} file",
-        remedy="export it again, or as CSV",
+        f"a sound {kind} file",
+        "export it again, or as CSV",
     )

@@ -145,8 +145,8 @@ def read_log(
             "columns",
             ", ".join(table.names[:12]),
             "not stated: which column is what, in which unit, is never guessed",
-            allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
-            remedy="`fraclink start` finds them and writes that table; or give --column for each, such as "
+            "a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
+            "`fraclink start` finds them and writes that table; or give --column for each, such as "
             '"time=t [s]", "motor_angle=theta [deg]" and "torque=gamma [Nm]"',
         )
     # Units and signs are converted here; from now on all data are in SI, radians, and
@@ -200,8 +200,8 @@ def _kept(stamps: Real, begin: float, end: float) -> tuple[Mask, Finding]:
             "keep",
             f"{begin:g} to {end:g} s",
             "no stretch of the log",
-            allowed=f"0 <= from < until, within {float(since.max()):.6g} s, with two samples or more",
-            remedy="give the stretch in seconds from the first sample",
+            f"0 <= from < until, within {float(since.max()):.6g} s, with two samples or more",
+            "give the stretch in seconds from the first sample",
         )
     first, last = float(since[inside][0]), float(since[inside][-1])
     return inside, Finding(
@@ -249,8 +249,8 @@ def _channels(
                 f"column of {role}",
                 channel.column,
                 f"{raw.size} samples long, while time has {data['time'].size}",
-                allowed="columns of one length",
-                remedy="state the time column that belongs to it, or export the channels at one rate",
+                "columns of one length",
+                "state the time column that belongs to it, or export the channels at one rate",
             )
     check_count(data["time"].size)
     return data, findings

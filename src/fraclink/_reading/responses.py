@@ -116,8 +116,8 @@ def _in_si(columns: Given, role: str) -> Real:
             f"column of {role}",
             name,
             f"in {unit}, a unit that is not converted" if unit else "without its unit",
-            allowed="no unit" if set(factors) == {"1"} else " or ".join(factors),
-            remedy=f'convert the column and state its unit, as in "{name} [{next(iter(factors))}]"',
+            "no unit" if set(factors) == {"1"} else " or ".join(factors),
+            f'convert the column and state its unit, as in "{name} [{next(iter(factors))}]"',
         )
     return np.asarray(values * factors[unit], dtype=np.float64)
 
@@ -126,7 +126,7 @@ def _absent(columns: Given, wanted: str, allowed: str) -> LogError:
     names = ", ".join(f"{role}: {name}" for role, (_, _, name) in columns.items())
     remedy = "rename a column in the table's header, or state columns"
     listing, problem = names or "(none)", f"without {wanted}"
-    return LogError("columns", listing, problem, allowed=allowed, remedy=remedy)
+    return LogError("columns", listing, problem, allowed, remedy)
 
 
 def _columns_of(table: LogTable, stated: Mapping[str, str] | None) -> Given:
@@ -145,9 +145,7 @@ def _columns_of(table: LogTable, stated: Mapping[str, str] | None) -> Given:
     for role, name, place in given:
         if role in by_role:
             what, remedy = f"column of {role}", "rename one, or state columns"
-            raise LogError(
-                what, name, "given twice", allowed="one column", remedy=remedy
-            )
+            raise LogError(what, name, "given twice", "one column", remedy)
         if role:
             unit = _unit(name, role, table.units[place])
             by_role[role] = table.clean(place)[0], unit, name
@@ -225,8 +223,8 @@ def read_recording(
             "period",
             period,
             "given beside a time column",
-            allowed="one of both",
-            remedy="leave one of them out",
+            "one of both",
+            "leave one of them out",
         )
     place = Path(path)
     table = read_table(place)
@@ -254,8 +252,8 @@ def _period(table: LogTable, time: str | None) -> float:
             "time",
             ", ".join(table.names[:12]),
             "not clear",
-            allowed="one column of stamps [s]",
-            remedy="name it by time, or give period",
+            "one column of stamps [s]",
+            "name it by time, or give period",
         )
     table = table.with_combined([name])
     place = table.place(name, "time", _CALLED)
@@ -304,8 +302,8 @@ def read_reference(path: Path) -> Reference:
             missing[0],
             path.name,
             "without this column",
-            allowed=f"{COLUMNS[0]} and {COLUMNS[1]}, or a move of `fraclink shape`",
-            remedy="name the columns so in the first line",
+            f"{COLUMNS[0]} and {COLUMNS[1]}, or a move of `fraclink shape`",
+            "name the columns so in the first line",
         )
     time, *values = (columns[name] for name in COLUMNS if name in columns)
     if len(values) == 1:
@@ -316,8 +314,8 @@ def read_reference(path: Path) -> Reference:
             "reference",
             path.name,
             "one row, no path",
-            allowed=">= 2 rows",
-            remedy="add the rows of the motion",
+            ">= 2 rows",
+            "add the rows of the motion",
         )
     # A law takes the rows one by one: with another start or another step it would play
     # the move late or at another speed.
@@ -326,8 +324,8 @@ def read_reference(path: Path) -> Reference:
             "reference",
             path.name,
             "no whole table",
-            allowed="velocity and acceleration both, at 0 s and in equal steps from there",
-            remedy="leave both out: a spline goes through angles at any times",
+            "velocity and acceleration both, at 0 s and in equal steps from there",
+            "leave both out: a spline goes through angles at any times",
         )
     # The step from the whole duration, since that of one row is rounded to the digits
     # of the text.

@@ -45,9 +45,7 @@ def check_file(path: Path) -> None:
     elif path.stat().st_size == 0:
         problem, remedy = "empty", "record again"
     if problem:
-        raise FileFormatError(
-            "log", str(path), problem, allowed="a log file", remedy=remedy
-        )
+        raise FileFormatError("log", str(path), problem, "a log file", remedy)
     check_bytes(path.stat().st_size)
 
 
@@ -72,7 +70,7 @@ def too_large(size: str, allowed: str, field: str = "log") -> SizeError:
         "cut the recording to one experiment, or record at a lower rate; in a text write "
         "one sample a line"
     )
-    return SizeError(field, size, "too large", allowed=allowed, remedy=remedy)
+    return SizeError(field, size, "too large", allowed, remedy)
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ class LogTable:
             remedy = f'state it by its number, "#{self.hints.index(name) + 1}" if the names begin at the first'
         else:
             remedy = suggestion(name, self.names) or remedy
-        raise LogError(what, name, problem, allowed=allowed, remedy=remedy)
+        raise LogError(what, name, problem, allowed, remedy)
 
     def name(self, place: int) -> str:
         """The name of a column in the file, if known."""
@@ -227,8 +225,8 @@ class LogTable:
                     "columns",
                     name,
                     "no sum of two columns that were sampled together",
-                    allowed="two columns of one length, with factors such as 1.5e-3",
-                    remedy="write it as enc - 179 * tip",
+                    "two columns of one length, with factors such as 1.5e-3",
+                    "write it as enc - 179 * tip",
                 ) from error
             # A fault in either part is a fault of the sum; the first one is reported
             # with its line, which both parts share.
@@ -272,7 +270,7 @@ class LogTable:
         bad = faults is not None and faults.bad
         if bad or not interpolate or share > _INTERPOLATED:
             field, value = f"{where}, column {name}", cell or "(empty)"
-            raise LogError(field, value, problem, allowed=allowed, remedy=remedy)
+            raise LogError(field, value, problem, allowed, remedy)
         good = np.flatnonzero(np.isfinite(values))
         # Over the row number: whether the samples are uniform is determined later, from
         # the stamps.

@@ -105,8 +105,8 @@ def read_text_table(path: Path) -> LogTable:
             "log",
             path.name,
             "a header only" if places else "without samples",
-            allowed="a header and samples",
-            remedy="record or export again",
+            "a header and samples",
+            "record or export again",
         )
     start = places[row]
     head = [lines[k] for k in places[:row]]
@@ -178,9 +178,7 @@ def _utf8(raw: bytes, path: Path) -> bytes:
 
 
 def _not_text(path: Path, problem: str, remedy: str) -> FileFormatError:
-    return FileFormatError(
-        "log", path.name, problem, allowed="UTF-8 text", remedy=remedy
-    )
+    return FileFormatError("log", path.name, problem, "UTF-8 text", remedy)
 
 
 def _check_lines(text: bytes) -> None:
@@ -428,7 +426,7 @@ def _ragged(layout: Layout, row: int, count: int) -> LogError:
             "with decimal points, or with semicolons between the cells"
         )
     problem, allowed = f"a row of {count} cells", f"{len(layout.names)} cells"
-    return LogError(f"line {line}", lines[row], problem, allowed=allowed, remedy=remedy)
+    return LogError(f"line {line}", lines[row], problem, allowed, remedy)
 
 
 def _parsed(layout: Layout) -> Real | None:

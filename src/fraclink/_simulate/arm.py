@@ -90,8 +90,8 @@ def _agree(rig: Rig, model: LinkModel) -> None:
             "model.natural_frequency",
             float(f"{model.natural_frequency:.4g}"),
             f"contradicting stiffness, length and payload, which make {frequency:.4g}",
-            allowed=f"within {100 * SAME_ARM:g} % of that",
-            remedy="correct these in the rig; in Python, damping= and a beam may be given instead",
+            f"within {100 * SAME_ARM:g} % of that",
+            "correct these in the rig; in Python, damping= and a beam may be given instead",
         )
 
 
@@ -171,8 +171,8 @@ class Twin:
             link = required(
                 "damping",
                 link,
-                allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
-                remedy="give damping=, or a [model] in the rig file",
+                "KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
+                "give damping=, or a [model] in the rig file",
             )
             _agree(rig, link)
             damping = damping_of(link)

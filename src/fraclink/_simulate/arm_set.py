@@ -144,8 +144,8 @@ class ArmSet:
                 "payloads",
                 low,
                 "no payload",
-                allowed="> 0 kg",
-                remedy="give kg: 0.030 is 30 g",
+                "> 0 kg",
+                "give kg: 0.030 is 30 g",
             )
         steps = math.ceil(math.log(high / low) / PAYLOAD_STEP)
         # Geometric spacing, since ω₀ varies with the inverse square root of the

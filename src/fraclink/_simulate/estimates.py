@@ -89,8 +89,8 @@ def estimator_for(
                 "told.period",
                 told.period,
                 "not the law's",
-                allowed=f"{law.period} s",
-                remedy="make it for this law: design.estimator()",
+                f"{law.period} s",
+                "make it for this law: design.estimator()",
             )
         # On a board, law.c and the estimator share the same type of reals.
         return told.in_precision(law.precision)
@@ -101,8 +101,8 @@ def estimator_for(
             "told",
             told,
             "of a law alone, which does not state its payloads",
-            allowed="a design, or an estimator",
-            remedy="give the design in place of its law, or "
+            "a design, or an estimator",
+            "give the design in place of its law, or "
             "told=fraclink.extend.payload_estimator(model, rig, law, payloads)",
         )
     return design.estimator()

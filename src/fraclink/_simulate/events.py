@@ -184,16 +184,16 @@ class SensorFault:
                 "kind",
                 self.kind,
                 "unknown",
-                allowed=", ".join(FAULTS),
-                remedy="choose one of these",
+                ", ".join(FAULTS),
+                "choose one of these",
             )
         if (self.value is not None) != (self.kind in _VALUED):
             raise FieldError(
                 "value",
                 self.value,
                 "missing" if self.kind in _VALUED else "not used by this kind",
-                allowed=f"a number for {', '.join(_VALUED)}",
-                remedy="give value=, or leave it out",
+                f"a number for {', '.join(_VALUED)}",
+                "give value=, or leave it out",
             )
 
 
@@ -206,8 +206,8 @@ def _check_span(time: float, until: float) -> None:
             "until",
             until,
             "not after time",
-            allowed=f"> {time:g} s",
-            remedy="exchange the two",
+            f"> {time:g} s",
+            "exchange the two",
         )
 
 
@@ -295,7 +295,7 @@ def given_payload(
             "told",
             True,
             "without a payload to tell",
-            allowed="a payload in kg",
-            remedy="give payload=, or a model that knows its own",
+            "a payload in kg",
+            "give payload=, or a model that knows its own",
         )
     return payload

@@ -222,8 +222,8 @@ def batch_links(
             "period",
             period,
             "too long for this link",
-            allowed=f"< {LONGEST / fastest:.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
-            remedy="simulate at a shorter period, or a heavier payload",
+            f"< {LONGEST / fastest:.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
+            "simulate at a shorter period, or a heavier payload",
         )
     # One grid for all: the smallest exponent needs the widest one at both ends.
     damped = bool(np.any(damping))

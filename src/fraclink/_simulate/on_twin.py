@@ -45,8 +45,8 @@ def checked_motor_loop(law: Law) -> Law:
             "law.motor_loop",
             None,
             "missing: the law gives a motor angle, and this arm's motor takes a voltage",
-            allowed="a law with a motor loop",
-            remedy="simulate fraclink.extend.equip(law, rig, model)",
+            "a law with a motor loop",
+            "simulate fraclink.extend.equip(law, rig, model)",
         )
     # Both are recursions of their own period: at another period the poles would move
     # without notice.
@@ -55,8 +55,8 @@ def checked_motor_loop(law: Law) -> Law:
             "period",
             law.period,
             "not the motor loop's",
-            allowed=f"{law.motor_loop.pid.period} s",
-            remedy="discretise controller and motor loop at one period",
+            f"{law.motor_loop.pid.period} s",
+            "discretise controller and motor loop at one period",
         )
     return law
 

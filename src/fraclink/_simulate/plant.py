@@ -141,8 +141,8 @@ def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
             "modes",
             modes,
             f"more than the step resolves (mode {count + 1} is at {candidates.frequencies[count]:.4g} rad/s)",
-            allowed=f"frequency x step <= pi/2, here {count} modes",
-            remedy=f"take fewer modes or a step of {0.5 * np.pi / candidates.frequencies[-1]:.2g} s",
+            f"frequency x step <= pi/2, here {count} modes",
+            f"take fewer modes or a step of {0.5 * np.pi / candidates.frequencies[-1]:.2g} s",
         )
     return beam.modes(count)
 

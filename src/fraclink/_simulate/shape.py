@@ -228,8 +228,8 @@ def shape(
             "move",
             move,
             "no move of this law",
-            allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
-            remedy="derive the law's limits for it",
+            f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
+            "derive the law's limits for it",
         )
     arms = ArmSet.of(design, payloads, move, told=told, over=over, on=on)
     if arms.unstable:
@@ -238,8 +238,8 @@ def shape(
             "payloads",
             payload,
             f"one with which the loop is not stable on the {on} of the link “{words}”",
-            allowed="a payload that the law holds on every arm of the set",
-            remedy="narrow the range, or design for it",
+            "a payload that the law holds on every arm of the set",
+            "narrow the range, or design for it",
         )
     coefficients, programme = _fastest(arms, move, 1.0 - reserve, most, settle)
     outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
@@ -296,8 +296,8 @@ def _fastest(
             "move",
             end,
             f"does not settle within {settled * period:.3g} s on every arm of the set",
-            allowed="a move within the limits of voltage, speed and torque",
-            remedy="allow more time or voltage, move less, tell the law the payload, or "
+            "a move within the limits of voltage, speed and torque",
+            "allow more time or voltage, move less, tell the law the payload, or "
             "narrow the payloads",
         )
 

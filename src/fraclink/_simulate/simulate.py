@@ -192,14 +192,14 @@ def simulate(
     own = required(
         "rig",
         rig,
-        allowed="the rig of the arm",
-        remedy="give rig= (and model=), arm=, or a design in place of the law",
+        "the rig of the arm",
+        "give rig= (and model=), arm=, or a design in place of the law",
     )
     link = required(
         "model",
         model or own.model,
-        allowed="the model of the link",
-        remedy="give model=fit.model, or a rig with a model",
+        "the model of the link",
+        "give model=fit.model, or a rig with a model",
     )
     check_rigs_period(law, own)
     if payload is not None:
@@ -241,9 +241,7 @@ def _changed(part: Part, **values: Any) -> Part:
 
 def _not_here(option: str, allowed: str, remedy: str) -> FieldError:
     """The error for an option that this arm does not have."""
-    return FieldError(
-        option, "given", "not an option of this arm", allowed=allowed, remedy=remedy
-    )
+    return FieldError(option, "given", "not an option of this arm", allowed, remedy)
 
 
 # --- the model ------------------------------------------------------------------------

@@ -164,8 +164,8 @@ def serve_arm(
             "duration",
             duration,
             "too long",
-            allowed=f"<= {LONGEST} periods",
-            remedy="serve a shorter time",
+            f"<= {LONGEST} periods",
+            "serve a shorter time",
         )
     # A sample goes out and its command comes back; without this period of delay the arm
     # would have to respond before it receives the command.
@@ -174,8 +174,8 @@ def serve_arm(
             "voltage_delay",
             twin.voltage_delay,
             "shorter than a message's way",
-            allowed=">= 1 period",
-            remedy="a command acts one period after its sample here",
+            ">= 1 period",
+            "a command acts one period after its sample here",
         )
     # The transmission of the messages is the first period of the twin's delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")

@@ -59,7 +59,7 @@ class Command(NamedTuple):
 
 
 def _error(connection: object, problem: str, allowed: str, remedy: str) -> FieldError:
-    return FieldError("io", str(connection), problem, allowed=allowed, remedy=remedy)
+    return FieldError("io", str(connection), problem, allowed, remedy)
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ class Udp:
                 "key",
                 text,
                 "not a key",
-                allowed=f"{_KEY_BYTES} bytes or more",
-                remedy="head -c 32 /dev/urandom > arm.key",
+                f"{_KEY_BYTES} bytes or more",
+                "head -c 32 /dev/urandom > arm.key",
             )
 
     def __str__(self) -> str:
@@ -169,9 +169,7 @@ def parse_connection(
     # Rejected instead of ignored: a user who gives a key relies on it to keep strangers
     # out.
     if key is not None and kind != "udp":
-        raise FieldError(
-            "key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out"
-        )
+        raise FieldError("key", io, "of no use here", "udp:HOST:PORT", "leave it out")
     if kind == "serial":
         port, at, baud = rest.rpartition("@")
         if not at:
@@ -386,8 +384,8 @@ def _callables(connection: Callback) -> Any:
                 f"callback.{name}",
                 value,
                 "not a function",
-                allowed="a callable",
-                remedy="give a function",
+                "a callable",
+                "give a function",
             )
     return _kernels.RealtimeIo.callables(
         connection.read, lambda *values: connection.write(Command(*values))

@@ -196,8 +196,8 @@ def _first_sample(
             "period",
             None,
             "not stated by this board",
-            allowed="the board's sampling period [s]",
-            remedy="give --period-ms",
+            "the board's sampling period [s]",
+            "give --period-ms",
         )
     # Compared in whole nanoseconds as in the message, since 1/300 s has no exact value.
     if period is not None and sample[0] and period_ns(period) != sample[0]:
@@ -205,7 +205,7 @@ def _first_sample(
             "period",
             period,
             "not the arm's",
-            allowed=f"{1e-9 * sample[0]:g} s",
-            remedy="leave it out: this arm states its own",
+            f"{1e-9 * sample[0]:g} s",
+            "leave it out: this arm states its own",
         )
     return sample

@@ -143,8 +143,8 @@ def run_realtime(
             "payload",
             payload,
             "given beside an estimator",
-            allowed="payload or estimator",
-            remedy="leave one of them out",
+            "payload or estimator",
+            "leave one of them out",
         )
     if estimator is not None:
         estimator = estimator_for(law, estimator)
@@ -220,6 +220,6 @@ def _check_answer(
             "period",
             period,
             "not the arm's",
-            allowed=f"{1e-9 * outcome['period_ns']:g} s",
-            remedy="run the arm at the law's period, or design for the arm's",
+            f"{1e-9 * outcome['period_ns']:g} s",
+            "run the arm at the law's period, or design for the arm's",
         )

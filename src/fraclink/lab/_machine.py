@@ -123,8 +123,8 @@ class WakeUps:
                 "period",
                 self.period,
                 f"not kept by this machine: {100 * self.late:.2g} % of its wake-ups come later than that",
-                allowed=f"at most {100 * LOST_SHARE:g} %",
-                remedy="grant SCHED_FIFO (rtprio), end other programs, or design for a longer period",
+                f"at most {100 * LOST_SHARE:g} %",
+                "grant SCHED_FIFO (rtprio), end other programs, or design for a longer period",
             )
 
 
@@ -189,8 +189,8 @@ def check_machine() -> None:
             "system",
             sys.platform,
             "without clock_nanosleep, mlockall and SCHED_FIFO",
-            allowed="Linux",
-            remedy="export the law with `fraclink export c` and run it on the board",
+            "Linux",
+            "export the law with `fraclink export c` and run it on the board",
         )
 
 

@@ -31,8 +31,8 @@ def rehearse(
             "reference",
             f"{reach:.3g} rad",
             "beyond the limits of the law; the arm has not moved",
-            allowed=f"<= {most:.3g} rad",
-            remedy="ask for a smaller move, or state the rig's [moves]",
+            f"<= {most:.3g} rad",
+            "ask for a smaller move, or state the rig's [moves]",
         )
     run = simulate(
         law,
@@ -50,6 +50,6 @@ def rehearse(
             "reference",
             f"{REASONS[int(run.reason[row])]} at {run.time[row]:.3g} s",
             "trips the law on its own model; the arm has not moved",
-            allowed="a move that the model makes",
-            remedy="ask for a slower or a smaller move (--move-time, --amplitude)",
+            "a move that the model makes",
+            "ask for a slower or a smaller move (--move-time, --amplitude)",
         )

@@ -297,8 +297,8 @@ class RealtimeRun:
                 "law",
                 law.digest[:16],
                 "another than the one that ran",
-                allowed=self.law_sha256[:16],
-                remedy="give the design of the run",
+                self.law_sha256[:16],
+                "give the design of the run",
             )
         return first_difference(
             law, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)}
@@ -322,8 +322,8 @@ class RealtimeRun:
                 "run",
                 f"{missing} of {count} samples",
                 "lost",
-                allowed=f"{100 * LOST_SHARE:g} %",
-                remedy="run it again on a machine that keeps the period",
+                f"{100 * LOST_SHARE:g} %",
+                "run it again on a machine that keeps the period",
             )
         # By ticks instead of rows: a missed period has no row, and without its place
         # all later samples would be too early.

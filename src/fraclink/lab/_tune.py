@@ -135,8 +135,8 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
             "resume",
             str(out),
             "without a law to move",
-            allowed="the folder of a tuning that ended with a law",
-            remedy="leave --resume out",
+            "the folder of a tuning that ended with a law",
+            "leave --resume out",
         )
     # Another payload means another ω₀, and a law is proved for its own range of
     # payloads only.

@@ -85,8 +85,8 @@ class TuningPlan:
                     "payloads",
                     self.payloads,
                     "without the payload of the tuning",
-                    allowed=f"low <= {self.payload:g} <= high [kg]",
-                    remedy="tune with a payload of the range",
+                    f"low <= {self.payload:g} <= high [kg]",
+                    "tune with a payload of the range",
                 )
 
     @property

@@ -170,16 +170,16 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             "tuning",
             tuning.stopped or "unfinished",
             "without a model",
-            allowed="a tuning that has a model",
-            remedy="tune it: `fraclink tune`",
+            "a tuning that has a model",
+            "tune it: `fraclink tune`",
         )
     if not math.isclose(log.period, tuning.period, rel_tol=1e-6):
         raise FieldError(
             "log.period",
             log.period,
             "not the tuning's",
-            allowed=f"{tuning.period:g} s",
-            remedy="record at the period of the law",
+            f"{tuning.period:g} s",
+            "record at the period of the law",
         )
     # The time in motion instead of the length: an arm at rest for a minute shows only
     # noise.
@@ -190,8 +190,8 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             "log",
             f"{moving:.3g} s of motion",
             "too little to tell",
-            allowed=f">= {least:.3g} s, five vibrations of the link",
-            remedy="give a longer record, of moves",
+            f">= {least:.3g} s, five vibrations of the link",
+            "give a longer record, of moves",
         )
     baseline = tuning.link.fit
     halves = [_part(log, rows) for rows in log.split(0.5)]

@@ -30,8 +30,8 @@ def check_signals_in(table: LogTable, source: str) -> None:
             "log",
             source,
             f"not two columns of numbers, such as {faults[0]}",
-            allowed="a motor angle and an output that move",
-            remedy="export the log as a table of numbers",
+            "a motor angle and an output that move",
+            "export the log as a table of numbers",
         )
     words = [set(words_of(name)) for name in table.names]
     matches = [each for each in words if each & _RESPONSE]
@@ -126,4 +126,4 @@ def dead_end(
 def _without_model(table: LogTable, problem: str, remedy: str) -> LogError:
     allowed = "a time, the motor angle, and the link's torque or deflection, each of which moves"
     names = ", ".join(table.names[:12])
-    return LogError("columns", names, problem, allowed=allowed, remedy=remedy)
+    return LogError("columns", names, problem, allowed, remedy)

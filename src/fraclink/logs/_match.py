@@ -256,8 +256,8 @@ class _Matching:
                 "column of time",
                 self.label(place),
                 "the same in most samples",
-                allowed="stamps that rise",
-                remedy="state another column, or --period-ms 4",
+                "stamps that rise",
+                "state another column, or --period-ms 4",
             )
         rate = f"a sample every {step * scale:.6g}"
         sure: Certainty = "certain" if is_time else "likely"
@@ -523,8 +523,8 @@ class _Matching:
                 "column of output",
                 name,
                 "not calibrated, and no vibration that the motor's motion explains could scale it",
-                allowed="Nm, mNm, rad or deg",
-                remedy=f'state --column "torque={name} [Nm]" or "deflection={name} [deg]"',
+                "Nm, mNm, rad or deg",
+                f'state --column "torque={name} [Nm]" or "deflection={name} [deg]"',
             )
         # A sensor without a unit is scaled so that its gain on the motor angle is that
         # of a deflection. Four digits, as in a usual calibration; the gain itself is

@@ -72,8 +72,8 @@ class Pairs:
                 "column of output",
                 name,
                 f"a speed: its integral is a vibration behind the motor ({100 * share_of(whole):.3g} %)",
-                allowed="torque or deflection",
-                remedy="state another column, or integrate this one before it is read",
+                "torque or deflection",
+                "state another column, or integrate this one before it is read",
             )
 
     def by_vibration(

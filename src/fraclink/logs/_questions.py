@@ -118,7 +118,7 @@ class Question:
             if of_column and not complete:
                 problem = "none of these columns"
                 allowed = f"{', '.join(self.choices[:12])}, a sum such as a + b [rad], or none"
-            raise FieldError("answer", text, problem, allowed=allowed, remedy=remedy)
+            raise FieldError("answer", text, problem, allowed, remedy)
         if self.part == "period":
             return replace(each, column=ROW_NUMBER)
         return each if of_column else replace(each, column=known.column)
@@ -140,8 +140,8 @@ def statements(
                 "column" if role != "time" or period is None else "period",
                 text,
                 "stated twice",
-                allowed="one for each role",
-                remedy="state each column once; an output is a torque or a deflection",
+                "one for each role",
+                "state each column once; an output is a torque or a deflection",
             )
         by_role[role] = each
     return by_role

@@ -235,8 +235,8 @@ def _open(table: LogTable, questions: tuple[Question, ...]) -> LogError:
         "columns",
         ", ".join(table.names[:12]),
         f"not clear from names and values: {' '.join(question.text for question in questions)}",
-        allowed="an answer to each question",
-        remedy="give " + "; ".join(question.option for question in questions),
+        "an answer to each question",
+        "give " + "; ".join(question.option for question in questions),
     )
 
 

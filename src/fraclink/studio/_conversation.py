@@ -63,8 +63,8 @@ def _subject(session: Session) -> Subject:
     return required(
         "model",
         session.subject,
-        allowed="a link model",
-        remedy="identify a log first (step 3)",
+        "a link model",
+        "identify a log first (step 3)",
     )
 
 
@@ -157,7 +157,7 @@ class Conversation:
         else:
             verbs = ", ".join([*self._awake, "cancel", *_VERBS, *JOBS])
             unknown = FieldError(
-                "verb", message.verb, "unknown", allowed=verbs, remedy="reload the page"
+                "verb", message.verb, "unknown", verbs, "reload the page"
             )
             await self._answered(message, refusal(unknown))
 

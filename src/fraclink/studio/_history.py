@@ -71,8 +71,8 @@ class History:
                 "at",
                 at,
                 "out of range",
-                allowed=f"0 to {len(self.states) - 1}",
-                remedy="undo ends at the first state",
+                f"0 to {len(self.states) - 1}",
+                "undo ends at the first state",
             )
         if at != self.at:
             self._write({"at": at})

@@ -129,12 +129,8 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     """Read the log with the columns that the page states, and examine it."""
     texts = rule(tuple[str, ...]).check("columns", given.get("columns", ()))
     payload = given.get("payload")
-    source = required(
-        "log", session.source, allowed="a log", remedy="choose one in step 1"
-    )
-    rig = required(
-        "rig", session.study.rig, allowed="a rig", remedy="choose one in step 1"
-    )
+    source = required("log", session.source, "a log", "choose one in step 1")
+    rig = required("rig", session.study.rig, "a rig", "choose one in step 1")
     columns = None
     if texts:
         guessed = match(source, column=texts)
@@ -147,8 +143,8 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
                 "columns",
                 ", ".join(texts),
                 questions,
-                allowed="an answer to each question",
-                remedy="drag the channel to its place",
+                "an answer to each question",
+                "drag the channel to its place",
             )
     keep = given.get("keep")
     if keep is not None:  # its limits are checked by `read_log`
@@ -249,8 +245,8 @@ def _models(session: Session, given: Mapping[str, Any]) -> Reply:
                 "structure",
                 name,
                 "not fitted",
-                allowed=", ".join(session.study.fits) or "a fit",
-                remedy="fit the log first",
+                ", ".join(session.study.fits) or "a fit",
+                "fit the log first",
             )
         # The design was made for the other model and must not be shown with this one.
         session.become(bare(replace(session.study, fit=fit)))

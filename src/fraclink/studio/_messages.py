@@ -124,8 +124,8 @@ def _refused(value: object) -> FieldError:
         "message",
         value,
         "not a request",
-        allowed=f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters',
-        remedy="send one JSON object",
+        f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters',
+        "send one JSON object",
     )
 
 
@@ -188,8 +188,8 @@ def checked_request(given: object) -> dict[str, Any]:
             "state",
             type(given).__name__,
             "not an object",
-            allowed="an object of options",
-            remedy="send the options by name",
+            "an object of options",
+            "send the options by name",
         )
     for name in given:
         if name not in _HINTS:
@@ -197,8 +197,8 @@ def checked_request(given: object) -> dict[str, Any]:
                 "state",
                 str(name),
                 "unknown option",
-                allowed=", ".join(NAMES),
-                remedy="leave it out",
+                ", ".join(NAMES),
+                "leave it out",
             )
     values = {}
     for name, hint in _HINTS.items():

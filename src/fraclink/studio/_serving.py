@@ -123,7 +123,5 @@ def _listening(port: int) -> socket.socket:
             "leave --port out: a free one is taken",
         )
         why = error.strerror or str(error)
-        raise FieldError(
-            "port", f"{_HOST}:{port}", why, allowed=allowed, remedy=remedy
-        ) from error
+        raise FieldError("port", f"{_HOST}:{port}", why, allowed, remedy) from error
     return listener

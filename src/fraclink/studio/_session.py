@@ -138,8 +138,8 @@ class Session:
     def shippable(self) -> tuple[Design, Law]:
         """The study's design and law; FieldError without them."""
         allowed, remedy = "a study with a design", "make one in step 4"
-        design = required("design", self.study.design, allowed=allowed, remedy=remedy)
-        law = required("law", self.study.law, allowed=allowed, remedy=remedy)
+        design = required("design", self.study.design, allowed, remedy)
+        law = required("law", self.study.law, allowed, remedy)
         return design, law
 
     def renew(self) -> None:
@@ -310,8 +310,8 @@ class Session:
                 "folder",
                 ", ".join(changed),
                 "already there, or changed since it was read",
-                allowed="files that this studio wrote or read",
-                remedy="replace them, or open the folder again",
+                "files that this studio wrote or read",
+                "replace them, or open the folder again",
             )
         self.folder.mkdir(parents=True, exist_ok=True)
         save_study(self.study, self.folder)

@@ -72,8 +72,8 @@ class Job:
         required(
             part,
             getattr(self.study, part),
-            allowed="a study with it",
-            remedy=_NEEDS[part],
+            "a study with it",
+            _NEEDS[part],
         )
         values = {
             name: usual
@@ -139,8 +139,8 @@ class Job:
                 self.verb,
                 code,
                 f"failed: {why}",
-                allowed="a job that ends",
-                remedy="see the message; the study is as it was",
+                "a job that ends",
+                "see the message; the study is as it was",
             )
 
     def _taken(self, place: Path, asked: Mapping[str, Any]) -> Reply:
@@ -156,7 +156,7 @@ class Job:
             if another or now.experiment is not self.study.experiment:
                 raise FieldError(
                     self.verb, "another design", "the study has changed in the meantime",
-                    allowed="the study it began with", remedy="start it again",
+                    "the study it began with", "start it again",
                 )  # fmt: skip
             if self.verb == "identify":
                 session.heldout = asked["heldout"]

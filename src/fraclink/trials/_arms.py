@@ -197,8 +197,8 @@ def _drawn(campaign: Campaign, run: int) -> tuple[dict[str, Real], int]:
             "run",
             run,
             "not in the campaign",
-            allowed=f"0 … {campaign.runs - 1}",
-            remedy="give a run's number",
+            f"0 … {campaign.runs - 1}",
+            "give a run's number",
         )
     part, at = divmod(run, PART_RUNS)
     return draw(campaign.draws, campaign.seed, part, campaign.part_runs(part)), at

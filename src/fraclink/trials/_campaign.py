@@ -73,8 +73,8 @@ class Distribution:
                 "low, high",
                 (self.low, self.high),
                 "not a range",
-                allowed="finite numbers, low <= high",
-                remedy="put the smaller number first",
+                "finite numbers, low <= high",
+                "put the smaller number first",
             )
 
     def at(self, uniform: Real) -> Real:
@@ -253,8 +253,8 @@ class Campaign:
                 "reference",
                 self.reference.duration,
                 "too long",
-                allowed=f"<= {self.duration - 1.0:g} s",
-                remedy="run for longer",
+                f"<= {self.duration - 1.0:g} s",
+                "run for longer",
             )
 
     @cached_property

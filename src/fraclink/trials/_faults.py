@@ -145,8 +145,8 @@ def fault_named(number: str) -> Fault:
             "only",
             number,
             "not in the catalogue",
-            allowed=f"{CATALOGUE[0].number} … {CATALOGUE[-1].number}",
-            remedy="choose one of these",
+            f"{CATALOGUE[0].number} … {CATALOGUE[-1].number}",
+            "choose one of these",
         )
     return catalogue[number.upper()]
 
@@ -409,10 +409,8 @@ def cases(
             "phases",
             ", ".join(phases),
             "none in which the fault is run",
-            allowed=", ".join(
-                sorted({phase for fault in faults for phase in fault.phases})
-            ),
-            remedy="choose one of these",
+            ", ".join(sorted({phase for fault in faults for phase in fault.phases})),
+            "choose one of these",
         )
     return result
 
@@ -461,8 +459,8 @@ def _check_clean(run: Run, payload: float) -> None:
             "bench",
             f"{mode} ({reason}) at {time:.3f} s",
             f"trips with {1e3 * payload:g} g before anything is broken",
-            allowed="a healthy arm that stays in mode run",
-            remedy="mend the rig or the design first; the paper's arm needs a gear: --rig paper-2023-geared",
+            "a healthy arm that stays in mode run",
+            "mend the rig or the design first; the paper's arm needs a gear: --rig paper-2023-geared",
         )
 
 

@@ -184,8 +184,8 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
             "model",
             None,
             "missing",
-            allowed="a rig with its model",
-            remedy="identify a log first, or open a rig that states a model",
+            "a rig with its model",
+            "identify a log first, or open a rig that states a model",
         )
     if study.fit is None or link.payload is not None:
         return rig, link, ()

@@ -331,8 +331,8 @@ def load_study(folder: Path | str) -> Study:
             "folder",
             str(place),
             "not a folder",
-            allowed="a folder of results",
-            remedy="check the path",
+            "a folder of results",
+            "check the path",
         )
     by_kind: dict[str, list[Path]] = {}
     for path in sorted(place.iterdir()):
@@ -344,8 +344,8 @@ def load_study(folder: Path | str) -> Study:
             "folder",
             str(place),
             "without results",
-            allowed="model, design or run files",
-            remedy="run `fraclink run` with --out in this folder",
+            "model, design or run files",
+            "run `fraclink run` with --out in this folder",
         )
     return _gathered(place, by_kind)
 

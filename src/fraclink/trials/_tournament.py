@@ -245,8 +245,8 @@ def _chosen(rivals: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
                 "names",
                 word,
                 "part of no rival's name",
-                allowed=", ".join(rivals),
-                remedy="give a part of one of these",
+                ", ".join(rivals),
+                "give a part of one of these",
             )
     return [
         name

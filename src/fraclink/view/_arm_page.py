@@ -65,8 +65,8 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
             "design",
             study.missing.get("design", "none"),
             "missing: there is no controller to move an arm with",
-            allowed="a study with a design",
-            remedy="make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
+            "a study with a design",
+            "make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
         )
     design, payloads, twin = study.design, MOST_PAYLOADS, True
     texts: dict[str, Any] = {
@@ -89,8 +89,8 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
                 "rig.period",
                 design.rig.period,
                 "too long: the model vibrates too fast for it with every payload of the page",
-                allowed="a few samples in a period of the vibration",
-                remedy="shorten period in the rig file and design again, or identify the model again: see its ω₀",
+                "a few samples in a period of the vibration",
+                "shorten period in the rig file and design again, or identify the model again: see its ω₀",
             )
         style = squeezed("palette.css") + arm.style + squeezed("arm.css")
         page = rendered(

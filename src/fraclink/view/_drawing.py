@@ -193,8 +193,8 @@ def save_svg(text: str, path: Path | str) -> None:
             "path",
             str(path),
             "a file of another kind",
-            allowed=".svg",
-            remedy="end its name in .svg; browsers and Inkscape turn it into other kinds",
+            ".svg",
+            "end its name in .svg; browsers and Inkscape turn it into other kinds",
         )
     write_text(path, text + "\n")
 

@@ -58,8 +58,8 @@ def _axes(figure: Figure, ax: Any) -> Any:
             "ax",
             axes.size,
             f"not {count} axes",
-            allowed=", ".join(panel.label for panel in figure.panels),
-            remedy=f"plt.subplots({count}, 1)",
+            ", ".join(panel.label for panel in figure.panels),
+            f"plt.subplots({count}, 1)",
         )
     return axes
 

@@ -49,12 +49,12 @@ def draw(result: Any, path: Path | str) -> None:
             "result",
             type(result).__name__,
             "without a drawing",
-            allowed=", ".join(
+            ", ".join(
                 sorted(
                     kind.__name__ for kind in figure_of.registry if kind is not object
                 )
             ),
-            remedy="draw one of these",
+            "draw one of these",
         )
     save_svg(svg, path)
 

@@ -49,8 +49,8 @@ def margins_against_payload(
             "curves",
             "none",
             "empty",
-            allowed="one curve or more",
-            remedy="call margin_curve",
+            "one curve or more",
+            "call margin_curve",
         )
     return on_axes(margin_curves_figure(curves, payloads, wanted), ax)
 
@@ -78,7 +78,7 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
             "shares",
             "none",
             "empty",
-            allowed="one share or more",
-            remedy="call phase_budget",
+            "one share or more",
+            "call phase_budget",
         )
     return on_axes(budget_figure(shares), ax)

@@ -159,8 +159,8 @@ def _checked_grid(frequency: ArrayLike) -> Real:
             "frequency",
             frequency,
             "not a grid of frequencies",
-            allowed="three or more rising values > 0 rad/s",
-            remedy="numpy.geomspace(0.1, 100.0, 300), or None for an automatic grid",
+            "three or more rising values > 0 rad/s",
+            "numpy.geomspace(0.1, 100.0, 300), or None for an automatic grid",
         )
     return w
 
@@ -172,16 +172,16 @@ def _named(systems: Sequence[Any], labels: Sequence[str] | None) -> Sequence[str
             "systems",
             "none",
             "empty",
-            allowed="one system or more",
-            remedy="pass a loop",
+            "one system or more",
+            "pass a loop",
         )
     if labels is not None and len(labels) != len(systems):
         raise FieldError(
             "labels",
             list(labels),
             f"{len(labels)} labels for {len(systems)} systems",
-            allowed="one label for each system",
-            remedy="give as many labels as systems",
+            "one label for each system",
+            "give as many labels as systems",
         )
     return labels or [""] * len(systems)
 

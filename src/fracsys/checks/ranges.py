@@ -44,7 +44,7 @@ class Refused(Exception):
         """Return the error about `field`."""
         place = field + "".join(f"[{key!r}]" for key in reversed(self.keys))
         expected, remedy = self.expected, self.remedy
-        return kind(place, self.value, self.problem, allowed=expected, remedy=remedy)
+        return kind(place, self.value, self.problem, expected, remedy)
 
 
 class Form:
