@@ -130,6 +130,31 @@ def test_a_cluster_of_real_zeros_is_found_whole(sign: float) -> None:
     )
 
 
+@pytest.mark.parametrize("order", [1.0, 0.83, 1.7])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("gap", [1.0, 0.1, 1 / 64])
+def test_double_zeros_close_to_one_another_are_found_twice_each(
+    sign: float, gap: float, order: float
+) -> None:
+    """Each alone is known to √ε; the closer the two, the less."""
+    double = sign * np.array([1.0625, 1.0625 + gap])
+    exact = (np.log(double.astype(complex)) / order).repeat(2)
+    z = log_zeros(
+        np.poly(double.repeat(2)), order * np.arange(4, -1, -1), angle=PI / order
+    )
+    np.testing.assert_allclose(np.sort(z.real), exact.real, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(z.imag, exact.imag)
+
+
+@pytest.mark.parametrize("apart", [1e-3, 1e-5, 1e-7])
+def test_close_pairs_of_conjugates_keep_to_their_number(apart: float) -> None:
+    centre = np.array([1.0625, 1.078125])
+    pairs = np.concatenate([centre + 1j * apart, centre - 1j * apart])
+    z = log_zeros(np.poly(pairs).real, [4, 3, 2, 1, 0], angle=PI)
+    assert np.sum(np.where(z.imag == 0, 1, 2)) == 4
+    np.testing.assert_allclose(z.imag, apart, rtol=1, atol=1e-5)
+
+
 def test_close_zeros_stay_apart() -> None:
     # (s + 1)(s + 1.001): a cluster by distance, but two simple zeros.
     z = log_zeros([1, 2.001, 1.001], [2, 1, 0], angle=PI)

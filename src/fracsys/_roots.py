@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fracsys._exponential import LIMIT, ExponentialSum, count_strip
-from fracsys._precision import BLUR, COINCIDENT, RESOLUTION, ROUNDING
+from fracsys._precision import COINCIDENT, RESOLUTION, ROUNDING
 from fracsys._terms import Term
-from fracsys.checks import Complex, Mask
+from fracsys.checks import Complex, Real
 from fracsys.errors import NotConvergedError
 
 # Candidate heights above `angle` for the upper edge of the counted strip: the first one
@@ -78,12 +78,7 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Co
         (low, high), gap = terms.coefficients, terms.rates[1]
         return np.array(two_term_zeros(low / high, gap, angle), dtype=complex)
     height, count = _counted(terms, angle)
-    zeros = settle_clusters(terms, aberth(terms, height, count))
-    # D is real: where only one of a pair was reached, the other is its conjugate. Both
-    # agree to about 1e-14 where both were.
-    distance = np.abs(zeros[:, None] - zeros.conj()[None, :])
-    alone = distance.min(axis=1, initial=np.inf) > COINCIDENT
-    zeros = np.append(zeros, zeros[alone].conj())
+    zeros, reach = settle_clusters(terms, aberth(terms, height, count))
     if len(zeros) != count:
         raise NotConvergedError(
             "zeros found",
@@ -91,7 +86,11 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Co
             wanted=count,
             remedy="report the coefficients and orders",
         )
-    return _upper(terms, zeros, angle)
+    z, reach = symmetric(zeros, reach)
+    z.imag[np.abs(z.imag) < reach] = 0.0
+    z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
+    z = z[(z.imag >= 0) & (z.imag <= angle)]
+    return z[np.lexsort((z.real, z.imag))]
 
 
 def zeros_of_terms(terms: Sequence[Term], angle: float) -> Complex:
@@ -138,19 +137,6 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
         remedy="a zero lies near every height tried above the angle, or is of too high a multiplicity "
         "(above eight the digits run out); cancel common factors or choose another angle",
     )
-
-
-def _upper(terms: ExponentialSum, points: Complex, angle: float) -> Complex:
-    z = points.copy()
-    # In a close group a zero is known to ε/|D'| only; without the tolerance one
-    # slightly beyond the edge would be lost.
-    values, moduli = terms.derivatives(z, 2)
-    uncertainty = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
-    reach = np.clip(uncertainty, RESOLUTION, BLUR)  # a multiple zero has D' = 0
-    z.imag[np.abs(z.imag) < reach] = 0.0
-    z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
-    z = z[(z.imag >= 0) & (z.imag <= angle)]
-    return z[np.lexsort((z.real, z.imag))]
 
 
 # --- Where the zeros are: Aberth's iteration from the Newton polygon
@@ -241,55 +227,64 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     return z[rest & (np.abs(z.imag) <= height)]
 
 
-def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:
-    """Refine every zero; points at the same multiple zero get the same value.
+def settle_clusters(sum_: ExponentialSum, points: Complex) -> tuple[Complex, Real]:
+    """The points with those at one multiple zero moved onto it, and how far rounding of
+    D may have moved each.
 
     m points near one m-fold zero are known to ε^(1/m) only, but that zero is a simple
     one of D^(m−1). The multiplicity is accepted if D … D^(m−2) vanish there within
     rounding.
     """
-    result = np.empty_like(points)
+    values, moduli = sum_.derivatives(points, len(points) + 1)
+    power = np.arange(1, len(points) + 1)[:, None]
+    # |D^(k)| r^k / k! = ε Σ|terms|: within r this term of Taylor's series is lost in
+    # the rounding of D, and m zeros that are one lie within that of k = m.
+    lost = ROUNDING * np.cumprod(power, axis=0) * moduli[0]
+    radius = (lost / np.maximum(np.abs(values[1:]), 1e-300)) ** (1 / power)
+    zeros, reach = points.copy(), radius.min(axis=0, initial=math.inf)
     free = np.ones(len(points), dtype=bool)
     for i in range(len(points)):
-        if free[i]:
-            near, centre = _cluster(sum_, points, free, i)
-            result[near] = centre
-            free &= ~near
-    return result
+        distance = np.where(free, np.abs(points - points[i]), math.inf)
+        nearest = np.argsort(distance)
+        # Most points first: two of the twelve around a twelvefold zero would pass for a
+        # double zero.
+        for m in range(int(free.sum()) if free[i] else 0, 1, -1):
+            near = nearest[:m]
+            # twice the radius around the zero (Fujiwara's bound), on either side
+            if distance[near[-1]] > 4 * radius[m - 1, i]:
+                continue
+            centre = _newton(sum_, points[near].mean(), m)
+            at, scale = sum_.derivatives(np.array([centre]), m + 1)
+            if np.all(np.abs(at[: m - 1]) <= ROUNDING * scale[: m - 1]):
+                zeros[near], free[near] = centre, False
+                reach[near] = ROUNDING * scale[m - 1] / abs(at[m])
+                break
+    return zeros, np.maximum(reach, RESOLUTION)
 
 
-def _cluster(
-    sum_: ExponentialSum, points: Complex, free: Mask, i: int
-) -> tuple[Mask, complex]:
-    """The points that represent the same zero as points[i], and that zero."""
-    distance = np.where(free, np.abs(points - points[i]), math.inf)
-    nearest = np.argsort(distance)
-    # Most points first: two of the twelve around a twelvefold zero would pass for a
-    # double zero.
-    for m in range(int(free.sum()), 1, -1):
-        # D is about |z|^m times its terms at a distance |z| from an m-fold zero: this
-        # far off it cannot vanish within rounding any more.
-        if distance[nearest[m - 1]] > 8.0 * RESOLUTION ** (1.0 / m):
-            continue
-        near = np.isin(np.arange(len(points)), nearest[:m])
-        centre = _newton(sum_, points[near].mean(), m)
-        values, moduli = sum_.derivatives(np.array([centre]), m)
-        # At the centre of a true multiple zero only rounding is left of the lower
-        # derivatives, 1e-14 of their terms. A limit of 1e-12 still separates zeros 1e-6
-        # apart.
-        if np.all(np.abs(values[: m - 1, 0]) <= 1e-12 * moduli[: m - 1, 0]):
-            return near, centre
-    alone = np.zeros(len(points), dtype=bool)
-    alone[i] = True
-    return alone, _newton(sum_, points[i], 1)
+def symmetric(zeros: Complex, reach: Real) -> tuple[Complex, Real]:
+    """The zeros of a real D as pairs of conjugates and real ones, closest first.
+
+    Rounding moves the two of a pair apart, or both to one side of the axis. Each is
+    matched with the conjugate of another, or of itself.
+    """
+    z, reach = zeros.copy(), reach.copy()
+    distance = np.abs(zeros[:, None] - zeros.conj()[None, :])
+    free = np.ones(len(zeros), dtype=bool)
+    for index in np.argsort(distance, axis=None, kind="stable"):
+        i, j = divmod(int(index), len(zeros))
+        if free[i] and free[j]:
+            free[i] = free[j] = False
+            z[i] = 0.5 * (zeros[i] + zeros[j].conj())
+            z[j] = z[i].conj()
+            reach[i] = reach[j] = max(reach[i], reach[j])
+    return z, reach
 
 
 def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
     """Newton's method for the simple zero of D^(m−1) near z."""
-    # Newton's method converges quadratically: from 1e-2, three rounds reach rounding.
-    # The length of the step reveals early a multiple zero that was taken for a simple
-    # one.
-    for _ in range(8):
+    # Newton's method converges quadratically: from 1e-2, four rounds pass rounding.
+    for _ in range(4):
         values, _ = sum_.derivatives(np.array([z]), m + 1)
         if values[m, 0] == 0:
             break
@@ -299,6 +294,4 @@ def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
         if abs(step) > 0.1:
             break
         z -= step
-        if abs(step) < 1e-16:
-            break
     return z
