@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import PurePath
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar
@@ -210,6 +211,21 @@ class Row:
         if unit:
             return quantity(value, unit, self.digits)
         return _in_unit(value, self.unit, self.digits)[0]
+
+
+def rows_of(result: object, *rows: Row | str | tuple[Any, ...]) -> tuple[Row, ...]:
+    """Return the rows of a result: of an attribute by its name, which is the key, too,
+    for programs alone, or by its name, label, unit and digits; others as they are.
+
+    >>> [row.text for row in rows_of(0.02 + 1.0j, ("real", "width", "ms", 2), "imag")]
+    ['20 ms', '1']
+    """
+
+    def row(name: str, label: str = "", unit: str = "", digits: int = 4) -> Row:
+        return Row(name, label, attrgetter(name)(result), unit, digits=digits)
+
+    named = ((each,) if isinstance(each, str) else each for each in rows)
+    return tuple(each if isinstance(each, Row) else row(*each) for each in named)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from fraclink._display import (
     Severity,
     Table,
     displayed,
+    rows_of,
 )
 
 __all__ = [
@@ -145,10 +146,11 @@ class Verdict:
             )
             for name, scope in scopes
         )
-        rows = (
+        rows = rows_of(
+            self,
             *(Row(name, "", scope) for name, scope in scopes),
-            Row("remarks", "", self.remarks),
-            Row("reasons", "", self.reasons),
+            "remarks",
+            "reasons",
         )
         return Overview(
             self.sentence,

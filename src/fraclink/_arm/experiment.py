@@ -20,7 +20,7 @@ from fraclink._arm.log_columns import (
     parse_columns,
 )
 from fraclink._arm.timebase import time_base
-from fraclink._display import Overview, Row, displayed, source_name
+from fraclink._display import Overview, Row, displayed, rows_of, source_name
 from fraclink._files import document, write_text
 from fraclink.errors import LogError
 from fraclink.findings import Finding, Findings
@@ -279,14 +279,15 @@ class Experiment:
         """What is known about the log."""
         kind = {"torque": "base torque [N·m]", "deflection": "deflection angle [rad]"}
         keys = ("title", "simulated", "source", "damping")
-        rows = (
+        rows = rows_of(
+            self,
             Row("samples", "samples", self.output.size),
-            Row("duration", "duration", self.duration, "s"),
-            Row("period", "sampling period", self.period, "ms"),
-            Row("output_kind", "", self.output_kind),
+            ("duration", "duration", "s"),
+            ("period", "sampling period", "ms"),
+            "output_kind",
             Row("", "output", kind[self.output_kind]),
-            Row("payload", "payload", self.payload, "g"),
-            Row("sha256", "SHA-256 of the file", self.sha256),
+            ("payload", "payload", "g"),
+            ("sha256", "SHA-256 of the file"),
             *(
                 Row(f"notes.{key}", key, text)
                 for key, text in self.notes

@@ -26,7 +26,7 @@ from fraclink._arm.rig_parts import (
     Source,
     StatedTolerances,
 )
-from fraclink._display import Overview, Row, displayed
+from fraclink._display import Overview, Row, displayed, rows_of
 from fraclink._files import document, write_text
 from fraclink._files.codec import suggestion
 from fraclink._files.toml import (
@@ -240,46 +240,28 @@ class Rig:
 
     def overview(self) -> Overview:
         """Everything that the rig states."""
-        motor, link, gauge, loop = self.motor, self.link, self.gauge, self.motor_loop
-        counts, payloads = self.encoder.counts_per_revolution, self.payloads
-        rows = (
-            Row("motor.inertia", "motor inertia J", motor.inertia, "kg·m²"),
-            Row(
-                "motor.viscous_friction",
-                "motor viscous friction ν",
-                motor.viscous_friction,
-                "N·m·s",
-            ),
-            Row(
-                "motor.torque_constant",
-                "motor torque constant K",
-                motor.torque_constant,
-                "N·m/V",
-            ),
-            Row("motor.gear_ratio", "gear ratio", motor.gear_ratio),
-            Row("motor.coulomb_torque", "Coulomb torque", motor.coulomb_torque, "N·m"),
-            Row("motor.voltage_limit", "voltage limit", motor.voltage_limit, "V"),
-            Row("link.length", "link length L", link.length, "m"),
-            Row(
-                "link.flexural_rigidity",
-                "flexural rigidity EI",
-                link.flexural_rigidity,
-                "N·m²",
-            ),
-            Row("link.stiffness", "link stiffness c", link.stiffness, "N·m/rad"),
-            Row("link.mass", "link mass", link.mass, "g"),
-            Row("payloads.range", "payloads m", (payloads.low, payloads.high), "g"),
-            Row("payloads.nominal", "nominal payload", payloads.nominal, "g"),
+        payloads = self.payloads.low, self.payloads.high
+        counts = self.encoder.counts_per_revolution
+        rows = rows_of(
+            self,
+            ("motor.inertia", "motor inertia J", "kg·m²"),
+            ("motor.viscous_friction", "motor viscous friction ν", "N·m·s"),
+            ("motor.torque_constant", "motor torque constant K", "N·m/V"),
+            ("motor.gear_ratio", "gear ratio"),
+            ("motor.coulomb_torque", "Coulomb torque", "N·m"),
+            ("motor.voltage_limit", "voltage limit", "V"),
+            ("link.length", "link length L", "m"),
+            ("link.flexural_rigidity", "flexural rigidity EI", "N·m²"),
+            ("link.stiffness", "link stiffness c", "N·m/rad"),
+            ("link.mass", "link mass", "g"),
+            Row("payloads.range", "payloads m", payloads, "g"),
+            ("payloads.nominal", "nominal payload", "g"),
             Row("encoder", "encoder", counts or "exact", "counts per turn"),
-            Row("gauge.noise", "gauge noise", gauge.noise, "N·m"),
-            Row("gauge.offset", "gauge offset", gauge.offset, "N·m"),
-            Row("motor_loop.pole", "motor loop, double pole", loop.pole, "rad/s"),
-            Row(
-                "motor_loop.delay_samples",
-                "computation delay, in sampling periods",
-                loop.delay_samples,
-            ),
-            Row("period", "sampling period Ts", self.period, "ms"),
+            ("gauge.noise", "gauge noise", "N·m"),
+            ("gauge.offset", "gauge offset", "N·m"),
+            ("motor_loop.pole", "motor loop, double pole", "rad/s"),
+            ("motor_loop.delay_samples", "computation delay, in sampling periods"),
+            ("period", "sampling period Ts", "ms"),
         )
         return Overview(self.name, rows=rows, findings=self.warnings)
 

@@ -16,6 +16,7 @@ from fraclink._display import (
     Table,
     displayed,
     number,
+    rows_of,
     span,
     state_of,
 )
@@ -359,10 +360,11 @@ class Certificate(Saved):
 
     def overview(self) -> Overview:
         """What was proved, and of which arms; the exact claim is its `verdict`."""
-        rows = (
-            Row("verdict", "", self.verdict),
-            Row("payload", "", self.payload),
-            Row("frequency", "", self.frequency),
+        rows = rows_of(
+            self,
+            "verdict",
+            "payload",
+            "frequency",
             Row("modulus", "", self.statement.modulus if self.passed else None),
             Row("sha256", "", self.sha256 if self.passed else None),
         )

@@ -27,7 +27,7 @@ from fraclink._design.assess import (
     phase_budget,
 )
 from fraclink._design.pid import tune_pid as pid_for
-from fraclink._display import Overview, Row, Table, quantity
+from fraclink._display import Overview, Row, Table, quantity, rows_of
 from fraclink._files import save
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
@@ -79,10 +79,11 @@ class Assessment:
             )
             for curve in self.curves
         )
-        rows = (
+        rows = rows_of(
+            self,
             Row("phase_budget", "", {s.element: s.phase for s in self.budget}),
             Row("phase_margin", "", {c.kind: c.phase_margin for c in self.curves}),
-            Row("payloads", "", self.payloads),
+            "payloads",
         )
         massless = (
             "higher modes: none, as the link has no mass: state mass_kg in the rig"

@@ -13,7 +13,14 @@ import numpy as np
 
 from fraclink._arm.fractional_pid import FractionalPid
 from fraclink._design.pid_search import REACH
-from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
+from fraclink._display import (
+    Overview,
+    Table,
+    displayed,
+    quantity,
+    rows_of,
+    state_of,
+)
 from fraclink._files import Saved, document
 from fraclink._law.fractional_pid import discretize_pid, pid_response
 from fraclink._law.law import Law, LawInputs
@@ -176,18 +183,20 @@ class PidTuning(Saved):
 
     def overview(self) -> Overview:
         """The controller, what was asked of it and achieved, and its step."""
-        loop_margins, c = self.margins, self.controller
-        rows = (
-            Row("controller", "", c),
-            Row("stable", "", self.stable),
-            Row("gain_crossover", "", loop_margins.gain_crossover),
-            Row("phase_margin", "", loop_margins.phase_margin),
-            Row("gain_margin", "gain margin", loop_margins.gain_margin),
-            Row(
-                "sensitivity_peak", "sensitivity peak Ms", loop_margins.sensitivity_peak
+        c = self.controller
+        rows = rows_of(
+            self,
+            "controller",
+            "stable",
+            *rows_of(
+                self.margins,
+                "gain_crossover",
+                "phase_margin",
+                ("gain_margin", "gain margin"),
+                ("sensitivity_peak", "sensitivity peak Ms"),
             ),
-            Row("itae", "ITAE", self.itae, "s²"),
-            Row("horizon", "over", self.horizon, "s"),
+            ("itae", "ITAE", "s²"),
+            ("horizon", "over", "s"),
         )
         # A requirement on an arm states the payload at which it is worst.
         requirements = Table.of(

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
-from fraclink._display import Overview, Row, Table, displayed
+from fraclink._display import Overview, Table, displayed, rows_of
 from fraclink._files import document
 from fraclink._identify.fit import Fit, coincidence
 from fraclink._identify.fitting import (
@@ -86,11 +86,7 @@ class Comparison:
 
     def overview(self) -> Overview:
         """The fits beside one another, and which of them is to be used."""
-        rows = (
-            Row("preferred", "", self.preferred),
-            Row("verdict", "", self.verdict),
-            Row("fits", "", self.fits),
-        )
+        rows = rows_of(self, "preferred", "verdict", "fits")
         findings = dict.fromkeys(f for fit in self.fits.values() for f in fit.findings)
         return Overview(
             self.verdict,

@@ -20,7 +20,7 @@ import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
-from fraclink._display import Overview, Row, number
+from fraclink._display import Overview, number, rows_of
 from fraclink._files import document
 from fraclink._identify.structure_data import Limits
 from fraclink._identify.structure_findings import BEYOND
@@ -95,11 +95,12 @@ class DrivenLinkFit(StructureFit):
     def overview(self) -> Overview:
         """Link and motor, and how well each figure is known."""
         whole = super().overview()
-        rows = (
-            Row("output", "", self.output),
-            Row("order", "", self.order),
-            Row("anti_resonance", "", self.anti_resonance),
-            Row("peak", "peak", self.peak, "rad/s"),
+        rows = rows_of(
+            self,
+            "output",
+            "order",
+            "anti_resonance",
+            ("peak", "peak", "rad/s"),
             *whole.rows,
         )
         headline = f"error {number(100 * self.nmse, 2)} %"

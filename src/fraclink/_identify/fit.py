@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
-from fraclink._display import Overview, Row, displayed, number
+from fraclink._display import Overview, Row, displayed, number, rows_of
 from fraclink._files import Saved, document
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
@@ -195,18 +195,19 @@ class Fit(Saved):
             )
             for name, (symbol, dimension) in SYMBOLS.items()
         )
-        return (
-            Row("structure", "structure", self.structure),
+        return rows_of(
+            self,
+            ("structure", "structure"),
             *link,
-            Row("model.stiffness", "", self.model.stiffness),
-            Row("model.payload", "", self.model.payload),
+            "model.stiffness",
+            "model.payload",
             Row("delay", "gauge delay", self.delay, "ms", errors.get("delay"), 3),
             Row("gain", "gain", self.gain, f"{unit}/rad", errors.get("gain")),
             Row("offset", "offset", self.offset, unit, errors.get("offset")),
-            Row("mse", "", self.mse),
-            Row("nmse", "", self.nmse),
-            Row("aic", "AIC", self.aic, digits=6),
-            Row("heldout_nmse", "held-out error", self.heldout_nmse, "%", digits=3),
+            "mse",
+            "nmse",
+            ("aic", "AIC", "", 6),
+            ("heldout_nmse", "held-out error", "%", 3),
         )
 
     def _stated(self, name: str) -> float | None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.optimize import minimize
 
-from fraclink._display import Overview, Row, displayed, number
+from fraclink._display import Overview, Row, displayed, number, rows_of
 from fraclink._identify.fitting import check_motion
 from fraclink._identify.problem import CERTAIN
 from fraclink._identify.residual import long_run_covariance
@@ -91,7 +91,8 @@ class MotorFit:
     def overview(self) -> Overview:
         """The motor's figures, each with its standard error."""
         errors = self.standard_errors
-        rows = (
+        rows = rows_of(
+            self,
             Row("gain", "K/J", self.gain, "rad/(V·s²)", errors["gain"]),
             Row("decay", "ν/J", self.decay, "1/s", errors["decay"]),
             Row(
@@ -101,13 +102,13 @@ class MotorFit:
                 "V",
                 errors["coulomb_voltage"],
             ),
-            Row("coulomb_torque", "Coulomb torque", self.coulomb_torque, "N·m"),
-            Row("dead_zone", "dead zone", self.dead_zone, "V"),
-            Row("delay", "delay", self.delay, "ms", digits=3),
+            ("coulomb_torque", "Coulomb torque", "N·m"),
+            ("dead_zone", "dead zone", "V"),
+            ("delay", "delay", "ms", 3),
             Row("inertia", "inertia J", self.inertia, "kg·m²", errors.get("inertia")),
             Row("spring", "spring k/J", self.spring, "1/s²", errors.get("spring")),
-            Row("nmse", "error (NMSE)", self.nmse, "%", digits=3),
-            Row("windows", "", self.windows),
+            ("nmse", "error (NMSE)", "%", 3),
+            "windows",
         )
         return Overview(
             f"motor K/J = {number(self.gain)} rad/(V·s²), ν/J = {number(self.decay)} 1/s",

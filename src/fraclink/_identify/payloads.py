@@ -15,7 +15,7 @@ from scipy.special import gammaincc
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
-from fraclink._display import Overview, Row, Table, displayed
+from fraclink._display import Overview, Row, Table, displayed, rows_of
 from fraclink._identify.compare import criteria_of, preferred_structure
 from fraclink._identify.fit import SYMBOLS
 from fraclink._identify.fitting import Stiffness, make_search
@@ -119,13 +119,14 @@ class JointFit:
                 self.models, self.mse, self.alone_mse, strict=True
             )
         )
-        rows = (
-            Row("structure", "", self.structure),
-            Row("common", "", self.common),
-            Row("standard_errors", "", self.standard_errors),
-            Row("stiffness", "stiffness c", self.stiffness, "N·m/rad"),
+        rows = rows_of(
+            self,
+            "structure",
+            "common",
+            "standard_errors",
+            ("stiffness", "stiffness c", "N·m/rad"),
             Row("p_value", "chance of a larger difference", self.test.p_value),
-            Row("verdict", "", self.verdict),
+            "verdict",
         )
         return Overview(self.verdict, rows=rows, tables=(Table.of("logs", records),))
 

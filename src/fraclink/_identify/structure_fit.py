@@ -10,7 +10,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar, Literal
 
-from fraclink._display import Overview, Row, Table, displayed, number, quantity
+from fraclink._display import Overview, Row, Table, displayed, number, quantity, rows_of
 from fraclink._files import Saved, document
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.problem import Interval
@@ -148,13 +148,13 @@ class StructureFit(Saved):
             )
             for name, (label, unit), value in figures
         )
-        names = ("expression", "parameters", "intervals", "standard_errors", "at_bound")
-        rows = (
-            *(Row(name, "", getattr(self, name)) for name in names),
-            Row("undetermined", "", self.undetermined),
-            Row("offset", "", self.offset),
-            Row("nmse", "", self.nmse),
-            Row("heldout_nmse", "", self.heldout_nmse),
+        rows = rows_of(
+            self,
+            *("expression", "parameters", "intervals", "standard_errors", "at_bound"),
+            "undetermined",
+            "offset",
+            "nmse",
+            "heldout_nmse",
         )
         values = ", ".join(f"{n} = {number(v)}" for n, v in self.parameters.items())
         # For data without noise the residual is rounding, which depends on the machine.

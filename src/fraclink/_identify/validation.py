@@ -13,7 +13,15 @@ import numpy as np
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
-from fraclink._display import Overview, Row, Table, displayed, source_name, state_of
+from fraclink._display import (
+    Overview,
+    Row,
+    Table,
+    displayed,
+    rows_of,
+    source_name,
+    state_of,
+)
 from fraclink._identify.compare import identify
 from fraclink._identify.findings import HELDOUT_MOST
 from fraclink._identify.fit import Fit
@@ -177,13 +185,14 @@ class Validation:
         """The error on each log, and what each says of the link by itself."""
         names = [source_name(each.log.source) for each in self.logs]
         errors = (
-            (
+            rows_of(
+                each,
                 Row("source", "log", name),
                 Row("payload", "payload", each.log.payload, "g"),
-                Row("nmse", "error (NMSE)", each.nmse, "%", digits=3),
-                Row("bias", "bias", each.bias, digits=3),
+                ("nmse", "error (NMSE)", "%", 3),
+                ("bias", "bias", "", 3),
                 Row("worst", "worst at", each.worst_at, "rad/s", digits=3),
-                Row("fit", "", each.fit),
+                "fit",
             )
             for name, each in zip(names, self.logs, strict=True)
         )
@@ -207,11 +216,7 @@ class Validation:
             for name, unit in _UNITS.items()
             if name in self.figures
         )
-        rows = (
-            Row("nmse", "", self.nmse),
-            Row("spread", "", self.spread),
-            Row("verdict", "", self.verdict),
-        )
+        rows = rows_of(self, "nmse", "spread", "verdict")
         return Overview(
             self.verdict,
             state_of(self.passed),

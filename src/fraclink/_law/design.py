@@ -16,7 +16,16 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
-from fraclink._display import Listed, Overview, Row, Table, displayed, quantity, span
+from fraclink._display import (
+    Listed,
+    Overview,
+    Row,
+    Table,
+    displayed,
+    quantity,
+    rows_of,
+    span,
+)
 from fraclink._files import Saved, document
 from fraclink._law.discretization import discretize, discretize_controller
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
@@ -225,17 +234,16 @@ class Design(Saved):
 
     def overview(self) -> Overview:
         """The sentence that decides, the controller, and every requirement."""
-        c = self.controller
-        rows = (
+        notch = self.controller.notch
+        rows = rows_of(
+            self,
             Row("margins", "", self.margins_kind),
-            Row(
-                "controller.derivative_gain", "k_d", c.derivative_gain, "s^β", digits=5
-            ),
-            Row("controller.derivative_order", "β", c.derivative_order, digits=5),
-            Row("controller.filter_time", "δ", c.filter_time, "ms"),
-            Row("controller.filter_order", "n", c.filter_order),
-            Row("notch", "notch", c.notch and c.notch.frequency, "rad/s"),
-            Row("gain_crossover_upper", "ω̄_c", self.gain_crossover_upper, "rad/s"),
+            ("controller.derivative_gain", "k_d", "s^β", 5),
+            ("controller.derivative_order", "β", "", 5),
+            ("controller.filter_time", "δ", "ms"),
+            ("controller.filter_order", "n"),
+            Row("notch", "notch", notch and notch.frequency, "rad/s"),
+            ("gain_crossover_upper", "ω̄_c", "rad/s"),
             Row(
                 "",
                 "box",

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import fraclink._law.block as layout
 from fraclink import _kernels
-from fraclink._display import Overview, Row, Table, displayed, number, quantity
+from fraclink._display import Overview, Row, Table, displayed, number, quantity, rows_of
 from fraclink._files import Saved, document
 from fraclink._law.block import (
     Block,
@@ -191,11 +191,12 @@ class Law(Block, Saved):
             for pole, gain in parts
         )
         decibel, degree = self.correction_error
-        rows = (
-            Row("order", "states", self.order),
-            Row("period", "period", self.period, "ms"),
-            Row("precision", "precision", self.precision),
-            Row("band", "band of the fit", self.band, "rad/s", digits=3),
+        rows = rows_of(
+            self,
+            ("order", "states"),
+            ("period", "period", "ms"),
+            ("precision", "precision"),
+            ("band", "band of the fit", "rad/s", 3),
             Row("correction_error_db", "error of C, gain", decibel, "dB", digits=2),
             Row(
                 "correction_error",

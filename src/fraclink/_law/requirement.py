@@ -16,7 +16,7 @@ from fraclink._arm.box import Arm, arms_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.sampled import SampledPlant
-from fraclink._display import Row, quantity
+from fraclink._display import Row, quantity, rows_of
 from fraclink._law.discretization import TOLERANCE_DEG, discretize_controller
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
@@ -96,16 +96,17 @@ class Requirement:
         size = max(abs(self.achieved), abs(self.wanted))
         places = 3 - math.floor(math.log10(size)) if 0.0 < size < math.inf else 0
         slack = round(self.slack, places) if math.isfinite(self.slack) else self.slack
-        return (
-            Row("name", "requirement", self.name),
-            Row("unit", "", self.unit),
-            Row("wanted", "", self.wanted),
+        return rows_of(
+            self,
+            ("name", "requirement"),
+            "unit",
+            "wanted",
             Row("", "required", f"{sign} {quantity(self.wanted, self.unit)}"),
-            Row("achieved", "achieved", self.achieved, self.unit),
-            Row("at_payload", "worst at", self.at_payload, "g"),
-            Row("slack", "", self.slack),
+            ("achieved", "achieved", self.unit),
+            ("at_payload", "worst at", "g"),
+            "slack",
             Row("", "slack", slack, "rad" if self.unit == "rad" else ""),
-            Row("passed", "verdict", self.passed),
+            ("passed", "verdict"),
         )
 
     def __str__(self) -> str:

@@ -21,7 +21,7 @@ from fraclink._arm.log_columns import (
 )
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base, uniform_before
-from fraclink._display import Overview, Row, Table, displayed
+from fraclink._display import Overview, Row, Table, displayed, rows_of
 from fraclink._files import sha256_of
 from fraclink._reading.columns import (
     check_count,
@@ -313,15 +313,16 @@ class ChannelSummary:
     @property
     def rows(self) -> tuple[Row, ...]:
         """The channel as people and programs read it."""
-        return (
+        return rows_of(
+            self,
             Row("name", "channel", _shown(self.name)),
-            Row("unit", "unit", self.unit),
-            Row("samples", "samples", self.samples, digits=8),
-            Row("missing", "missing", self.missing, digits=8),
-            Row("minimum", "minimum", self.minimum),
-            Row("maximum", "maximum", self.maximum),
-            Row("quantum", "step", self.quantum, digits=3),
-            Row("period", "every", self.period),
+            ("unit", "unit"),
+            ("samples", "samples", "", 8),
+            ("missing", "missing", "", 8),
+            ("minimum", "minimum"),
+            ("maximum", "maximum"),
+            ("quantum", "step", "", 3),
+            ("period", "every"),
         )
 
 
@@ -341,11 +342,8 @@ class LogListing:
 
     def overview(self) -> Overview:
         """Every channel with its range, and the header's notes."""
-        rows = (
-            Row("path", "", self.path),
-            Row("kind", "", self.kind),
-            Row("notes", "", dict(self.notes)),
-            Row("remarks", "", self.remarks),
+        rows = rows_of(
+            self, "path", "kind", Row("notes", "", dict(self.notes)), "remarks"
         )
         lines = [f"read as: {remark}" for remark in self.remarks]
         lines += [f"# {_shown(key)}: {_shown(value)}" for key, value in self.notes]

@@ -22,7 +22,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
-from fraclink._display import Overview, Row, Table, displayed, quantity, span
+from fraclink._display import Overview, Row, Table, displayed, quantity, rows_of, span
 from fraclink._files import document
 from fraclink._law import Law
 from fraclink._law.design import Design
@@ -314,19 +314,15 @@ class ArmFigures:
     @property
     def rows(self) -> tuple[Row, ...]:
         """Their rows for people and programs."""
-        return (
-            Row("arm", "arm", self.arm),
+        return rows_of(
+            self,
+            ("arm", "arm"),
             Row.time("settling_time", "settles to 2 %", self.settling_time),
-            Row("payload", "with", self.payload, "g"),
-            Row("overshoot", "overshoot", self.overshoot, "%", digits=2),
-            Row(
-                "residual_vibration",
-                "residual vibration",
-                self.residual_vibration,
-                "mrad",
-            ),
-            Row("peak_voltage", "peak voltage", self.peak_voltage, "V", digits=3),
-            Row("guarded", "guards act in runs", self.guarded, "%", digits=2),
+            ("payload", "with", "g"),
+            ("overshoot", "overshoot", "%", 2),
+            ("residual_vibration", "residual vibration", "mrad"),
+            ("peak_voltage", "peak voltage", "V", 3),
+            ("guarded", "guards act in runs", "%", 2),
         )
 
 
@@ -380,12 +376,7 @@ class WorstCase:
     def overview(self) -> Overview:
         """The arm that settles last, and every arm of the set."""
         worst = self.worst
-        rows = (
-            Row("settling_time", "", self.settling_time),
-            Row("payloads", "", self.payloads),
-            Row("told", "", self.told),
-            Row("on", "", self.on),
-        )
+        rows = rows_of(self, "settling_time", "payloads", "told", "on")
         time = Row.time("", "", self.settling_time).text
         result = (
             f"every arm settles within {time}, last"

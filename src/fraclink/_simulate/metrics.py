@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from fraclink import _kernels
-from fraclink._display import Overview, Row, displayed, state_of
+from fraclink._display import Overview, Row, displayed, rows_of, state_of
 from fraclink._law import MODES, REASONS
 from fracsys.checks import Real
 
@@ -88,26 +88,17 @@ class Metrics:
     @property
     def rows(self) -> tuple[Row, ...]:
         """What people and programs read of them."""
-        return (
-            Row("overshoot", "overshoot", self.overshoot, "%", digits=3),
+        return rows_of(
+            self,
+            ("overshoot", "overshoot", "%", 3),
             Row.time("settling_time", "settles to 2 %", self.settling_time),
-            Row(
-                "residual_vibration",
-                "residual vibration",
-                self.residual_vibration,
-                "mrad",
-            ),
-            Row("steady_state_error", "final error", self.steady_state_error, "mrad"),
-            Row("peak_tip_error", "", self.peak_tip_error, "mrad"),
-            Row("peak_voltage", "peak voltage", self.peak_voltage, "V", digits=3),
-            Row(
-                "motor_reference_noise",
-                "reference noise",
-                self.motor_reference_noise,
-                "mrad",
-            ),
-            Row("saturated", "", self.saturated, "%"),
-            Row("growth", "", self.growth, "1/s"),
+            ("residual_vibration", "residual vibration", "mrad"),
+            ("steady_state_error", "final error", "mrad"),
+            ("peak_tip_error", "", "mrad"),
+            ("peak_voltage", "peak voltage", "V", 3),
+            ("motor_reference_noise", "reference noise", "mrad"),
+            ("saturated", "", "%"),
+            ("growth", "", "1/s"),
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._display import Overview, Row, displayed, quantity, state_of
+from fraclink._display import Overview, Row, displayed, quantity, rows_of, state_of
 from fraclink._files import Saved, document
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
@@ -151,12 +151,12 @@ class Run(Saved):
     def rows(self) -> tuple[Row, ...]:
         """Payload, figures of the move, and whether it passed."""
         figures = (replace(r, key=f"metrics.{r.key}") for r in self.metrics.rows)
-        return (
-            Row("payload", "", self.payload),
+        return rows_of(
+            self,
+            "payload",
             Row("", "payload", self.carried),
             *figures,
-            Row("reason", "", self.verdict.reason),
-            Row("passed", "verdict", self.verdict.passed),
+            *rows_of(self.verdict, "reason", ("passed", "verdict")),
         )
 
     def overview(self) -> Overview:

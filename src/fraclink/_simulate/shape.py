@@ -11,7 +11,15 @@ from typing import Annotated
 import numpy as np
 
 from fraclink._arm.reference import Path
-from fraclink._display import Overview, Row, displayed, number, quantity, state_of
+from fraclink._display import (
+    Overview,
+    Row,
+    displayed,
+    number,
+    quantity,
+    rows_of,
+    state_of,
+)
 from fraclink._files import Saved, document
 from fraclink._law.design import Design
 from fraclink._simulate.arm_set import (
@@ -128,14 +136,15 @@ class ShapedMove(Saved):
         else:
             result = f"the arm “{case.worst.arm}” does not settle"
         peak = max(each.peak_voltage for each in case.arms)
-        rows = (
-            Row("amplitude", "", self.amplitude),
-            Row("voltage", "", self.voltage),
-            Row("reserve", "", self.reserve),
+        rows = rows_of(
+            self,
+            "amplitude",
+            "voltage",
+            "reserve",
             Row("duration", "", self.reference.duration),
-            Row("promised", "", self.promised),
-            Row("settling_time", "", self.settling_time),
-            Row("worst_case", "", case),
+            "promised",
+            "settling_time",
+            "worst_case",
         )
         return Overview(
             f"{number(self.amplitude)} rad with {case.carried}: {result}, "

@@ -26,6 +26,7 @@ from fraclink._display import displayed as displayed
 from fraclink._display import marked as marked
 from fraclink._display import number as number
 from fraclink._display import quantity as quantity
+from fraclink._display import rows_of as rows_of
 from fraclink._display import source_name as source_name
 from fraclink._display import state_of as state_of
 from fraclink._export.board import export_reference as export_reference

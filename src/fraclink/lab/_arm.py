@@ -11,7 +11,7 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink._arm.reference import LONGEST
-from fraclink._display import Overview, Row, displayed, state_of
+from fraclink._display import Overview, Row, displayed, rows_of, state_of
 from fraclink._files import document
 from fraclink._law import MODES
 from fraclink._simulate import Twin
@@ -84,12 +84,13 @@ class ServedArm:
     def overview(self) -> Overview:
         """How many periods and controllers there were, and how they ended."""
         last = float(self.tip_angle[-1]) if len(self.tip_angle) else None
-        rows = (
+        rows = rows_of(
+            self,
             Row("periods", "periods", len(self.voltage)),
-            Row("late", "late periods", self.late),
-            Row("controllers", "controllers", self.controllers),
-            Row("silences", "left without a stop", self.silences),
-            Row("rejected", "messages rejected", self.rejected),
+            ("late", "late periods"),
+            ("controllers", "controllers"),
+            ("silences", "left without a stop"),
+            ("rejected", "messages rejected"),
             Row("last_tip_angle", "", last),
         )
         headline = (

@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
+from fraclink._display import (
+    Overview,
+    Row,
+    Table,
+    displayed,
+    quantity,
+    rows_of,
+    state_of,
+)
 from fraclink._files import document, save
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
@@ -227,9 +235,10 @@ class RealtimeRun:
             )
             for _, name, spread in spreads
         )
-        names = "problem stopped missed overruns lost_samples lost_commands scheduling memory"
-        rows = (
-            *(Row(name, "", getattr(self, name)) for name in names.split()),
+        rows = rows_of(
+            self,
+            *("problem", "stopped", "missed", "overruns"),
+            *("lost_samples", "lost_commands", "scheduling", "memory"),
             Row("periods", "", len(self.tick)),
             Row("last_mode", "", int(self.mode[-1]) if len(self.mode) else None),
             Row("replays", "", self.first_difference is None),

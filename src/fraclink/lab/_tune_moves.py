@@ -11,7 +11,7 @@ import numpy as np
 
 from fraclink._arm.reference import Reference, sampled, smooth_step
 from fraclink._design import Design
-from fraclink._display import Row
+from fraclink._display import Row, rows_of
 from fraclink._law import Law
 from fraclink._simulate.simulate import simulate
 from fraclink.lab._tune_build import agree, twins_of
@@ -74,21 +74,17 @@ class FirstMove:
     @property
     def rows(self) -> tuple[Row, ...]:
         """What was promised beside what was measured."""
-        return (
-            Row("payload", "payload", self.payload, "g"),
-            Row("amplitude", "move", self.amplitude, "rad"),
-            Row("duration", "in", self.duration, "s", digits=3),
+        return rows_of(
+            self,
+            ("payload", "payload", "g"),
+            ("amplitude", "move", "rad"),
+            ("duration", "in", "s", 3),
             Row.time("promised_settling", "settles, promised", self.promised_settling),
             Row.time("measured_settling", "measured", self.measured_settling),
-            Row(
-                "promised_residual",
-                "residual, promised",
-                self.promised_residual,
-                "mrad",
-            ),
-            Row("measured_residual", "measured", self.measured_residual, "mrad"),
-            Row("jump", "hand-over", self.jump, "mrad"),
-            Row("peak_voltage", "peak", self.peak_voltage, "V", digits=3),
+            ("promised_residual", "residual, promised", "mrad"),
+            ("measured_residual", "measured", "mrad"),
+            ("jump", "hand-over", "mrad"),
+            ("peak_voltage", "peak", "V", 3),
         )
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fraclink._arm.rig import Rig
-from fraclink._display import Overview, Row, Table, displayed
+from fraclink._display import Overview, Row, Table, displayed, rows_of
 from fraclink._files import document
 from fraclink._identify.fit import SYMBOLS
 from fraclink.errors import FieldError
@@ -257,12 +257,7 @@ class Tuning:
         verdict = self.verdict
         time = f"{self.arm_time:.0f} s of the arm, {self.computing:.1f} s of computing"
         moves = Table.of("moves", (move.rows for move in self.moves))
-        rows = (
-            Row("stopped", "", self.stopped),
-            Row("reasons", "", self.reasons),
-            Row("verdict", "", verdict),
-            *self._measured(),
-        )
+        rows = rows_of(self, "stopped", "reasons", "verdict", *self._measured())
         return Overview(
             f"stopped: {self.stopped}" if self.stopped else time,
             verdict.state,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fraclink._arm.experiment import Experiment
-from fraclink._display import Overview, Row, Table, displayed, number, state_of
+from fraclink._display import Overview, Row, Table, displayed, number, rows_of, state_of
 from fraclink._files import document
 from fraclink._identify import Fit, identify, identify_motor, simulated_torque
 from fraclink.errors import FieldError, LogError
@@ -58,13 +58,14 @@ class Change:
     @property
     def rows(self) -> tuple[Row, ...]:
         """What people and programs read of it."""
-        return (
-            Row("name", "", self.name),
+        return rows_of(
+            self,
+            "name",
             Row("", "what", self.name.replace("_", " ")),
-            Row("was", "tuned", self.was),
-            Row("now", "now", self.now),
-            Row("standard_error", "± standard error", self.standard_error, digits=2),
-            Row("changed", "", self.changed),
+            ("was", "tuned"),
+            ("now", "now"),
+            ("standard_error", "± standard error", "", 2),
+            "changed",
             Row("", "verdict", "changed" if self.changed else "as before"),
         )
 
@@ -118,12 +119,7 @@ class Watch:
         """What has changed, and everything that was compared."""
         due = ", ".join(name.replace("_", " ") for name in self.due)
         unchanged = f"as it was tuned, by {self.motion:.0f} s of motion"
-        rows = (
-            Row("due", "", self.due),
-            Row("residual", "", self.residual),
-            Row("expected", "", self.expected),
-            Row("motion", "", self.motion),
-        )
+        rows = rows_of(self, "due", "residual", "expected", "motion")
         note = (
             f"the fit leaves {number(self.residual, 2)} N·m, "
             f"sensors and tuning explain {number(self.expected, 2)} N·m"

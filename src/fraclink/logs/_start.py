@@ -12,7 +12,7 @@ from pathlib import Path
 from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import LogColumns
-from fraclink._display import Overview, Row, Table, displayed
+from fraclink._display import Overview, Table, displayed, rows_of
 from fraclink._files import output_path, write_text
 from fraclink._identify import Fit, identify
 from fraclink._reading.formats import read_table
@@ -68,19 +68,21 @@ class Start:
         model = self.fit.overview()
         check = sum(each.certainty in ("likely", "assumed") for each in self.guesses)
         guesses = (
-            (
-                Row("part", "log", guess.part),
-                Row("value", "taken as", guess.value),
-                Row("certainty", "certainty", guess.certainty),
-                Row("evidence", "evidence", guess.evidence),
+            rows_of(
+                guess,
+                ("part", "log"),
+                ("value", "taken as"),
+                ("certainty", "certainty"),
+                ("evidence", "evidence"),
             )
             for guess in self.guesses
         )
         checked = f"; {check} of {len(self.guesses)} guesses to check" if check else ""
-        rows = (
-            Row("columns", "", self.columns),
-            Row("fit", "", self.fit),
-            Row("blanks", "", self.blanks),
+        rows = rows_of(
+            self,
+            "columns",
+            "fit",
+            "blanks",
             *(replace(row, key="") for row in model.rows),
         )
         return Overview(

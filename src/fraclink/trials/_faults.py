@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from fraclink._display import Overview, Row, Table, displayed, state_of
+from fraclink._display import Overview, Row, Table, displayed, rows_of, state_of
 from fraclink._files import document, from_plain
 from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
@@ -258,14 +258,15 @@ class FaultSummary:
     @property
     def rows(self) -> tuple[Row, ...]:
         """Its line in a table."""
-        return (
-            Row("number", "", self.number),
+        return rows_of(
+            self,
+            "number",
             Row("", "fault", f"{self.number} {self.fault.title}"),
             Row("", "class", self.fault.reaction),
-            Row("runs", "runs", self.runs),
-            Row("failed", "failed", self.failed),
+            ("runs", "runs"),
+            ("failed", "failed"),
             Row("", "group", self.group),
-            Row("passed", "verdict", self.passed),
+            ("passed", "verdict"),
         )
 
     @property

@@ -18,7 +18,7 @@ from fraclink._arm.link import STRUCTURES
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate
 from fraclink._design import Design
-from fraclink._display import Overview, Row, Table, displayed, number, quantity
+from fraclink._display import Overview, Row, Table, displayed, number, quantity, rows_of
 from fraclink._files import checked_path, document, kind_of, load, save
 from fraclink._identify import Comparison, Fit
 from fraclink._law import Law
@@ -181,14 +181,12 @@ class Study:
             parts.append(self.comparison.overview())
         if self.design is not None:
             parts.append(self.design.overview())
-        rows = (
-            Row("verdict", "", verdict),
+        rows = rows_of(
+            self,
+            "verdict",
             Row("reasons", "", verdict.reasons),
             Row("fits", "", tuple(self.fits.values())),
-            *(
-                Row(name, "", getattr(self, name))
-                for name in ("design", "runs", "assumptions")
-            ),
+            *("design", "runs", "assumptions"),
             Row("arms", "", self.arms and self.arms.summary),
         )
         tables = [table for part in parts for table in part.tables]

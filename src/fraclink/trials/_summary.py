@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from fraclink._display import Overview, Row, Table, displayed, state_of
+from fraclink._display import Overview, Row, Table, displayed, rows_of, state_of
 from fraclink._files import Saved, document
 from fraclink._law import MODES, REASONS
 from fraclink._simulate.metrics import Metrics
@@ -81,8 +81,9 @@ class MetricSummary:
         # Only the strongest driver; the report of the campaign shows all of them.
         strong = [(name, r) for name, r in self.drivers[:1] if abs(r) >= WEAK]
         driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in strong)
-        return (
-            Row("name", "", self.name),
+        return rows_of(
+            self,
+            "name",
             Row("", "metric", self.name.replace("_", " ")),
             *(
                 replace(
@@ -96,7 +97,7 @@ class MetricSummary:
                 "",
                 [(q.probability, q.low, q.high) for q in self.quantiles],
             ),
-            Row("worst", "", self.worst),
+            "worst",
             Row("drivers", "", dict(self.drivers)),
             Row("", "driven by", driver.replace("-", "−") or "–"),
         )
@@ -146,7 +147,8 @@ class Summary:
     def overview(self) -> Overview:
         """How many fail, how they are spread, and what drives it."""
         failure = self.failure
-        rows = (
+        rows = rows_of(
+            self,
             Row("runs", "", failure.runs),
             Row("failures", "", failure.count),
             Row("probability", "", (failure.estimate, failure.low, failure.high)),
@@ -156,7 +158,7 @@ class Summary:
                 [{"mode": m, "reason": r, "runs": c} for m, r, c in self.trips],
             ),
             Row("failed", "", list(self.failed)),
-            Row("given", "", self.given),
+            "given",
             Row("metrics", "", {metric.name: metric for metric in self.metrics}),
         )
         # rows of zeros, such as of a voltage that is never at its limit, say nothing

@@ -13,7 +13,7 @@ import numpy as np
 
 from fraclink._arm.beam import DEFAULT_MASS
 from fraclink._arm.reference import Reference, smooth_step
-from fraclink._display import Overview, Row, Table, displayed, state_of
+from fraclink._display import Overview, Row, Table, displayed, rows_of, state_of
 from fraclink._law.design import Design
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.events import SensorFault
@@ -76,11 +76,12 @@ class Standing:
     @property
     def rows(self) -> tuple[Row, ...]:
         """Every figure of the table."""
-        return (
+        return rows_of(
+            self,
             Row("name", "rival", self.name if self.passed else f"{self.name} (failed)"),
             *map(self.row, FIGURES),
-            Row("worst_payload", "at", self.worst_payload, "g"),
-            Row("peak", "Ms", self.peak, digits=3),
+            ("worst_payload", "at", "g"),
+            ("peak", "Ms", "", 3),
         )
 
     def row(self, figure: str) -> Row:

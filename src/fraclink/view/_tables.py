@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from fraclink._design import Design
-from fraclink._display import Row, Table
+from fraclink._display import Row, Table, rows_of
 
 __all__ = ["margins_table"]
 
@@ -26,10 +26,11 @@ def _margins(design: Design, payload: float) -> tuple[Row, ...]:
         ("gain_margin", "gain margin", ""),
         ("sensitivity_peak", "Ms", ""),
     )
-    return (
+    return rows_of(
+        ideal,
         Row("payload", "payload", payload, "g"),
-        Row("gain_crossover", "crossover", ideal.gain_crossover, "rad/s"),
-        Row("phase_margin", "phase margin", ideal.phase_margin, "rad"),
+        ("gain_crossover", "crossover", "rad/s"),
+        ("phase_margin", "phase margin", "rad"),
         *(
             Row(f"sampled.{name}", label, sampled and getattr(sampled, name), unit)
             for name, label, unit in figures
