@@ -57,6 +57,13 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return found
 
 
+def test_every_column_of_a_log_has_units_to_choose_from(fitted: Session) -> None:
+    units = logs.LOG_VERBS["log"](fitted, {}).head["units"]
+    for role, first in (("motor_angle", "rad"), ("deflection", "rad"), ("time", "s")):
+        # The one in SI is what a column takes that states none.
+        assert units[role][0] == first
+
+
 # --- the session ----------------------------------------------------------------------------------------
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fraclink._arm.log_columns import (
-    QUANTITY_OF,
-    UNITS,
+    UNITS_OF,
     Channel,
     LogColumns,
     OutputKind,
@@ -151,7 +150,7 @@ class Experiment:
         )
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}
-        usual = {role: next(iter(UNITS[QUANTITY_OF[role]])) for role in arrays}
+        usual = {role: next(iter(UNITS_OF[role])) for role in arrays}
         channels = {
             role: Channel(role, symbols.get(role, unit)) for role, unit in usual.items()
         }

@@ -18,9 +18,9 @@ from fraclink.errors import FieldError
 from fracsys.checks import Between, Real, Where, checked, length
 
 __all__ = [
-    "QUANTITY_OF",
     "ROW_NUMBER",
     "UNITS",
+    "UNITS_OF",
     "Channel",
     "ColumnStatement",
     "LogColumns",
@@ -38,15 +38,21 @@ UNITS = MappingProxyType(
         "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi},
         "torque": {"Nm": 1.0, "mNm": 1e-3, "N·m": 1.0, "N*m": 1.0},
         "voltage": {"V": 1.0, "mV": 1e-3},
+        "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+        | {"um": 1e-6, "µm": 1e-6, "inch": 0.0254},
+        "frequency": {"rad/s": 1.0, "Hz": 2 * math.pi, "kHz": 2000 * math.pi},
+        "ratio": {"1": 1.0},
+        "gain": {"1": 1.0, "dB": 1.0},
     }
 )
-QUANTITY_OF = MappingProxyType(
+# The same by the column of a log.
+UNITS_OF = MappingProxyType(
     {
-        "time": "time",
-        "motor_angle": "angle",
-        "torque": "torque",
-        "deflection": "angle",
-        "voltage": "voltage",
+        "time": UNITS["time"],
+        "motor_angle": UNITS["angle"],
+        "torque": UNITS["torque"],
+        "deflection": UNITS["angle"],
+        "voltage": UNITS["voltage"],
     }
 )
 # The column of a log without time stamps: 0, 1, 2 …, to be scaled by the period.
@@ -101,7 +107,7 @@ class Channel:
         """
         # An encoder counts from the position at power-up: its first sample is its zero.
         offset = raw[0] if self.offset == "first" else self.offset
-        factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
+        factor = self.sign * self.scale * UNITS_OF[role][self.unit]
         # Multiplying by 1.0 is exact, so a log in SI units is read bit for bit.
         return (raw - offset) * factor if offset else raw * factor
 
@@ -153,7 +159,7 @@ class LogColumns:
                 "state exactly one of log.torque and log.deflection",
             )
         for role, channel in self.channels().items():
-            factors = UNITS[QUANTITY_OF[role]]
+            factors = UNITS_OF[role]
             if channel.unit not in factors:
                 raise FieldError(
                     f"log.{role}.unit",
@@ -167,7 +173,7 @@ class LogColumns:
         """The stated channels by role: time, motor_angle, torque or deflection,
         voltage.
         """
-        channels = {role: getattr(self, role) for role in QUANTITY_OF}
+        channels = {role: getattr(self, role) for role in UNITS_OF}
         return {role: channel for role, channel in channels.items() if channel}
 
     @property
@@ -181,7 +187,7 @@ class LogColumns:
         return self.channels()[self.output_kind]
 
 
-_LENGTHS = ("m", "mm", "cm", "um", "µm", "in", "inch")
+_LENGTHS = (*UNITS["length"], "in")
 _ACCELERATIONS = ("m/s2", "m/s^2", "m/s²", "mps2", "g")
 _RAW = (
     "count",
@@ -203,7 +209,7 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
     """Advice for a unit that the role does not accept: a unit of another quantity is
     not a typing error.
     """
-    unit, angle = channel.unit, QUANTITY_OF[role] == "angle"
+    unit, angle = channel.unit, UNITS_OF[role] is UNITS["angle"]
     # In this order: a length or an acceleration needs a conversion to an angle, and the
     # most similar unit ("mm" → "mrad") would mislead the user.
     if unit in _LENGTHS and angle:
@@ -224,7 +230,7 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
             "part of the fitted gain; or let `fraclink start` scale it"
         )
     if unit in _LENGTHS + _ACCELERATIONS + _RAW or any(
-        unit in units for units in UNITS.values()
+        unit in units for units in UNITS_OF.values()
     ):
         return f"it measures another quantity; give one of {', '.join(known)}"
     # At least half of the letters must match: "nm" is "Nm" and "sec" is "s", but "hour"
@@ -281,7 +287,7 @@ class ColumnStatement:
         unknown role.
         """
         match = _STATED.fullmatch(text.strip())
-        if match is None or match[1] not in QUANTITY_OF:
+        if match is None or match[1] not in UNITS_OF:
             raise _not_understood(text, "not understood")
         sign: Literal[1, -1] | None = (
             None if not match[2] else -1 if match[2] == "-" else 1
@@ -312,7 +318,7 @@ def _not_understood(text: str, problem: str) -> FieldError:
         "column",
         text,
         problem,
-        f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
+        f"role=name [unit], each of {', '.join(UNITS_OF)} once",
         'write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
     )
 

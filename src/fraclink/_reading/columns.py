@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 
-from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
+from fraclink._arm.log_columns import UNITS_OF, Channel, LogColumns
 from fraclink._reading.table import NUMBER, LogTable
 from fraclink.errors import LogError
 from fraclink.findings import Finding
@@ -29,7 +29,7 @@ def stated_by(name: str) -> tuple[str, str]:
     empty strings.
     """
     match = _NAME.fullmatch(name)
-    valid = match is not None and match[2] in UNITS[QUANTITY_OF[match[1]]]
+    valid = match is not None and match[2] in UNITS_OF[match[1]]
     return (match[1], match[2]) if match and valid else ("", "")
 
 

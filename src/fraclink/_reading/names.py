@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from fraclink._arm.log_columns import UNITS
+from fraclink._arm.log_columns import UNITS, UNITS_OF
 
 # Words used in logs, English and German. A word of at least three letters also matches
 # at the beginning of a longer one, a word of at least five letters anywhere in it.
@@ -73,7 +73,8 @@ _SPELLINGS = {
     **dict.fromkeys(("db", "decibel"), "dB"),
     **dict.fromkeys(("-", "abs", "lin", "linear", "v/v"), "1"),
 }
-KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
+# Of the columns of a log.
+KNOWN = frozenset(unit for units in UNITS_OF.values() for unit in units)
 # Units at the end of a name that no reader converts. If they were not recognised, a
 # time in minutes would be read as seconds.
 _UNITS_ELSEWHERE = KNOWN | {
@@ -83,14 +84,6 @@ _UNITS_ELSEWHERE = KNOWN | {
 }
 # in any case: GHZ and ghz are units too, although none that can be converted
 _PREFIXES = "kmgtuµnp"
-UNITS_OF_LENGTH = {
-    "m": 1.0,
-    "mm": 1e-3,
-    "cm": 1e-2,
-    "um": 1e-6,
-    "µm": 1e-6,
-    "inch": 0.0254,
-}
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -167,7 +160,7 @@ def length_of_name(name: str) -> str:
     >>> [length_of_name(name) for name in ("laser_mm", "tip [m]", "cart_m", "theta_m", "x_V")]
     ['mm', 'm', 'm', '', '']
     """
-    unit = next((each for each in _endings(name) if each in UNITS_OF_LENGTH), "")
+    unit = next((each for each in _endings(name) if each in UNITS["length"]), "")
     # theta_m is the motor angle in many papers: there "m" is a unit of length only in
     # brackets.
     angle = {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))

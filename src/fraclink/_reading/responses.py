@@ -33,12 +33,10 @@ _ROLES = {
     "frequency": ("frequency", "freq", "omega", "w", "f", "hz", "khz", "ω"),
 }
 _UNITS = {
-    "frequency": {"rad/s": 1.0, "Hz": 2 * math.pi, "kHz": 2000 * math.pi},
+    "frequency": UNITS["frequency"],
     "phase": {unit: UNITS["angle"][unit] for unit in ("rad", "deg", "mrad")},
-    "gain": {"1": 1.0, "dB": 1.0},
-    "real": {"1": 1.0},
-    "imaginary": {"1": 1.0},
-    "coherence": {"1": 1.0},
+    "gain": UNITS["gain"],
+    **dict.fromkeys(("real", "imaginary", "coherence"), UNITS["ratio"]),
     "time": UNITS["time"],
 }
 _OMEGA = ("omega", "w", "ω")  # the usual symbols of angular frequency

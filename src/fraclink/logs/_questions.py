@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, ColumnStatement
+from fraclink._arm.log_columns import ROW_NUMBER, UNITS, UNITS_OF, ColumnStatement
 from fraclink._reading.names import unit_of_name
 from fraclink.errors import FieldError
 
@@ -98,7 +98,7 @@ class Question:
             kind = "torque" if unit in UNITS["torque"] else "deflection"
             role = known.role if not unit and known.role != "output" else kind
         each = ColumnStatement.of(f"{role}={formula}")
-        units = [*UNITS[QUANTITY_OF[role]], *(["raw"] * (self.role == "output"))]
+        units = [*UNITS_OF[role], *(["raw"] * (self.role == "output"))]
         own = unit_of_name(each.column or "")
         if of_column and self.role == "motor_angle" and each.unit is None:
             # This extends the existing question instead of adding a second one.

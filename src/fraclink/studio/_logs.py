@@ -15,7 +15,7 @@ import numpy as np
 from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
-from fraclink._arm.log_columns import UNITS, LogColumns
+from fraclink._arm.log_columns import UNITS_OF, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._display import number
 from fraclink._identify import Fit
@@ -103,7 +103,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
         }
         for role, channel in roles.items()
     }
-    head["units"] = {role: sorted(units) for role, units in UNITS.items()}
+    head["units"] = {role: [*units] for role, units in UNITS_OF.items()}
     return Reply(head | more, curves | signals)
 
 
