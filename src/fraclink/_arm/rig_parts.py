@@ -28,7 +28,6 @@ _ANOTHER_UNIT = 100.0
 # Products of a few values within these limits stay far from overflow (1e308) and
 # underflow.
 _SMALLEST, _LARGEST = 1e-15, 1e15
-_LONGEST = 100.0  # [m]. No arm is as long, that of a space station not either: 17 m
 
 
 def positive(unit: str = "", *, remedy: str = CHECK_UNIT) -> Between:
@@ -184,7 +183,8 @@ class Link:
     0.26
     """
 
-    length: Annotated[float, Between(_SMALLEST, _LONGEST, "m", remedy=CHECK_UNIT)]
+    # No arm is as long as 100 m, that of a space station not either: 17 m.
+    length: Annotated[float, Between(_SMALLEST, 100.0, "m", remedy=CHECK_UNIT)]
     # None means "not measured" in the call only: the attributes are always numbers.
     flexural_rigidity: Annotated[float, positive("N·m²")] = None  # type: ignore[assignment]
     stiffness: Annotated[float, positive("N·m/rad")] = None  # type: ignore[assignment]

@@ -14,16 +14,17 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._identify.columns import column_findings, mains_of, motion_at_start
 from fraclink._identify.fit import Fit
-from fraclink._identify.problem import CERTAIN, LEVEL, ORDER_MOST, QUANTILE
+from fraclink._identify.problem import (
+    CERTAIN,
+    CLEARLY_LESS,
+    LEVEL,
+    ORDER_MOST,
+    QUANTILE,
+)
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
 from fraclink.findings import Finding, worst_first
 
-# Share of the power of an unseen motion: a law that cancels with such a model leaves
-# half of the vibration, 6 dB, as for the gate of a structure.
-HELDOUT_MOST = 0.25
-# ratio of held-out to fitted error, when both exceed what noise alone leaves
-WORSE = 4.0
 # The calibration of a strain gauge is accurate to about 20 %; mrad for rad or volts for
 # radians differ by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
@@ -203,11 +204,11 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             {"motion": motion[0], "vibration": motion[1]},
             "leave heldout out, or hold out a part in which the motor moves",
         )
-    elif relative > HELDOUT_MOST:
+    elif relative > CLEARLY_LESS:
         yield _not_predicted(fit, relative)
     # Both conditions: at a quiet end the relative error is large because of the small
     # power alone, at a loud end the mean square is.
-    elif relative > WORSE * fit.nmse and heldout > 2 * fit.mse:
+    elif CLEARLY_LESS * relative > fit.nmse and heldout > 2 * fit.mse:
         yield Finding(
             "W318",
             "warning",
@@ -252,7 +253,7 @@ def _not_predicted(fit: Fit, relative: float) -> Finding:
         "W318",
         "error",
         "the model does not predict the part of the log that was held out",
-        {"heldout_nmse": relative, "most": HELDOUT_MOST, "nmse": fit.nmse, "rms": after}
+        {"heldout_nmse": relative, "most": CLEARLY_LESS, "nmse": fit.nmse, "rms": after}
         | {"fitted_rms": before, "predicted_rms": predicted},
         f"look for {cause}",
     )

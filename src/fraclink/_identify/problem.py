@@ -27,11 +27,13 @@ from fracsys.checks import Mask, Real
 # gets with it, to either side; and those of a 95 % interval.
 LEVEL = 1e-3
 CERTAIN, QUANTILE = (float(-ndtri(chance / 2)) for chance in (LEVEL, 0.05))
+# Share of a power that is clearly less than the whole: half of the amplitude, 6 dB. A law
+# that cancels with a model which leaves more than that of an unseen motion leaves half of
+# the vibration.
+CLEARLY_LESS = 0.25
 # Half-width of an order's interval beyond which the data do not determine it: the
 # difference between two structures that people would distinguish.
 ORDER_MOST = 0.25
-# Share of the range of a coordinate within which it is at a limit.
-AT_LIMIT = 1e-7
 # Share of the output's power that 16 bits resolve. What is fitted more closely is a
 # simulation, whose residual is rounding or the interpolation between its samples.
 RESOLUTION = 2.0**-32

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, structure
-from fraclink._identify.problem import AT_LIMIT, FIRST_STEPS
+from fraclink._identify.problem import CLEARLY_LESS, FIRST_STEPS
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     COORDINATE,
@@ -28,6 +28,7 @@ from fraclink._identify.shape import (
 )
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
+from fracsys._precision import BLUR
 from fracsys.checks import Real
 
 if TYPE_CHECKING:
@@ -41,9 +42,6 @@ _VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a na
 # cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
 # of the resonance's width.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
-# multiple of the smallest remaining power: beyond it there is no such vibration in this
-# log
-_WORTH = 4.0
 _ITERATIONS = 200  # an undamped link on a damped log converges by a third per step
 
 
@@ -79,13 +77,13 @@ class Solution:
         return (
             3 in self.free
             and other < 1
-            and self.shape[2] >= (1 - AT_LIMIT) * largest_ratio(other)
+            and self.shape[2] >= (1 - BLUR) * largest_ratio(other)
         )
 
     @property
     def at_bound(self) -> tuple[int, ...]:
         """Free coordinates that ended on a limit."""
-        near = AT_LIMIT * (self.upper - self.lower)
+        near = BLUR * (self.upper - self.lower)
         return tuple(
             i
             for i in self.free
@@ -243,7 +241,9 @@ class Search:
             columns = np.stack([response, state.real, state.imag, np.ones(time.size)])
             basis = np.linalg.qr(columns.T)[0]
             costs.append(own.output @ own.output - np.sum((own.output @ basis) ** 2))
-        return frequencies[np.array(costs) <= _WORTH * min(costs)], spacing
+        # Where the best one leaves clearly less, there is no such vibration in this log.
+        worth = CLEARLY_LESS * np.array(costs) <= min(costs)
+        return frequencies[worth], spacing
 
     # --- descents
 
@@ -289,7 +289,7 @@ class Search:
         distinct = [lowest]
         for end in others:
             apart = (abs(end.resonance - other.resonance) > turn for other in distinct)
-            if end.cost <= _WORTH * lowest.cost and all(apart):
+            if CLEARLY_LESS * end.cost <= lowest.cost and all(apart):
                 distinct.append(end)
         return distinct
 

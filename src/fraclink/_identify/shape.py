@@ -202,22 +202,12 @@ def undamped_as_damped(shape: Real) -> Real:
     return np.array([2.0, log_resonance, largest_ratio(other), other, shape[4]])
 
 
-def last_of(history: Real, samples: int, most: int) -> Real:
-    """The last part of the motion before a cut that still affects a record of
-    `samples`.
-    """
-    return history[-max(3 * samples, most) :]
-
-
 def moving_angle(log: Experiment) -> Real:
-    """The motor angle that moves the link of a log: its own, preceded by the known one
-    before a cut.
+    """The motor angle that moves the link of a log: its own, preceded by the part known
+    before a cut that still affects the log.
     """
-    if log.earlier_angle is None:
-        return log.motor_angle
-    return np.concatenate(
-        [last_of(log.earlier_angle, log.output.size, HISTORY), log.motor_angle]
-    )
+    samples = log.output.size
+    return log.whole_angle[-(samples + max(3 * samples, HISTORY)) :]
 
 
 def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:

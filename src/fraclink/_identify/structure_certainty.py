@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 
 from fraclink._identify.problem import (
-    AT_LIMIT,
     ORDER_MOST,
     QUANTILE,
     RESOLUTION,
@@ -20,6 +19,7 @@ from fraclink._identify.structure_data import Lines
 from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
+from fracsys._precision import BLUR
 
 # share in an undetermined direction beyond which a parameter belongs to it
 _SHARE = 0.1
@@ -132,7 +132,7 @@ def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
     )
     # Share of the range of the coordinate: for 1e-12 to 1e12 it is a factor of 1 +
     # 5e-6.
-    near = AT_LIMIT * (high - low)
+    near = BLUR * (high - low)
     return place <= low + near or place >= high - near
 
 

@@ -15,17 +15,13 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from fraclink._arm.recording import Recording
 from fraclink._identify.expression import Expression
-from fraclink._identify.shape import Hold, chosen_hold, last_of
+from fraclink._identify.shape import Hold, chosen_hold
 from fraclink._identify.welch import EXCITED
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
 from fracsys.checks import Complex, Mask, Real
 
 Limits = tuple[float, float]
-
-# Like `shape.HISTORY`, but shorter: every candidate is a response to all of it, and a
-# search with 50 000 earlier samples takes half a second.
-_HISTORY = 50_000
 
 
 def _stacked(values: Complex) -> Real:
@@ -109,19 +105,15 @@ class Signals:
     earlier: Real = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(
-        cls, record: Recording, hold: Hold, count: int, earlier: Real | None = None
-    ) -> Signals:
+    def of(cls, record: Recording, hold: Hold, count: int, earlier: Real) -> Signals:
         """The first `count` samples; the input is relative to rest, at the beginning of
-        the used part of `earlier`.
+        `earlier`.
         """
-        before = np.zeros(0) if earlier is None else earlier
-        history = last_of(before, record.input.size, _HISTORY)
         # Not from the beginning of a longer history: the input would jump from there to
         # here, which no motor did. From here on the output differs at most by a
         # constant, and `offset` refers to a rest here.
-        rest = float(history[0]) if history.size else record.input_at_rest
-        whole = np.concatenate([history, record.input])
+        rest = float(earlier[0]) if earlier.size else record.input_at_rest
+        whole = np.concatenate([earlier, record.input])
         # A constant input is a step at the first sample, which the next samples do not
         # distinguish from a straight line.
         steps = hold == "auto" and np.ptp(whole) == 0
@@ -130,7 +122,7 @@ class Signals:
             record.output[:count],
             record.period,
             "zero" if steps else chosen_hold(whole, hold),
-            history - rest,
+            earlier - rest,
         )
 
     @cached_property

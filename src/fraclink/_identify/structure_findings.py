@@ -8,13 +8,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fraclink._identify.findings import (
-    HELDOUT_MOST,
-    WORSE,
-    likelihood_ratio,
-    rival_finding,
-)
-from fraclink._identify.problem import QUANTILE, RESOLUTION
+from fraclink._identify.findings import likelihood_ratio, rival_finding
+from fraclink._identify.problem import CLEARLY_LESS, QUANTILE, RESOLUTION
 from fraclink._identify.structure_certainty import Certainty
 from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_fit import StructureFit
@@ -110,19 +105,21 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
 
 
 def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
-    if fit.nmse > HELDOUT_MOST:
+    if fit.nmse > CLEARLY_LESS:
         yield Finding(
             "W313",
             "error",
             "the structure leaves most of the output unexplained",
-            {"nmse": fit.nmse, "most": HELDOUT_MOST},
+            {"nmse": fit.nmse, "most": CLEARLY_LESS},
             "check the channels and their units, or take another structure",
         )
     heldout = fit.heldout_nmse
-    if heldout is not None and heldout > max(WORSE * fit.nmse, RESOLUTION):
+    if heldout is not None and (
+        CLEARLY_LESS * heldout > fit.nmse and heldout > RESOLUTION
+    ):
         yield Finding(
             "W318",
-            "error" if heldout > HELDOUT_MOST else "warning",
+            "error" if heldout > CLEARLY_LESS else "warning",
             "the structure predicts the held-out data worse than the data it was fitted to",
             {"heldout_nmse": heldout, "nmse": fit.nmse},
             "look for drift, another operating point, or a structure with fewer parameters",

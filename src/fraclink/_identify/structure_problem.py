@@ -13,6 +13,7 @@ import numpy as np
 from fraclink._identify.expression import Expression
 from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.structure_data import Limits, Samples
+from fracsys._precision import RESOLUTION
 from fracsys.checks import Complex, Real
 
 Values = Mapping[str, float]
@@ -23,7 +24,8 @@ Values = Mapping[str, float]
 ORDER_LIMITS = (0.02, 4.0)
 POSITIVE_LIMITS = _LEAST, _MOST = (1e-12, 1e12)
 COEFFICIENT_LIMITS = (-_MOST, _MOST)
-_STEP = 1e-6  # step of differences: exact responses are accurate to 1e-12 of their peak
+# Step of one-sided differences: the responses are accurate to that square.
+_STEP = math.sqrt(RESOLUTION)
 
 
 @dataclass(frozen=True, eq=False)

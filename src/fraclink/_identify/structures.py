@@ -14,7 +14,7 @@ from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weig
 from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, check_motion, fitted_samples
 from fraclink._identify.problem import descend
-from fraclink._identify.shape import Hold
+from fraclink._identify.shape import Hold, moving_angle
 from fraclink._identify.structure_certainty import certainty_of
 from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_findings import structure_findings
@@ -68,9 +68,8 @@ def identify_structure(
     Parameters
     ----------
     data
-        a log (motor angle to output, with the angle from before a cut: of a very long
-        one the last 50 000 samples), any two channels as a `Recording`, or a
-        `FrequencyResponse`.
+        a log (motor angle to output, with the angle from before a cut), any two
+        channels as a `Recording`, or a `FrequencyResponse`.
     expression
         numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur
         several times; what stands in an exponent of s is an order, in ``exp`` a delay,
@@ -127,11 +126,14 @@ def identify_structure(
         longest, offset = _TURNS / data.band[1], 0.0
         whole, fitted = samples, data.frequency.size
     else:
-        record = data if isinstance(data, Recording) else Recording.of(data)
+        if isinstance(data, Recording):
+            record, earlier = data, np.zeros(0)
+        else:
+            record = Recording.of(data)
+            earlier = moving_angle(data)[: -record.input.size]
         # A single step: its end cannot be predicted from its beginning.
         share = 0.0 if heldout is None and np.ptp(record.input) == 0 else heldout
         fitted = fitted_samples(record.input, record.output, share)
-        earlier = data.earlier_angle if isinstance(data, Experiment) else None
         samples, whole = (
             Signals.of(record, hold, count, earlier)
             for count in (fitted, record.input.size)

@@ -23,10 +23,9 @@ from fraclink._display import (
     state_of,
 )
 from fraclink._identify.compare import identify
-from fraclink._identify.findings import HELDOUT_MOST
 from fraclink._identify.fit import Fit
 from fraclink._identify.fitting import simulated_torque
-from fraclink._identify.problem import QUANTILE
+from fraclink._identify.problem import CLEARLY_LESS, QUANTILE
 from fraclink._identify.shape import moving_angle
 from fraclink._identify.welch import EXCITED, mean_power, segments
 from fraclink.errors import FieldError
@@ -317,12 +316,12 @@ Fit._validated = validate
 
 def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
     name = each.log.source or "the log"
-    if not each.nmse <= HELDOUT_MOST:
+    if not each.nmse <= CLEARLY_LESS:
         yield Finding(
             "W318",
             "error",
             f"the model does not predict {name}",
-            {"nmse": each.nmse, "most": HELDOUT_MOST},
+            {"nmse": each.nmse, "most": CLEARLY_LESS},
             "check that both logs are of one arm, with one payload and the same wiring; or fit this log by itself",
         )
     own = found.figures_of(each)

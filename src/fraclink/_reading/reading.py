@@ -12,9 +12,8 @@ import numpy as np
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import (
-    QUANTITY_OF,
     ROW_NUMBER,
-    UNITS,
+    UNITS_OF,
     Channel,
     LogColumns,
     parse_columns,
@@ -37,7 +36,7 @@ from fraclink.findings import Finding
 from fracsys.checks import Mask, Payload, Real, checked_choice
 from fracsys.errors import printable
 
-_LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
+_LOGS = Path(__file__).resolve().parent.parent / "data" / "logs"
 
 
 def bundled_logs() -> tuple[str, ...]:
@@ -261,7 +260,7 @@ def _contradicted(
 ) -> list[Finding]:
     """The unit in the header of the log for a column, if it contradicts the stated one."""
     # Compared by value, not by spelling: Nm and N*m agree.
-    factors = UNITS[QUANTITY_OF[role]]
+    factors = UNITS_OF[role]
     own = table.unit(place, tuple(factors)) or channel.unit
     # An explicit scale states the conversion, and names that do not match the columns
     # state nothing.

@@ -25,7 +25,7 @@ from fracsys.checks import Real
 FILE_LIMIT = 256_000_000  # bytes
 SAMPLE_LIMIT = 4_000_000
 COLUMN_LIMIT = 1_000
-VALUE_LIMIT = 32_000_000  # numbers in total: 256 MB in memory
+VALUE_LIMIT = FILE_LIMIT // np.dtype(np.float64).itemsize  # numbers in memory
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
 _FACTOR = r"(?:([0-9.]+(?:[eE][-+]?[0-9]+)?) *\* *)?"

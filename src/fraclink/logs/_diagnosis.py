@@ -14,6 +14,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._identify import Fit, identify
 from fraclink._identify.columns import lead_of, motion_at_start
+from fraclink._identify.problem import CLEARLY_LESS
 from fraclink._identify.shape import moving_angle
 from fraclink._reading.columns import converter_step
 from fraclink.errors import FieldError
@@ -37,9 +38,6 @@ _SAMPLES = 10.0
 # More than half of the variance of an output: a single vibration cannot explain that
 # much of two signals.
 SHOWN = 0.5
-# A residual of half the amplitude, a quarter of the variance: the noise of two sensors
-# of one motion differs less.
-CLEARER = 0.25
 
 
 @checked
@@ -265,7 +263,7 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
         log, motor_angle=log.output, output=log.motor_angle, earlier_angle=None
     )
     share, reverse = share_of(mode), share_of(vibration_of(exchanged))
-    if reverse > SHOWN and 1 - reverse < CLEARER * (1 - share):
+    if reverse > SHOWN and 1 - reverse < CLEARLY_LESS * (1 - share):
         yield Finding(
             "W210",
             "error",

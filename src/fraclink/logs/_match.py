@@ -26,10 +26,10 @@ from fraclink._arm.log_columns import (
     OutputKind,
 )
 from fraclink._identify import Fit
+from fraclink._identify.problem import CLEARLY_LESS
 from fraclink._reading.columns import check_count, stated_by
 from fraclink._reading.formats import read_table
 from fraclink._reading.names import (
-    UNITS_OF_LENGTH,
     length_of_name,
     names_time,
     words_of,
@@ -41,7 +41,7 @@ from fraclink._reading.table import (
 )
 from fraclink.errors import LogError
 from fraclink.logs._dead_ends import check_signals_in, dead_end
-from fraclink.logs._diagnosis import CLEARER, SHOWN, share_of
+from fraclink.logs._diagnosis import SHOWN, share_of
 from fraclink.logs._pairs import LATE, Candidate, Pairs, phase
 from fraclink.logs._questions import (
     ABSENT,
@@ -311,17 +311,17 @@ class _Matching:
                 partners = partners or self.candidates("output", free, _UNNAMED)
             named = self.candidates(role, others, _UNNAMED)
             group = self.pairs.by_vibration(role, named, partners)
-            if role == "output" and named and group[0].rest > CLEARER:
+            if role == "output" and named and group[0].rest > CLEARLY_LESS:
                 # Its name may say so, but another column may be the link's.
                 rivals = self.candidates(role, {*others} - {*named}, _UNLIKELY)
                 clearer = self.pairs.by_vibration(role, rivals, partners)[:1]
-                if clearer and clearer[0].rest < CLEARER * group[0].rest:
+                if clearer and clearer[0].rest < CLEARLY_LESS * group[0].rest:
                     named, group = [], [*clearer, *group]
             if self.is_absent(role) or not named:
                 unnamed = self.candidates(role, others, _UNLIKELY)
                 group = group or self.pairs.by_vibration(role, unnamed, partners)
                 open_roles[role] = [] if self.is_absent(role) else group
-            elif len(group) > 1 and group[0].rest > CLEARER * group[1].rest:
+            elif len(group) > 1 and group[0].rest > CLEARLY_LESS * group[1].rest:
                 open_roles[role] = group
             else:
                 place = places[role] = group[0].place
@@ -427,7 +427,7 @@ class _Matching:
             value = f"1 rad for 1 m of {name}"
             why = "a linear axis: frequency, order and delay do not depend on the lever"
             self.conclude(part, value, "assumed", why)
-            return Channel(name, "rad", sign=sign, scale=UNITS_OF_LENGTH[length])
+            return Channel(name, "rad", sign=sign, scale=UNITS["length"][length])
         text, example = f"{name} moves by {reach:.4g}: in which unit?", "[deg]"
         choices = ("rad", "deg")
         if own in UNITS["voltage"]:

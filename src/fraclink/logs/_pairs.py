@@ -12,10 +12,11 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import UNITS
 from fraclink._identify import Fit
+from fraclink._identify.problem import CLEARLY_LESS
 from fraclink._reading.names import length_of_name
 from fraclink._reading.table import LogTable
 from fraclink.errors import FieldError, LogError
-from fraclink.logs._diagnosis import CLEARER, PERIODS, share_of, vibration_of
+from fraclink.logs._diagnosis import PERIODS, share_of, vibration_of
 from fracsys.checks import Real
 
 # An output may be delayed by half a period of the vibration before it looks like an
@@ -66,7 +67,7 @@ class Pairs:
         """Raise LogError for an output that is the rate of a deflection."""
         values, name = self.table.values[place], self.table.label(place)
         whole = self.vibration(angle, self.period * np.cumsum(values - values.mean()))
-        clearer = 1 - share_of(whole) < CLEARER * (1 - share_of(mode))
+        clearer = 1 - share_of(whole) < CLEARLY_LESS * (1 - share_of(mode))
         if clearer and self.is_link(whole) and abs(phase(whole)) < LATE:
             raise LogError(
                 "column of output",
