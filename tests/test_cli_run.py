@@ -460,7 +460,13 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
 @pytest.mark.parametrize(
     ("rig", "log", "limit", "doubt"),
     [
-        ("merced.toml", ("quanser_rfl_merced", "merced_rfl.csv"), 0.0130, None),
+        # Its third mode, which nobody identified, is 2 % too loud for a law.
+        (
+            "merced.toml",
+            ("quanser_rfl_merced", "merced_rfl.csv"),
+            0.0130,
+            "a loop gain at mode 3",
+        ),
         # Whatever their script prints, the strain signal is not a deflection in
         # radians: the gain is 0.22.
         (
@@ -472,7 +478,7 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     ],
 )
 def test_real_logs_run_end_to_end(
-    tmp_path: Path, rig: str, log: tuple[str, str], limit: float, doubt: str | None
+    tmp_path: Path, rig: str, log: tuple[str, str], limit: float, doubt: str
 ) -> None:
     path, out = shared_data(*log), tmp_path / "out"
     command = ["run", "--rig", str(RIGS / rig), "--log", str(path), "--arms", "0"]
@@ -481,9 +487,6 @@ def test_real_logs_run_end_to_end(
     assert study.fit is not None
     assert study.fit.heldout_nmse is not None
     assert study.fit.heldout_nmse <= limit
-    if doubt is None:
-        assert study.design is not None and study.design.passed
-        return
     assert any(doubt in reason for reason in study.verdict.reasons)
     # Over all that fit and rig leave open no law passes; what is named instead leads
     # on: the nearest request, or the model alone.

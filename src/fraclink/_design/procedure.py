@@ -208,8 +208,8 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
-    for attempt in _asked(request, goal):
-        solution = solved(attempt)
+    for attempt, near in _asked(request, goal):
+        solution = solved(attempt, near)
         result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.kept else 0):
             result = result.with_law()
@@ -223,13 +223,13 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
     return result, solution
 
 
-def _asked(request: Request, goal: Goal) -> list[Request]:
-    """The requests for nine tenths of the highest feasible crossover or margin, and for
-    less in case the law does not keep it; the request itself without such a goal, or if
-    no loop meets the other rows.
+def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]]:
+    """The requests for nine tenths of the highest feasible crossover or margin, from the
+    solution that has it and anew, and for less in case the law does not keep it; the
+    request itself without such a goal, or if no loop meets the other rows.
     """
     if goal == "noise":
-        return [request]
+        return [(request, None)]
     key, most, unit, least = (
         ("phase_margin", math.pi, math.radians(1.0), 0.0)
         if goal == "margin"
@@ -240,10 +240,11 @@ def _asked(request: Request, goal: Goal) -> list[Request]:
     eased = 1.0 - best.easing if goal == "margin" else math.exp(-best.easing)
     highest = most / unit * eased
     if best.missed or highest <= least:
-        return [request]
+        return [(request, None)]
     # below the resonance there is no crossover to ask for
     values = dict.fromkeys(_floored(max(share * highest, least)) for share in _SHARES)
-    return [request.asking(**{key: unit * value}) for value in values]
+    requests = [request.asking(**{key: unit * value}) for value in values]
+    return [(requests[0], best), *((one, None) for one in requests)]
 
 
 def _lost_by_law(made: Design, solution: Solution) -> dict[str, float]:

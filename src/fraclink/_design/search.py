@@ -445,11 +445,15 @@ class Solution:
         return search.over_links(self.x)
 
 
-def solved(request: Request) -> Solution:
-    """Return the controller of a request, or the one nearest to it: every n without a
-    notch, then with one, from each start until one keeps every row, or two ease them
-    equally.
+def solved(request: Request, near: Solution | None = None) -> Solution:
+    """Return the controller of a request, or the one nearest to it: from a solution that
+    keeps it, if one is known; or else with every n without a notch, then with one, from
+    each start until one keeps every row, or two ease them equally.
     """
+    if near is not None:
+        solution = replace(near.search, request=request).over_links(near.x)
+        if solution.kept:
+            return solution
     # A loop that crosses below the resonance does not affect the vibration. From a
     # crossover beyond all reach a descent may not find back to the rows that may not be
     # eased: then it begins halfway to the slowest one.
