@@ -195,10 +195,10 @@ CEILINGS = {
     "_law": 949,
     "_reading": 892,
     "_simulate": 1177,
-    "lab": 1932,
+    "lab": 1930,
     "logs": 705,
     "studio": 1057,
-    "trials": 1285,
+    "trials": 1284,
     "view": 1354,
 }
 

@@ -8,12 +8,8 @@ with an underscore are private.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from fracsys._public import public_names
 
 __version__ = "0.2.0"
 
-__getattr__, __dir__, __all__ = public_names(
-    __name__, Path(__file__).with_suffix(".pyi")
-)
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -13,7 +13,7 @@ __all__ = ["public_names"]
 
 
 def public_names(
-    package: str, stub: Path
+    package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, from its stub.
 
@@ -22,7 +22,7 @@ def public_names(
     """
     homes = {
         alias.name: node.module
-        for node in ast.parse(stub.read_text("utf-8")).body
+        for node in ast.parse(Path(file).with_suffix(".pyi").read_text("utf-8")).body
         if isinstance(node, ast.ImportFrom) and node.module
         for alias in node.names
     }

@@ -313,11 +313,7 @@ class ArmState:
             single,
             np.ascontiguousarray(inputs),
             self.law,
-            self.state,
-            self.gauge,
-            self.voltage,
-            self.sensed,
-            self.counters,
+            *self.memory,
             b"" if estimator is None else estimator.block,
             self.estimate,
         )
@@ -335,26 +331,26 @@ class ArmState:
         if estimator is None:
             return record, []
         angle, torque, tip = (record[:, RECORD.index(name)] for name in _SEEN)
-        # the law missed a period without an output
-        ticks, active = (
-            first + 1 + np.arange(len(record)),
+        ticks = first + 1 + np.arange(len(record))
+        estimates = estimated_over(
+            estimator,
+            before or estimator.initial_state(),
+            angle,
+            torque,
+            ticks,
+            # the law missed a period without an output
             np.isfinite(tip),
         )
-        state = before or estimator.initial_state()
-        return record, [estimated_over(estimator, state, angle, torque, ticks, active)]
+        return record, [estimates]
 
     def sense(self, inputs: Real) -> tuple[float, float]:
         """Return the present readings of encoder and gauge."""
-        angle, torque = _kernels.twin_sense(
-            self.rig,
-            np.ascontiguousarray(inputs),
-            self.state,
-            self.gauge,
-            self.voltage,
-            self.sensed,
-            self.counters,
-        )
-        return float(angle), float(torque)
+        return _kernels.twin_sense(self.rig, np.ascontiguousarray(inputs), *self.memory)
+
+    @property
+    def memory(self) -> tuple[NDArray[Any], ...]:
+        """What the kernel changes of the arm: link, queues, sensors, counters."""
+        return self.state, self.gauge, self.voltage, self.sensed, self.counters
 
     def restart(self) -> None:
         """Restart the law and its estimator; arm, queues and clock go on, as after a

@@ -307,11 +307,10 @@ def _on_model(
         faults=broken,
         estimator=estimator,
     )
-    signals = {name: values[0] for name, values in rows.items()}
     return model_run(
         law,
         link,
-        signals | {"reference": path[0]},
+        {name: values[0] for name, values in rows.items()} | {"reference": path[0]},
         # A run cut off before its reference rests is judged by its last tenth.
         ended=min(reference.duration, (count - 1) * law.period),
         about=about,

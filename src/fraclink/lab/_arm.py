@@ -188,11 +188,7 @@ def serve_arm(
             way,
             *arm.step.arrays,
             arm.rig,
-            arm.state,
-            arm.gauge,
-            arm.voltage,
-            arm.sensed,
-            arm.counters,
+            *arm.memory,
             # Drawn in advance: the loop in C calls no Python, and the noise is that of
             # `simulate` with the same seed.
             twin.gauge.offset + twin.gauge.noise * noise,
@@ -262,8 +258,8 @@ class SimulatedArm:
         # A board whose drive is off ignores the voltage.
         voltage = 0.0 if command.mode in _DRIVE_OFF else command.voltage
         s = self._state
-        buffers = (s.rig, s.state, s.gauge, s.voltage, s.sensed, s.counters)
-        self._rows.append(_kernels.twin_drive(*s.step.arrays, *buffers, voltage))
+        row = _kernels.twin_drive(*s.step.arrays, s.rig, *s.memory, voltage)
+        self._rows.append(row)
 
     @property
     def callback(self) -> Callback:

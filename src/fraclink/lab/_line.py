@@ -100,7 +100,7 @@ class ArmLine:
         # A sample up to half a period late is jitter; later it counts as lost, since
         # the next one is due.
         last = self._clock.now + 1.5 * self.period
-        while (sample := self._way.read()) is None or not math.isfinite(sample[1]):
+        while (sample := _sample(self._way)) is None:
             if self._clock.now > last:
                 return None
             self._clock.sleep(self.period / _LOOKS)
@@ -115,8 +115,7 @@ class ArmLine:
         # Missed deadlines are dropped. Making up for them would cause a burst of reads,
         # each taken for a period of motion.
         self._due = max(self._due + self.period, self._clock.now)
-        sample = self._way.read()
-        return None if sample is None or not math.isfinite(sample[1]) else sample
+        return _sample(self._way)
 
     def stop(self) -> None:
         """Switch the drive off."""
@@ -175,6 +174,12 @@ def open_line(
             line.stop()
 
 
+def _sample(way: Any) -> tuple[int, float, float] | None:
+    """The sample that has come; None if there is none, or one without an angle."""
+    sample: tuple[int, float, float] | None = way.read()
+    return None if sample is None or not math.isfinite(sample[1]) else sample
+
+
 def _first_sample(
     way: Any,
     connection: Connection,
@@ -183,7 +188,7 @@ def _first_sample(
     clock: Any,
 ) -> tuple[int, float, float]:
     last, look = clock.now + patience, (period or 0.004) / _LOOKS
-    while (sample := way.read()) is None or not math.isfinite(sample[1]):
+    while (sample := _sample(way)) is None:
         if _kernels.realtime_signalled():
             raise Stopped
         # idle: from this message an arm learns where to send its samples

@@ -10,12 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop
 from fraclink._arm.reference import hold, prbs, smooth_step
 from fraclink._arm.rig_parts import Moves
-from fraclink._law import MODES, REASONS, Law
+from fraclink._law import MODES, REASONS, Law, LawInputs
 from fraclink._law.block import DiscreteMotorLoop, Modes
 from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._law.limits import derive_limits
@@ -57,14 +56,8 @@ class Follower:
     """law.c from one period to the next: a reference and a reading in, a voltage out."""
 
     def __init__(self, law: Law, payload: float = 0.0) -> None:
-        self._law, self._state = law, law.initial_state()
+        self._law, self._state, self._payload = law, law.initial_state(), payload
         self._tick = 0
-        self._signals, self._outputs = np.zeros((5, 1)), np.empty((5, 1))
-        self._signals[4, 0] = payload
-        self._marks, self._ticks = (
-            np.empty((3, 1), dtype=np.uint32),
-            np.zeros(1, dtype=np.uint32),
-        )
 
     def step(
         self,
@@ -76,24 +69,13 @@ class Follower:
     ) -> float:
         """Return the voltage [V]; `LawTripped` where the law switches off."""
         self._tick += periods
-        self._ticks[0] = self._tick
-        self._signals[:4, 0] = reference, acceleration, angle, torque
-        single = self._law.precision == "single"
-        self._state = _kernels.law_run(
-            self._law.block,
-            self._state,
-            self._ticks,
-            self._signals,
-            self._outputs,
-            self._marks,
-            single,
-        )
-        mode, reason, _ = (int(value) for value in self._marks[:, 0])
-        if mode >= MODES.index("degraded"):
+        inputs = LawInputs(reference, acceleration, angle, torque, self._payload)
+        self._state, outputs = self._law.step(self._state, inputs, tick=self._tick)
+        if outputs.mode >= MODES.index("degraded"):
             raise LawTripped(
-                f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off"
+                f"the law went to mode {MODES[outputs.mode]}: {REASONS[outputs.reason]}; the drive is off"
             )
-        return float(self._outputs[1, 0])
+        return outputs.voltage
 
 
 def motor_law(

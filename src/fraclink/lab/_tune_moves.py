@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fraclink._arm.reference import Reference, sampled, smooth_step
+from fraclink._arm.reference import sampled, smooth_step
 from fraclink._design import Design
 from fraclink._display import Row, rows_of
 from fraclink._law import Law
@@ -19,7 +19,6 @@ from fraclink.lab._tune_guard import Guard, Record
 from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_motion import Follower, calm, follow, motor_law
 from fraclink.lab._tune_motor import MotorResult
-from fracsys.checks import Real
 
 __all__ = ["FirstMove", "first_moves"]
 
@@ -135,15 +134,12 @@ def first_moves(
     band = settling_band(amplitude, design)
     # The slow move first: it shows a wrong law at a tenth of the speed.
     moves = ((_PART * amplitude, _SLOW * _PART * duration), move, move)
-    promises = [
-        judged(
-            *_simulated(design, law, motor, smooth_step(*each), payload),
-            band,
-            each[1],
-            design,
-        )
-        for each in moves
-    ]
+    twin, promises = twins_of(design, motor)[0], []
+    for size, length in moves:
+        path, ends = smooth_step(size, length), length + _AFTER
+        run = simulate(law, path, arm=twin, payload=payload, told=True, duration=ends)
+        read = run.motor_angle_measured, run.torque_measured
+        promises.append(judged(*read, band, length, design))
     # The motor loop holds the arm before the law takes over, so that a bump is due to
     # the law and not to sagging. It also damps the link, since vibration left by the
     # previous stage would be taken for that of the move: down to half of the band, √2
@@ -167,12 +163,10 @@ def first_moves(
     # one, each towards the first position of the arm.
     for size, length in moves:
         far = math.copysign(size, -at)
-        path = sampled(smooth_step(far, length), period, length + _AFTER)
+        rows = sampled(smooth_step(far, length), period, length + _AFTER)[[0, 2]]
         # The reference starts where the last one ended, not where friction has left the
         # arm.
-        record = follow(
-            guard, law, path[[0, 2]], follower=runs, origin=guard.origin + at
-        )
+        record = follow(guard, law, rows, follower=runs, origin=guard.origin + at)
         at += far
         records.append((far, record))
     # Judged with the drive off, since nothing controls the arm meanwhile.
@@ -201,20 +195,3 @@ def first_moves(
         )
     slow, *full = first
     return slow, max(full, key=lambda each: (each.hunts, each.error))
-
-
-def _simulated(
-    design: Design, law: Law, motor: MotorResult, path: Reference, payload: float
-) -> tuple[Real, Real]:
-    """Motor angle and torque of the same move on the model of the measured arm, as read
-    by the sensors.
-    """
-    run = simulate(
-        law,
-        path,
-        arm=twins_of(design, motor)[0],
-        payload=payload,
-        told=True,
-        duration=path.duration + _AFTER,
-    )
-    return run.motor_angle_measured, run.torque_measured

@@ -20,14 +20,12 @@ from fraclink.studio._messages import Message, Reply, checked_request, parsed, r
 from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
 from fraclink.studio._preview import Subject, map_of, preview
-from fraclink.studio._session import Session, SupersededError
+from fraclink.studio._session import Session, SupersededError, Verb
 from fraclink.studio._work import JOBS, WORK_VERBS, Job
 from fracsys.checks import rule
 
 __all__ = ["Conversation"]
 
-# Answered in order, in a thread: session and the values from the page -> answer.
-Verb = Callable[[Session, Mapping[str, Any]], Reply]
 # requests of a page in progress; a page that sends more is not ours
 _WAITING = 64
 
@@ -36,24 +34,21 @@ def _note(session: Session, given: Mapping[str, Any]) -> Reply:
     request: Any = given.get("state")
     checked_request(request)
     session.history.add(request)
-    return Reply(
-        {"ok": True, "at": session.history.at, "states": len(session.history.states)}
-    )
+    return Reply({"at": session.history.at, "states": len(session.history.states)})
 
 
 def _go(session: Session, given: Mapping[str, Any]) -> Reply:
     at = rule(int).check("at", given.get("at"))
-    return Reply({"ok": True, "state": session.history.go(at), "at": at})
+    return Reply({"state": session.history.go(at), "at": at})
 
 
 def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
     return Reply(
         {
-            "ok": True,
             "state": session.state,
             "states": session.history.states,
             "at": session.history.at,
-            **(session.subject.axes() if session.subject else {}),
+            **session.axes,
             **session.overview(),
         }
     )
@@ -146,7 +141,7 @@ class Conversation:
         elif message.verb == "cancel":
             if self._job is not None:
                 self._job.cancel()
-            await self._answered(message, Reply({"ok": True}))
+            await self._answered(message, Reply())
         elif message.verb in _VERBS or message.verb in JOBS:
             if self._orderly.full():
                 # 1008: policy violation. Without a limit, a faulty page could fill the
@@ -196,7 +191,7 @@ class Conversation:
                 raise SupersededError
 
         state = message.given.get("state")
-        return Reply({"ok": True, **map_of(_subject(self.session), state, going)})
+        return Reply({**map_of(_subject(self.session), state, going)})
 
     async def _in_order(self) -> None:
         while True:
@@ -216,7 +211,7 @@ class Conversation:
         self._job = Job(self.session, message.verb, message.given)
 
         def tell(progress: Mapping[str, Any]) -> None:
-            head = {**progress, "ok": True, "of": message.verb}
+            head = {**progress, "of": message.verb}
             # The job runs in a thread; only the event loop may write to the socket.
             future = self._sent(Reply(head).packed(message.seq, "progress"))
             asyncio.run_coroutine_threadsafe(future, loop)

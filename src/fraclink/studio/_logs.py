@@ -5,7 +5,7 @@ answers for the page.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from fraclink._reading.reading import (
 from fraclink.errors import FieldError, LogError, required
 from fraclink.logs import match
 from fraclink.studio._messages import Reply, held
-from fraclink.studio._session import Session, bare, begun
+from fraclink.studio._session import Session, Verb, bare, begun
 from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
 from fraclink.view._figures import fit_panels
@@ -60,7 +60,6 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
         known = checked_choice("log", name, bundled_logs(), remedy=remedy)
         session.source = bundled_log(known)
     head: dict[str, Any] = {
-        "ok": True,
         "bundled": bundled_logs(),
         "rigs": Rig.names(),
         "rig": session.study.rig.name if session.study.rig else "",
@@ -163,7 +162,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         except LogError:
             session.whole = None
     session.become(examined(rig, log))
-    head: dict[str, Any] = {"ok": True, **session.overview()}
+    head: dict[str, Any] = {**session.overview()}
     if columns is not None:
         head["toml"] = draft_text(rig.name, log.period, columns, {})
     more, signals = _experiment(session)
@@ -224,9 +223,8 @@ def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
     session.renew()
     return Reply(
         {
-            "ok": True,
             "state": session.state,
-            **(session.subject.axes() if session.subject else {}),
+            **session.axes,
             **session.overview(),
         }
     )
@@ -259,33 +257,29 @@ def fit_answer(session: Session) -> Reply:
     """
     study = session.study
     log, fits = study.experiment, study.fits
-    sentence = (
-        "Not fitted yet." if log is not None else "Read a log first (steps 1 and 2)."
-    )
-    sentence = (
-        f"The arm {study.fit.model.sentence}." if study.fit is not None else sentence
-    )
     head: dict[str, Any] = {
-        "ok": True,
         **session.overview(),
         "fits": [],
         "conclusion": "",
-        "said": sentence,
-        **(session.subject.axes() if session.subject else {}),
+        "said": f"The arm {study.fit.model.sentence}."
+        if study.fit is not None
+        else "Not fitted yet."
+        if log is not None
+        else "Read a log first (steps 1 and 2).",
+        **session.axes,
     }
-    curves: dict[str, Real] = {}
     if not fits:
-        return Reply(head, curves)
+        return Reply(head)
     structure = study.fit.structure if study.fit else ""
     if study.comparison:
         head["table"] = grid_of(study.comparison.table)
         head["conclusion"] = study.comparison.verdict
     head["fits"] = [_card(name, fit, name == structure) for name, fit in fits.items()]
-    if log is not None and study.fit is not None:
-        fit = study.fit
-        head["heldout"] = 1.0 - fit.fitted_samples / log.output.size
-        head["duration"] = log.duration
-        head["plots"], curves = _pictures(log, fit)
+    if log is None or study.fit is None:
+        return Reply(head)
+    head["heldout"] = 1.0 - study.fit.fitted_samples / log.output.size
+    head["duration"] = log.duration
+    head["plots"], curves = _pictures(log, study.fit)
     return Reply(head, curves)
 
 
@@ -318,7 +312,7 @@ def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
     }
 
 
-LOG_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
+LOG_VERBS: dict[str, Verb] = {
     "log": _choose_log,
     "columns": _set_columns,
     "rig": _set_rig,

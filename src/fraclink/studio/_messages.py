@@ -46,10 +46,15 @@ class Message:
 
 @dataclass(frozen=True)
 class Reply:
-    """An object, and curves: name to array of shape (N,) or (rows, N), sent as float32."""
+    """An object, which says whether the request was met (`ok`), and curves: name to
+    array of shape (N,) or (rows, N), sent as float32.
+    """
 
     head: Mapping[str, Any] = field(default_factory=dict)
     curves: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "head", {"ok": True, **self.head})
 
     def packed(self, seq: int, verb: str) -> bytes:
         """The length of the head in four bytes, little-endian; the head, padded to 4;

@@ -4,7 +4,7 @@ as by the command line.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from fraclink._export.selftest import expected
 from fraclink._files import output_path
 from fraclink._law import Law
 from fraclink.studio._messages import Reply
-from fraclink.studio._session import Session
+from fraclink.studio._session import Session, Verb
 from fraclink.view._arm_page import write_arm_page
 from fraclink.view._report import write_report
 from fraclink.view._words import power_on
@@ -30,50 +30,29 @@ _PRECISIONS = ("single", "double")
 _COUNTED, _OF_MODES, _A_MODE = (409, 495), 8, 8
 
 
-def _c(
-    session: Session, law: Law, precision: Any, force: bool
-) -> tuple[list[Path], str]:
-    folder = session.folder / "firmware"
-    paths = list(export_c(law.in_precision(precision), folder, force=force))
-    return (
-        paths,
-        f"fraclink export c design.json --precision {precision} --out {folder}",
+_TARGETS = ("c", "fmu", "share", "report")
+
+
+def _written(
+    target: str, session: Session, law: Law, precision: Any, *, force: bool
+) -> tuple[Iterable[Path], str]:
+    """The files of a kind of output, and the command that writes them."""
+    folder, option = session.folder, f"--precision {precision}"
+    if target == "c":
+        firmware = folder / "firmware"
+        paths = export_c(law.in_precision(precision), firmware, force=force)
+        return paths, f"fraclink export c design.json {option} --out {firmware}"
+    if target == "fmu":
+        fmu = folder / "arm_law.fmu"
+        made = export_fmu(law, fmu, precision=precision, compilers=(), force=force)
+        return [made], f"fraclink export fmu design.json --source {option} --out {fmu}"
+    name, write, only = (
+        ("arm.html", write_arm_page, " --arm")
+        if target == "share"
+        else ("report.html", write_report, "")
     )
-
-
-def _fmu(
-    session: Session, law: Law, precision: Any, force: bool
-) -> tuple[list[Path], str]:
-    path = session.folder / "arm_law.fmu"
-    return [
-        export_fmu(law, path, precision=precision, compilers=(), force=force)
-    ], f"fraclink export fmu design.json --source --precision {precision} --out {path}"
-
-
-def _share(
-    session: Session, law: Law, precision: Any, force: bool
-) -> tuple[list[Path], str]:
-    path = output_path(session.folder / "arm.html", force=force)
-    return [
-        write_arm_page(session.study, path)
-    ], f"fraclink report {session.folder} --arm --out {path}"
-
-
-def _report(
-    session: Session, law: Law, precision: Any, force: bool
-) -> tuple[list[Path], str]:
-    path = output_path(session.folder / "report.html", force=force)
-    return [
-        write_report(session.study, path)
-    ], f"fraclink report {session.folder} --out {path}"
-
-
-_TARGETS: dict[str, Callable[[Session, Law, Any, bool], tuple[list[Path], str]]] = {
-    "c": _c,
-    "fmu": _fmu,
-    "share": _share,
-    "report": _report,
-}
+    page = output_path(folder / name, force=force)
+    return [write(session.study, page)], f"fraclink report {folder}{only} --out {page}"
 
 
 def _export(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -85,8 +64,8 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     checked_choice("precision", precision, _PRECISIONS)
     design, law = session.shippable()
     session.folder.mkdir(parents=True, exist_ok=True)
-    paths, command = _TARGETS[target](
-        session, law, precision, given.get("force") is True
+    paths, command = _written(
+        target, session, law, precision, force=given.get("force") is True
     )
     names = {
         path.relative_to(session.folder).as_posix(): path.stat().st_size
@@ -97,7 +76,6 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     session.exported = design
     return Reply(
         {
-            "ok": True,
             "target": target,
             "written": names,
             "export_command": command,
@@ -116,7 +94,7 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
         session.study.law,
     )
     if design is None or law is None or precision not in _PRECISIONS:
-        return Reply({"ok": True, "board": [], "power_on": []})
+        return Reply({"board": [], "power_on": []})
     law = law.in_precision(precision)
     flash, state = exact_sizes(law)
     room = _kernels.law_sizes(precision == "single")
@@ -131,10 +109,10 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
          *(counts if precision == "single" else ["not counted: it has no such unit"] * 2)],
         ["last line of the self-test", *[f"hash {expected(law):08X}"] * 2],
     ]  # fmt: skip
-    return Reply({"ok": True, "board": rows, "power_on": power_on(design)})
+    return Reply({"board": rows, "power_on": power_on(design)})
 
 
-OUTPUT_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
+OUTPUT_VERBS: dict[str, Verb] = {
     "export": _export,
     "board": _board,
 }

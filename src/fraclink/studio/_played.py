@@ -14,7 +14,7 @@ from fraclink._arm.reference import smooth_step
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin, simulate
 from fraclink._simulate.engine import LONGEST
 from fraclink.studio._messages import Reply, held
-from fraclink.studio._session import Session
+from fraclink.studio._session import Session, Verb
 from fraclink.trials._fault_trial import Bench, Case
 from fraclink.trials._faults import fault_named, observe
 from fraclink.view._arm_box import assumed_mass
@@ -46,7 +46,7 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
         told=given.get("told") is True, delay_samples=round(delay), events=events,
     )  # fmt: skip
     # Modes 0 and 1 are idle and run: a higher one is a reaction of the law.
-    after = "" if np.asarray(run.mode).max() <= 1 else " The law changed its mode."
+    after = "" if run.mode.max() <= 1 else " The law changed its mode."
     return _reply(f"On the twin: {sentence}.{after}", run, math.degrees(move))
 
 
@@ -63,12 +63,8 @@ def _events(
         # A hand stops the arm in its motion: the obstacle is on the side to which the
         # reference moves, since at the moment of the grip it may still be at the
         # position of the tip.
-        side: Literal[1, -1] = (
-            1
-            if float(np.asarray(angle(np.array([begin + _number(given, "time")])))[0])
-            >= place
-            else -1
-        )
+        after = begin + _number(given, "time")
+        side: Literal[1, -1] = 1 if angle(after) >= place else -1
         # If it is released in the same frame the obstacle has no duration; a
         # millisecond is a touch.
         events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
@@ -94,9 +90,8 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
         1,
     )
     fault = fault_named(case.fault)
-    bench = Bench.of(design)
     # Seed 1, as in the campaign of this page.
-    run = observe(bench, case).faulty
+    run = observe(Bench.of(design), case).faulty
     sentence = (
         f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}. "
         f"Required: {fault.required}"
@@ -118,15 +113,14 @@ def _reply(said: str, run: Run, move: float) -> Reply:
         name: held(np.asarray(values, dtype=float), 1e6)
         for name, values in curves.items()
     }
-    head = {"ok": True, "said": said, "payload": run.payload, "move": move}
-    return Reply(head, clean)
+    return Reply({"said": said, "payload": run.payload, "move": move}, clean)
 
 
 def _number(given: Mapping[str, Any], name: str) -> float:
     return float(rule(float).check(name, given.get(name)))
 
 
-PLAY_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
+PLAY_VERBS: dict[str, Verb] = {
     "play": _play,
     "fault": _fault,
 }

@@ -127,7 +127,6 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     logs = made.loop.log(subject.frequencies, links[:, None])
     margin = subject.links.margins(made.controller)
     head = {
-        "ok": True,
         "preview": True,
         "three": three,
         "names": [grams(mass) for mass in three],

@@ -7,7 +7,7 @@ import math
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -57,6 +57,10 @@ _BARE: dict[str, Any] = {
 
 class SupersededError(Exception):
     """A newer request has made this one pointless."""
+
+
+# Answered in order, in a thread: session and the values from the page -> answer.
+Verb = Callable[["Session", Mapping[str, Any]], Reply]
 
 
 class Session:
@@ -135,6 +139,11 @@ class Session:
         """Show another study, whose rig and link may differ."""
         self.study, self.subject = study, _subject_of(study)
 
+    @property
+    def axes(self) -> dict[str, Any]:
+        """The axes of the study's plots; none without a rig and a link."""
+        return self.subject.axes() if self.subject else {}
+
     def shippable(self) -> tuple[Design, Law]:
         """The study's design and law; FieldError without them."""
         allowed, remedy = "a study with a design", "make one in step 4"
@@ -193,7 +202,7 @@ class Session:
 
     def _answer(self, arm_key: object) -> dict[str, Any]:
         """The answer about the study's design."""
-        return {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
+        return {"preview": False, **self.overview(), **self.arm(arm_key)}
 
     def arm(self, known: object = "") -> dict[str, Any]:
         """The data of the engine in the page; only the key of the arm, and its law, if
@@ -317,9 +326,7 @@ class Session:
         save_study(self.study, self.folder)
         removed = self._remove_outdated(names)
         self._kept = _digests(self.folder)
-        return Reply(
-            {"ok": True, "kept": sorted(names), "removed": removed, **self.overview()}
-        )
+        return Reply({"kept": sorted(names), "removed": removed, **self.overview()})
 
     def _remove_outdated(self, names: set[str]) -> list[str]:
         """Remove the results of the previously kept design, which would be taken for

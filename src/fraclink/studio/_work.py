@@ -23,7 +23,7 @@ from fraclink._law.requirement import margins_of
 from fraclink.errors import FieldError, FraclinkError, required
 from fraclink.studio._logs import fit_answer
 from fraclink.studio._messages import Reply
-from fraclink.studio._session import Session
+from fraclink.studio._session import Session, Verb
 from fraclink.studio._worker import cell_of
 from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign
@@ -170,7 +170,7 @@ class Job:
                 session.become(replace(now, faults=result.faults))
         if self.verb == "identify":
             return fit_answer(session)
-        return Reply({"ok": True, **session.overview(), **proof_of(session.study)})
+        return Reply({**session.overview(), **proof_of(session.study)})
 
 
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
@@ -299,7 +299,7 @@ def proof_of(study: Study) -> dict[str, Any]:
 def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
     """The content of step 6 for the present study."""
     study = session.study
-    head: dict[str, Any] = {"ok": True, **proof_of(study)}
+    head = proof_of(study)
     if study.design is None or study.law is None:
         return Reply(head)
     near, curves = swept(study.design, study.law)
@@ -308,4 +308,4 @@ def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
     return Reply(head | {"swept": near}, curves)
 
 
-WORK_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {"proof": _proof}
+WORK_VERBS: dict[str, Verb] = {"proof": _proof}

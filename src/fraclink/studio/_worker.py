@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder, verb, options = sys.argv[1:] if arguments is None else arguments
     place = Path(folder)
     try:
-        save_study(_worked(load_study(place), verb, json.loads(options), place), place)
+        save_study(_worked(load_study(place), verb, json.loads(options)), place)
     except FraclinkError as error:
         # A single line: the page shows the last one.
         sys.stderr.write(f"{error}\n")
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) -> Study:
+def _worked(study: Study, verb: str, options: Mapping[str, Any]) -> Study:
     if verb == "identify":
         _tell({"said": "fitting four structures"})
         return identified(study, heldout=options["heldout"])

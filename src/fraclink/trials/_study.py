@@ -8,7 +8,7 @@ certificate.json  run-20g.npz …  arms.npz  faults.json  study.json
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,8 +30,17 @@ from fraclink.trials._summary import CampaignRuns
 
 __all__ = ["Refusal", "Study", "load_study", "save_study"]
 
-# The parts with their own file next to study.json.
-_FILES = ("rig", "experiment", "fit", "design", "law", "certificate", "arms", "faults")
+# Part with a file of its own next to study.json -> that file and its kind. The fits have
+# one each.
+_FILES = {
+    "rig": ("rig.toml", "rig"),
+    "experiment": ("log.npz", "log"),
+    "design": ("design.json", "design"),
+    "law": ("law.json", "law"),
+    "certificate": ("certificate.json", "certificate"),
+    "arms": ("arms.npz", "campaign-runs"),
+    "faults": ("faults.json", "fault-campaign"),
+}
 
 
 @dataclass(frozen=True)
@@ -281,13 +290,7 @@ def save_study(study: Study, folder: Path | str) -> None:
     (['rig.toml', 'study.json'], 'paper-2023')
     """
     place = checked_path("folder", folder)
-    parts: dict[str, Any] = {
-        "rig.toml": study.rig,
-        "design.json": study.design,
-        "law.json": study.law,
-        "certificate.json": study.certificate,
-        "arms.npz": study.arms,
-    }
+    parts = {file: getattr(study, part) for part, (file, _) in _FILES.items()}
     for name, fit in study.fits.items():
         # The fit that the design used is model.json, so that commands that take a model
         # need no structure name.
@@ -301,12 +304,8 @@ def save_study(study: Study, folder: Path | str) -> None:
     for name, part in parts.items():
         # Missing parts leave no empty file: the files of a folder show what was done.
         if part is not None:
-            part.save(place / name)
-    if study.experiment is not None:
-        save(study.experiment, place / "log.npz", force=True)
-    if study.faults is not None:
-        save(study.faults, place / "faults.json", force=True)
-    elsewhere: dict[str, Any] = dict.fromkeys(_FILES)
+            save(part, place / name, force=True)
+    elsewhere: dict[str, Any] = dict.fromkeys((*_FILES, "fit"))
     comparison = study.comparison
     if comparison is not None:
         # study.json holds the part of a comparison that its fits, which are separate
@@ -349,21 +348,19 @@ def load_study(folder: Path | str) -> Study:
 
 
 def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
-    def first(kind: str, read: Callable[[Path], Any]) -> Any:
-        return read(by_kind[kind][0]) if kind in by_kind else None
+    def first(kind: str) -> Any:
+        return load(by_kind[kind][0]) if kind in by_kind else None
 
-    about = first("study", lambda path: load(path, Study)) or Study()
+    about = first("study") or Study()
+    parts = {part: first(kind) for part, (_, kind) in _FILES.items()}
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     runs = sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
-    design, certificate = (
-        first("design", Design.load),
-        first("certificate", Certificate.load),
-    )
+    design, certificate = parts["design"], parts["certificate"]
     missing = dict(about.missing)
     # A certificate that was not passed is kept as a file; in the verdict it is a reason
     # and not a proof.
     if certificate is not None and not certificate.passed:
-        missing["certificate"], certificate = certificate.verdict, None
+        missing["certificate"], parts["certificate"] = certificate.verdict, None
     # model.json has the shortest name: the fit that the design used.
     file = min(by_kind.get("fit", []), key=lambda path: len(path.name), default=None)
     comparison = about.comparison
@@ -373,18 +370,14 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         whole = set(fits) == set(STRUCTURES)
         ordered = {name: fits[name] for name in STRUCTURES if name in fits}
         comparison = replace(comparison, fits=ordered) if whole else None
+    if design is not None:
+        parts["rig"] = parts["rig"] or design.rig
     return replace(
         about,
-        rig=first("rig", Rig.load) or (design.rig if design else None),
-        experiment=first("log", lambda path: load(path, Experiment)),
+        **parts,
         comparison=comparison,
         fit=None if file is None else Fit.load(file),
-        design=design,
-        law=first("law", Law.load),
         missing=missing,
-        certificate=certificate,
         runs=tuple(move for move in runs if move.about.get("arm") != "twin"),
         twins=tuple(move for move in runs if move.about.get("arm") == "twin"),
-        arms=first("campaign-runs", CampaignRuns.load),
-        faults=first("fault-campaign", lambda path: load(path, FaultTable)),
     )
