@@ -6,6 +6,8 @@ import contextlib
 import io
 import json
 import os
+import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -144,16 +146,26 @@ def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
 
 @pytest.mark.slow
 def test_a_refused_run_offers_the_nearest_request_as_options(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked = ["--gain-crossover", "16", "--phase-margin-deg", "60"]
+    asked += ["--payloads", "0.025", "0.035"]
     command = ["run", "--rig", "paper-2023-geared", "--log", "demo", *asked]
-    assert main([*command, "--out", str(tmp_path)]) == 1
+    assert main([*command, "--arms", "0", "--out", str(tmp_path)]) == 1
     told = capsys.readouterr()
     assert "next: the same with --gain-crossover " in told.err
     page = (tmp_path / "report.html").read_text("utf-8")
     for face in (told.out, page):
         assert "gain_crossover=" not in face
+    # Pasted in the folder of the report, the command makes the design.
+    (pasted,) = re.findall(r"fraclink (run --rig [^<]+)<", page)
+    monkeypatch.chdir(tmp_path)
+    main([*shlex.split(pasted), "--arms", "0"])
+    study = load_study("results")
+    assert study.design is not None and study.design.passed
+    assert study.design.payloads == (0.025, 0.035)
 
 
 @pytest.mark.slow

@@ -101,6 +101,25 @@ def test_arrays_go_into_an_archive_where_the_ending_says_so(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+def test_a_saved_log_is_read_as_a_log(tmp_path: Path) -> None:
+    place = log().save(tmp_path / "log.csv") or fl.save(log(), tmp_path / "log.npz")
+    assert fl.read_log(place) == log()
+    # whatever columns the rig states for the logs that it records
+    rig = fl.Rig.named("paper-2023")
+    stated = {"time": "t [s]", "motor_angle": "theta [deg]", "torque": "gamma [Nm]"}
+    assert fl.read_log(place, rig=rig, columns=stated, payload=0.05).payload == 0.05
+    cut, text = (
+        fl.read_log(tmp_path / name, keep=(5.0, 9.0)) for name in ("log.npz", "log.csv")
+    )
+    assert np.array_equal(cut.whole_angle, text.whole_angle)
+    assert np.array_equal(cut.output, text.output)
+    assert cut.start_time == text.start_time and cut.findings[-1] == text.findings[-1]
+    again = fl.read_log(fl.save(cut, tmp_path / "cut.npz"), keep=(0.5, 1.5))
+    assert np.array_equal(
+        again.whole_angle, log().motor_angle[: again.whole_angle.size]
+    )
+
+
 def test_a_certificate_is_saved_and_loaded(tmp_path: Path) -> None:
     certificate = fl.certify(design(), payloads=(0.03, 0.03))
     assert fl.load(fl.save(certificate, tmp_path / "certificate.json")) == certificate

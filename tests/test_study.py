@@ -90,19 +90,6 @@ def test_a_simulated_log_is_remarked() -> None:
     )
 
 
-def test_a_refusal_keeps_what_was_asked_for_of_the_nearest() -> None:
-    nearest = {"gain_crossover": 11.0, "phase_margin": 0.8, "settling_time": 0.5}
-    found = Refusal.of(
-        {"gain_crossover": 14, "phase_margin": None, "payloads": (1.0, 2.0)}, nearest
-    )
-    assert found.nearest == nearest
-    assert found.asked == {
-        "gain_crossover": 14.0,
-        "phase_margin": 0.8,
-        "settling_time": 0.5,
-    }
-
-
 # --- the folder -----------------------------------------------------------------------
 
 

@@ -37,7 +37,11 @@ _ECHO = "play it, and write a topic by `ros2 topic echo --csv TOPIC > log.csv`"
 _TABLE = "keep its table alone: sed -n '/^X_Value/,$p' LOG > log.csv"
 # The first bytes of files that are no logs, what they are, and the way to a log.
 _FOREIGN = (
-    (b"PK\x03\x04", "a zip or spreadsheet", _EXPORT),
+    (
+        b"PK\x03\x04",
+        "a zip or spreadsheet",
+        f'{_EXPORT}, a log of fraclink by fraclink.load("log.npz").save("log.csv")',
+    ),
     (b"\x1f\x8b", "gzip", _EXPORT),
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet", _EXPORT),
     (b"%PDF", "PDF", _EXPORT),
@@ -71,23 +75,24 @@ def sniffed_kind(path: Path) -> str:
         head = stream.read(1024)
     # By content instead of name: a .mat file is MATLAB's own format or HDF5, depending
     # on its age.
-    kinds = (kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic)
-    kind = next(kinds, "text")
+    kind = next(
+        (kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic),
+        "text",
+    )
     promised = _PROMISED.get(path.suffix.lower(), (kind,))
-    formats = "text, MAT, HDF5, TDMS, NumPy"
-    for magic, name, remedy in _FOREIGN:
-        if head.startswith(magic):
-            raise _other(path, f"{name} by its content", formats, remedy)
+    wrong = [
+        (f"{name} by its content", "text, MAT, HDF5, TDMS, NumPy", remedy)
+        for magic, name, remedy in _FOREIGN
+        if head.startswith(magic)
+    ]
     if kind not in promised:
         remedy = "it is damaged, or its name has the wrong ending"
         if path.suffix.lower() == ".mat":
             remedy = "it is damaged or of MATLAB v4: save it again, save log.mat t theta torque -v7"
-        raise _other(path, f"{kind} by its content", " or ".join(promised), remedy)
+        wrong.append((f"{kind} by its content", " or ".join(promised), remedy))
+    if wrong:
+        raise FileFormatError("log", path.name, *wrong[0])
     return kind
-
-
-def _other(path: Path, content: str, allowed: str, remedy: str) -> FileFormatError:
-    return FileFormatError("log", path.name, content, allowed, remedy)
 
 
 def read_table(path: Path) -> LogTable:

@@ -5,7 +5,7 @@ lists the content of a file.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from fraclink._arm.log_columns import (
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base, uniform_before
 from fraclink._display import Overview, Row, Table, displayed, rows_of
-from fraclink._files import sha256_of
+from fraclink._files import kind_of, load, sha256_of
 from fraclink._reading.columns import (
     check_count,
     check_signals,
@@ -55,10 +55,8 @@ def bundled_log(name: str) -> Path:
     >>> bundled_log("prbs_30g").name
     'prbs_30g.csv'
     """
-    known = checked_choice(
-        "log", name, bundled_logs(), remedy="give one of these, or a path"
-    )
-    return _LOGS / f"{known}.csv"
+    remedy = "give one of these, or a path"
+    return _LOGS / f"{checked_choice('log', name, bundled_logs(), remedy=remedy)}.csv"
 
 
 def read_columns(path: Path | str) -> dict[str, Real]:
@@ -94,6 +92,9 @@ def read_log(
     guessed: by `columns`, by the rig's `[log]` table, or by names in the log that are a
     role and a unit (``time_s``, ``motor_angle_rad``, ``torque_Nm`` or
     ``deflection_rad``, ``voltage_V``).
+
+    A log that `fraclink.save` wrote, such as the log.npz of a folder of results, is read
+    as it was saved, and states its columns itself.
 
     The experiment is in SI units: motor angle [rad], torque [N·m] or deflection [rad],
     voltage [V].
@@ -134,6 +135,8 @@ def read_log(
     8.0
     """
     place = Path(path)
+    if place.suffix == ".npz" and kind_of(place):
+        return _saved(place, payload, keep)
     if columns is not None and not isinstance(columns, LogColumns):
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
     table = read_table(place)
@@ -183,6 +186,27 @@ def read_log(
         voltage=data.get("voltage"),
         notes=table.notes,
         earlier_angle=earlier if earlier.size else None,
+    )
+
+
+def _saved(
+    place: Path, payload: float | None, keep: tuple[float, float] | None
+) -> Experiment:
+    """The log that `fraclink.save` wrote, or the stretch to keep of it."""
+    log = load(place, Experiment)
+    log = replace(log, payload=log.payload if payload is None else payload)
+    if keep is None:
+        return log
+    inside, cut = _kept(log.time, *keep)
+    first = int(np.argmax(inside))
+    return replace(
+        log,
+        motor_angle=log.motor_angle[inside],
+        output=log.output[inside],
+        voltage=None if log.voltage is None else log.voltage[inside],
+        findings=(*log.findings, cut),
+        start_time=float(log.time[first]),
+        earlier_angle=log.whole_angle[: log.whole_angle.size - log.time.size + first],
     )
 
 

@@ -123,8 +123,7 @@ def _in_si(columns: Given, role: str) -> Real:
 def _absent(columns: Given, wanted: str, allowed: str) -> LogError:
     names = ", ".join(f"{role}: {name}" for role, (_, _, name) in columns.items())
     remedy = "rename a column in the table's header, or state columns"
-    listing, problem = names or "(none)", f"without {wanted}"
-    return LogError("columns", listing, problem, allowed, remedy)
+    return LogError("columns", names or "(none)", f"without {wanted}", allowed, remedy)
 
 
 def _columns_of(table: LogTable, stated: Mapping[str, str] | None) -> Given:
@@ -142,8 +141,13 @@ def _columns_of(table: LogTable, stated: Mapping[str, str] | None) -> Given:
     by_role: Given = {}
     for role, name, place in given:
         if role in by_role:
-            what, remedy = f"column of {role}", "rename one, or state columns"
-            raise LogError(what, name, "given twice", "one column", remedy)
+            raise LogError(
+                f"column of {role}",
+                name,
+                "given twice",
+                "one column",
+                "rename one, or state columns",
+            )
         if role:
             unit = _unit(name, role, table.units[place])
             by_role[role] = table.clean(place)[0], unit, name
@@ -262,7 +266,6 @@ def _period(table: LogTable, time: str | None) -> float:
 
 
 COLUMNS = ("time_s", "angle_rad", "velocity_rad_per_s", "acceleration_rad_per_s2")
-_SHAPED = "shaped-move"
 
 
 @checked
@@ -291,7 +294,7 @@ def read_reference(path: Path) -> Reference:
     >>> round(float(path.angle(0.4)), 12), path.duration
     (0.7, 1.0)
     """
-    if kind_of(path) == _SHAPED:
+    if kind_of(path) == "shaped-move":
         reference: Reference = load(path).reference
         return reference
     columns = read_columns(path)

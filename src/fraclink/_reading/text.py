@@ -38,7 +38,6 @@ from fraclink._reading.table import (
     SAMPLE_LIMIT,
     CellFaults,
     LogTable,
-    check_file,
     check_size,
     too_large,
 )
@@ -93,7 +92,6 @@ def read_text_table(path: Path) -> LogTable:
     Raises FileFormatError (another encoding, binary), LogError (no rows, ragged rows)
     or SizeError (over the limits of `fraclink._reading.table`).
     """
-    check_file(path)
     text = _utf8(path.read_bytes(), path)
     _check_lines(text)
     raw = text.split(b"\n", _HEAD)
@@ -204,8 +202,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _is_numeric(cell: str) -> bool:
-    forms = (NUMBER, DECIMAL_COMMA, _CLOCK)
-    return any(form.fullmatch(cell) for form in forms)
+    return any(form.fullmatch(cell) for form in (NUMBER, DECIMAL_COMMA, _CLOCK))
 
 
 def _is_comment(line: str) -> bool:

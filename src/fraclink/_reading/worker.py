@@ -252,8 +252,7 @@ def answer(kind: str, path: Path) -> tuple[dict[str, Any], list[RawColumn]]:
         return {"damaged": "it asks for more memory than a log needs"}, []
     except Exception as error:  # noqa: BLE001
         return {"damaged": f"{type(error).__name__}: {error}"[:200]}, []
-    pairs = [[column.name[:200], column.unit] for column in columns]
-    return {"columns": pairs}, columns
+    return {"columns": [[each.name[:200], each.unit] for each in columns]}, columns
 
 
 def main() -> None:

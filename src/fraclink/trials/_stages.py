@@ -128,7 +128,8 @@ def run(
             part = {trying: "arms", "proving": "certificate"}.get(name, "design")
             study = replace(study, missing={**study.missing, part: why})
             if isinstance(error, InfeasibleError) and error.nearest:
-                study = replace(study, refused=Refusal.of(wanted, error.nearest))
+                asked = {k: value for k, value in wanted.items() if value is not None}
+                study = replace(study, refused=Refusal(asked, error.nearest))
         # Without a fit there is no design, and without a law nothing to run.
         if (study.fit if name == "identifying" else study.law) is None:
             break

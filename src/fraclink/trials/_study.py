@@ -45,24 +45,12 @@ _FILES = {
 
 @dataclass(frozen=True)
 class Refusal:
-    """A request that no controller meets, and the nearest feasible one, as arguments of
-    `design`.
-
-    Both are empty if the condition names none.
+    """A request that no controller meets, and what the nearest feasible one has
+    instead, as arguments of `design`.
     """
 
-    asked: Mapping[str, float]
+    asked: Mapping[str, Any]
     nearest: Mapping[str, float]
-
-    @classmethod
-    def of(cls, wanted: Mapping[str, Any], nearest: Mapping[str, float]) -> Refusal:
-        """The requested values of the quantities in the nearest request."""
-        requested = {
-            name: float(wanted[name])
-            for name in nearest
-            if isinstance(wanted.get(name), int | float)
-        }
-        return cls(dict(nearest) | requested, dict(nearest))
 
 
 @displayed

@@ -54,19 +54,22 @@ def grams_between(low: float, high: float) -> str:
     return f"{number(1e3 * low)} to {grams(high)}"
 
 
-def options_text(arguments: Mapping[str, float]) -> str:
+def options_text(arguments: Mapping[str, Any]) -> str:
     """Keyword arguments as command-line options, with all significant digits.
 
-    >>> options_text({"gain_crossover": 12.346, "phase_margin": math.radians(50.0)})
-    '--gain-crossover 12.346 --phase-margin-deg 50'
+    >>> options_text({"payloads": (0.02, 0.04), "phase_margin": math.radians(50.0), "box": False})
+    '--payloads 0.02 0.04 --no-box --phase-margin-deg 50'
     """
     typed = dict(arguments)
     if "phase_margin" in typed:
         typed["phase_margin_deg"] = math.degrees(typed.pop("phase_margin"))
-    # Eight digits: with fewer, a request at its bound would be infeasible.
-    return " ".join(
-        f"--{name.replace('_', '-')} {value:.8g}" for name, value in typed.items()
-    )
+    words = []
+    for name, value in typed.items():
+        words.append(f"--{'no-' if value is False else ''}{name.replace('_', '-')}")
+        if not isinstance(value, bool):  # a flag has no word after it
+            # Eight digits: with fewer, a request at its bound would be infeasible.
+            words += [f"{figure:.8g}" for figure in np.atleast_1d(value)]
+    return " ".join(words)
 
 
 def ranges_of(limits: Iterable[float]) -> tuple[str, ...]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import shlex
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._display import number, source_name
+from fraclink._display import number
 from fraclink.trials._study import Study
 from fraclink.view._text import grams, grams_between, options_text
 
@@ -39,22 +38,21 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
     """The labels of motor, gauge and payload in the drawing of the arm."""
     late = model.gauge_delay if model is not None else 0.0
-    payload = grams_between(rig.payloads.low, rig.payloads.high)
-    gauge = f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else ""
-    return f"follows within {number(4.0e3 / rig.motor_loop.pole, 2)} ms", gauge, payload
+    return (
+        f"follows within {number(4.0e3 / rig.motor_loop.pole, 2)} ms",
+        f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else "",
+        grams_between(rig.payloads.low, rig.payloads.high),
+    )
 
 
 def nearest_command(study: Study) -> str:
     """The command line for the nearest request; empty if none is known."""
     if study.refused is None or study.rig is None:
         return ""
-    log = "LOG"
-    if study.experiment is not None and study.experiment.source:
-        log = source_name(study.experiment.source)
-    # The command only knows a rig that is not bundled by its file, which lies next to
-    # the report.
-    rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
-    return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options_text(study.refused.nearest)}"
+    # The log and the rig as they were read, which lie next to the report.
+    return "fraclink run --rig rig.toml --log log.npz " + options_text(
+        {**study.refused.asked, **study.refused.nearest}
+    )
 
 
 def steps(study: Study) -> list[tuple[str, str]]:
