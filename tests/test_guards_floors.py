@@ -198,8 +198,8 @@ CEILINGS = {
     "lab": 1930,
     "logs": 705,
     "studio": 1057,
-    "trials": 1284,
-    "view": 1354,
+    "trials": 1282,
+    "view": 1353,
 }
 
 

@@ -39,7 +39,7 @@ _UNITS: dict[str, tuple[str, float, int | None]] = {
     "mrad": ("mrad", 1e-3, 2),
     "mN·m": ("mN·m", 1e-3, None),
     "%": ("%", 1e-2, None),
-    "Hz": ("Hz", 2.0 * math.pi, None),
+    "Hz": ("Hz", math.tau, None),
 }
 
 

@@ -141,7 +141,7 @@ def _nodes(order: float) -> int:
     # coarse for test_a_contour_per_lag_where_modes_would_cancel.
     nodes, exponent = 16, max(2.0 * order - 1.0, 0.0)
     while (
-        exponent * math.log(2.0 * math.pi * nodes / 3.0) - math.lgamma(exponent + 1.0)
+        exponent * math.log(math.tau * nodes / 3.0) - math.lgamma(exponent + 1.0)
         > 2.1 * nodes - 32.0
     ):
         nodes += 1

@@ -76,7 +76,7 @@ def to_control(
     except ImportError as error:
         raise MissingExtraError("control", "control") from error
     w = frequency_grid(system, points=_POINTS) if frequencies is None else frequencies
-    axis = np.asarray(w, dtype=float)
+    axis = np.asarray(w, float)
     label = name or repr(system)
     return control.frd(system(1j * axis), axis, name=name, sysname=label)
 

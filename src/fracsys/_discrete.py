@@ -108,7 +108,7 @@ def fit_discrete(
         offset,
         weight,
         (tolerance_db, tolerance_deg),
-        np.asarray(inside, dtype=float),
+        np.asarray(inside, float),
     )
     # tan(ωT/2) is infinite at the Nyquist frequency; 1.55 rad limits the mapped
     # frequency to 48.
@@ -190,7 +190,7 @@ def _target(
     w = np.minimum(
         w, nyquist * (1 - 1e-6)
     )  # tan(ωT/2) is infinite at the Nyquist frequency
-    goal = np.asarray(response(w), dtype=complex)
+    goal = np.asarray(response(w), complex)
     within = np.arange(w.size) < inside.size
     # Inside the band the error is relative to the whole controller, which `offset` may
     # dominate. Above it only the size of the fitted part is guarded, and the offset
@@ -210,7 +210,7 @@ def _target(
         np.tan(half),
         (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
         goal,
-        np.asarray(emphasis / base, dtype=complex),
+        np.asarray(emphasis / base, complex),
         # The error is in nepers and radians; 20/ln 10 dB and 180/π degrees per unit
         # turn it into multiples of the tolerance.
         np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
@@ -282,7 +282,7 @@ class DiscreteRational:
     def __post_init__(self) -> None:
         for name in ("decays", "gains", "pole_decays", "pole_gains"):
             kind = complex if name.startswith("pole") else float
-            array = np.array(getattr(self, name), dtype=kind).reshape(-1)
+            array = np.array(getattr(self, name), kind).reshape(-1)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -300,7 +300,7 @@ class DiscreteRational:
 
     def __call__(self, frequency: ArrayLike) -> Complex:
         """H(e^(jωT)) at frequencies ω [rad/s], in the shape of ω."""
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency, float)
         z = np.exp(1j * w * self.period)[..., None]
         inner = self.feedthrough + (self.gains / (z - self.decays)).sum(-1)
         inner = inner + 0.5 * (self.pole_gains / (z - self.pole_decays)).sum(-1)

@@ -31,8 +31,8 @@ class ExponentialSum:
         """Merge equal orders, drop zero coefficients and divide by the lowest power of
         s.
         """
-        a = np.atleast_1d(np.asarray(coefficients, dtype=float))
-        nu = np.atleast_1d(np.asarray(orders, dtype=float))
+        a = np.atleast_1d(np.asarray(coefficients, float))
+        nu = np.atleast_1d(np.asarray(orders, float))
         # Merge only exponents that are equal to the last bit, unlike `collect` in
         # _terms.py: the terms of a transfer function are merged already.
         nu, index = np.unique(nu, return_inverse=True)
@@ -55,7 +55,7 @@ class ExponentialSum:
         """
         column = (-1, *[1] * np.ndim(z))
         exponents = np.asarray(
-            self._logs.reshape(column) + np.multiply.outer(self.rates, z), dtype=complex
+            self._logs.reshape(column) + np.multiply.outer(self.rates, z), complex
         )
         # The zeros of D do not depend on its scale. s^6 at 1e100 rad/s would overflow,
         # its ratio to the largest term does not.

@@ -450,7 +450,7 @@ def _applied(
     if right is not NotImplemented:
         return operation(function, right)
     if isinstance(other, np.ndarray):
-        right = np.empty(other.shape, dtype=object)
+        right = np.empty(other.shape, object)
         for place, one in np.ndenumerate(other):
             right[place] = _applied(operation, function, one)
     return cast("FractionalTransferFunction", right)

@@ -51,7 +51,7 @@ class SampledLoop:
 
     def __call__(self, x: Real) -> Complex:
         """L(j e^x)."""
-        values = np.asarray(self.response(x), dtype=complex)
+        values = np.asarray(self.response(x), complex)
         if values.shape != x.shape:
             raise FieldError(
                 "loop",

@@ -255,9 +255,7 @@ def crossings(
         frequency, margin = math.exp(root), cmath.phase(-value)
         # A delay turns L clockwise only: where the margin is negative, L must go the
         # long way round to reach −1.
-        gain.append(
-            GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency)
-        )
+        gain.append(GainCrossing(frequency, margin, (margin % math.tau) / frequency))
     usable = _followed(loop, x, values, turn, quiet)
     brackets = _brackets(loop, phase_level, x, turn, usable)
     phase = [

@@ -49,7 +49,7 @@ class Target:
     @cached_property
     def x(self) -> Complex:
         """jΩ as a column."""
-        return np.asarray(1j * self.omega[:, None], dtype=complex)
+        return np.asarray(1j * self.omega[:, None], complex)
 
     @cached_property
     def real_rows(self) -> tuple[Real, Real]:
@@ -167,7 +167,7 @@ def log_spaced_start(
         np.zeros(real),
         logs[real:],
         np.full(pairs, 0.55),
-        np.zeros(pairs, dtype=complex),
+        np.zeros(pairs, complex),
     )
 
 
@@ -380,7 +380,7 @@ def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
         a[i : i + 2, i : i + 2] = [[-q[k].real, q[k].imag], [-q[k].imag, -q[k].real]]
         b[i : i + 2] = [1.0, 0.0]
         c[i : i + 2] = [gain.real, -gain.imag]
-    return np.asarray(np.linalg.eigvals(a - np.outer(b, c)), dtype=complex)
+    return np.asarray(np.linalg.eigvals(a - np.outer(b, c)), complex)
 
 
 def _from_poles(x: Complex, target: Target) -> PartialFractions:
@@ -398,5 +398,5 @@ def _from_poles(x: Complex, target: Target) -> PartialFractions:
         np.zeros(len(real)),
         np.log(np.clip(np.abs(q), low, high)),
         np.arctanh(angle),
-        np.zeros(len(q), dtype=complex),
+        np.zeros(len(q), complex),
     )

@@ -164,9 +164,7 @@ def _poles(z: Complex, alpha: float) -> tuple[Complex, Complex]:
     # z^(1/α) has an argument within ±π for this many branches of z; for α < 1 there is
     # at most one pole.
     turns = math.ceil(0.5 * alpha)
-    angles = (
-        np.angle(z) + 2.0 * math.pi * np.arange(-turns, turns + 1)[:, None]
-    ) / alpha
+    angles = (np.angle(z) + math.tau * np.arange(-turns, turns + 1)[:, None]) / alpha
     angles = np.where(np.abs(angles) <= math.pi, angles, np.nan)
     logs = np.log(radius) + 1j * angles
     return logs, place(logs, math.log(_VERTEX))
@@ -217,5 +215,5 @@ def _rule(beta: float) -> tuple[float, int, float]:
         < FOLDS
     ):
         reach += 0.1
-    step = 2.0 * math.pi / between
+    step = math.tau / between
     return step, math.ceil(reach / step), 1.0 - power / between

@@ -180,7 +180,7 @@ def expand(
     # The error of the trapezoid rule is exp(-2π a/h) with a = 1.5, just below the
     # quarter turn π/2 beyond which e^(st) grows. The factor before it was below 1/2 for
     # every function tried.
-    step = 2.0 * math.pi * 1.5 / math.log(0.5 / tolerance)
+    step = math.tau * 1.5 / math.log(0.5 / tolerance)
     simple, clusters = quotient.grouped(
         lambda z: (
             0.1

@@ -61,7 +61,7 @@ def unstable_closed_loop_poles(
     jumps &= np.minimum(modulus[1:], modulus[:-1]) > 1.0 / FAINT
     # Passing a simple pole on the axis on its right turns L by −π along an arc of
     # infinite radius.
-    steps[jumps] -= np.where(steps[jumps] > 0, 2 * math.pi, 0.0)
+    steps[jumps] -= np.where(steps[jumps] > 0, math.tau, 0.0)
     change = float(steps.sum()) + _arc(
         complex(values[0]), loop.slope(x[:1]).real.item()
     )

@@ -56,7 +56,7 @@ class RationalApproximation:
 
     def __post_init__(self) -> None:
         for name in ("zeros", "poles"):
-            array = np.array(getattr(self, name), dtype=complex).reshape(-1)
+            array = np.array(getattr(self, name), complex).reshape(-1)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -67,7 +67,7 @@ class RationalApproximation:
 
     def __call__(self, s: ArrayLike) -> Complex:
         """R at s [rad/s], any shape."""
-        return evaluate(np.asarray(s, dtype=complex), self.zeros, self.poles, self.gain)
+        return evaluate(np.asarray(s, complex), self.zeros, self.poles, self.gain)
 
     def state_space(self) -> tuple[Real, Real, Real, Real]:
         """Real matrices A, B, C, D of second-order sections in series.
@@ -200,9 +200,7 @@ def _fitted(
         np.full(w.size, 20 / math.log(10) / 0.1),
         np.full(w.size, 180 / math.pi / 0.5),
     )
-    target = Target(
-        w, np.ones(w.size, dtype=complex), values, 1 / values, nepers, radians
-    )
+    target = Target(w, np.ones(w.size, complex), values, 1 / values, nepers, radians)
     generations = list(grow(target, band, order, resonances=[-p for p in near]))
     fit = finish(generations[-1], target)
     sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()

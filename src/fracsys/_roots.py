@@ -73,10 +73,10 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> Co
     """
     terms = ExponentialSum.of(coefficients, orders)
     if len(terms.rates) < 2:
-        return np.empty(0, dtype=complex)
+        return np.empty(0, complex)
     if len(terms.rates) == 2:
         (low, high), gap = terms.coefficients, terms.rates[1]
-        return np.array(two_term_zeros(low / high, gap, angle), dtype=complex)
+        return np.array(two_term_zeros(low / high, gap, angle), complex)
     height, count = _counted(terms, angle)
     zeros, reach = settle_clusters(terms, aberth(terms, height, count))
     if len(zeros) != count:
@@ -111,11 +111,11 @@ def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
     size = math.log(abs(ratio)) / gap
     first = math.pi if ratio > 0 else 0.0
     last = (
-        int(((angle + RESOLUTION) * gap - first) / (2 * math.pi) + 1)
+        int(((angle + RESOLUTION) * gap - first) / math.tau + 1)
         if first <= (angle + RESOLUTION) * gap
         else 0
     )
-    heights = ((first + 2 * math.pi * m) / gap for m in range(last))
+    heights = ((first + math.tau * m) / gap for m in range(last))
     return [
         complex(size, angle if abs(y - angle) < RESOLUTION * (1 + angle) else y)
         for y in heights
@@ -168,7 +168,7 @@ def _starts(sum_: ExponentialSum, height: float) -> Complex:
         gap = nu[k] - nu[j]
         x = math.log(abs(a[j] / a[k])) / gap
         first = math.pi / gap if a[j] * a[k] > 0 else 0.0
-        reach = math.ceil((height + 0.5) * gap / (2 * math.pi)) + 1
+        reach = math.ceil((height + 0.5) * gap / math.tau) + 1
         if len(points) + 2 * reach > LIMIT:
             raise NotConvergedError(
                 "zeros to find",
@@ -177,7 +177,7 @@ def _starts(sum_: ExponentialSum, height: float) -> Complex:
                 remedy="lower the orders: no physical model needs thousands of poles",
             )
         points += [
-            complex(x, first + 2 * math.pi * m / gap) for m in range(-reach, reach + 1)
+            complex(x, first + math.tau * m / gap) for m in range(-reach, reach + 1)
         ]
     # With exact symmetry about the real axis, starts on it could never leave it for a
     # conjugate pair.
@@ -194,7 +194,7 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     """
     starts = _starts(sum_, height)
     z, fresh = starts.copy(), 1
-    (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
+    (low, high), rest = sum_.bounds, np.zeros(len(z), bool)
     for _ in range(LIMIT):
         values, moduli = sum_.derivatives(z, 2)
         # At the level of rounding the quotient D/D' is noise and would throw points off
@@ -242,7 +242,7 @@ def settle_clusters(sum_: ExponentialSum, points: Complex) -> tuple[Complex, Rea
     lost = ROUNDING * np.cumprod(power, axis=0) * moduli[0]
     radius = (lost / np.maximum(np.abs(values[1:]), 1e-300)) ** (1 / power)
     zeros, reach = points.copy(), radius.min(axis=0, initial=math.inf)
-    free = np.ones(len(points), dtype=bool)
+    free = np.ones(len(points), bool)
     for i in range(len(points)):
         distance = np.where(free, np.abs(points - points[i]), math.inf)
         nearest = np.argsort(distance)
@@ -270,7 +270,7 @@ def symmetric(zeros: Complex, reach: Real) -> tuple[Complex, Real]:
     """
     z, reach = zeros.copy(), reach.copy()
     distance = np.abs(zeros[:, None] - zeros.conj()[None, :])
-    free = np.ones(len(zeros), dtype=bool)
+    free = np.ones(len(zeros), bool)
     for index in np.argsort(distance, axis=None, kind="stable"):
         i, j = divmod(int(index), len(zeros))
         if free[i] and free[j]:

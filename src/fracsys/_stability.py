@@ -286,7 +286,7 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complex, Complex]:
             if near:
                 rest.remove(near[0])
                 cancelled += near
-    return np.array(rest, dtype=complex), np.array(cancelled, dtype=complex)
+    return np.array(rest, complex), np.array(cancelled, complex)
 
 
 def _both_halves(z: Complex, at_origin: int) -> Complex:
@@ -303,4 +303,4 @@ def _both_halves(z: Complex, at_origin: int) -> Complex:
         else:
             p = complex(np.exp(log))
             points += [p, p.conjugate()]
-    return np.array(points, dtype=complex)
+    return np.array(points, complex)

@@ -178,11 +178,11 @@ def bracketed_roots(
     >>> bracketed_roots(lambda x: x**2 - np.array([2.0, 3.0]), [1.0, 1.0], [2.0, 2.0]).round(12).tolist()
     [1.414213562373, 1.732050807569]
     """
-    a, b = np.array(low, dtype=float), np.array(high, dtype=float)
+    a, b = np.array(low, float), np.array(high, float)
     at_a, at_b = function(a), function(b)
     # A bracket of four units in the last place cannot be narrowed any further.
     size = np.abs(a) + np.abs(b)
-    tolerance, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
+    tolerance, settled = 4e-16 * size, np.zeros(a.shape, bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(ROUNDS):
             x = b - at_b * (b - a) / (at_b - at_a)

@@ -50,7 +50,7 @@ def zeros_of_fractions(
     # The poles of the inverse realisation are the zeros. Multiplying out the fractions
     # would give a polynomial whose coefficients span forty decades.
     matrix = np.diag(poles) - np.outer(np.ones(len(poles)), parts) / direct
-    start = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+    start = np.asarray(np.linalg.eigvals(matrix), complex)
 
     def rate(s: Complex) -> Complex:
         distance = 1 / (s[:, None] - poles)
@@ -198,7 +198,7 @@ class _Sum:
 
     def zeros(self) -> Complex:
         """All zeros of the numerator polynomial of the sum over its filters' poles."""
-        at_origin = np.zeros(min(n for _, n, _ in self.terms), dtype=complex)
+        at_origin = np.zeros(min(n for _, n, _ in self.terms), complex)
         if len(self.terms) == 1:
             return np.concatenate([at_origin, self.terms[0][2].zeros])
         count = self.degree + len(self.down) - len(at_origin)
@@ -208,7 +208,7 @@ class _Sum:
         spread = np.geomspace(0.5 * sizes.min(), 2.0 * sizes.max(), 2 * count + 1)[1::2]
         start = np.asarray(
             -spread * np.exp(0.6j * np.where(np.arange(count) % 2, 1, -1)),
-            dtype=complex,
+            complex,
         )
 
         def rate(s: Complex) -> Complex:

@@ -373,7 +373,7 @@ def unmodelled_modes(
     )
 
     def torque(s: Complex) -> Complex:
-        square, total = s**2, np.zeros(np.shape(s), dtype=np.complex128)
+        square, total = s**2, np.zeros(np.shape(s), np.complex128)
         law = (
             material_law(model, s, 1.0, None) if ratio is None else None
         )  # the same for every mode

@@ -122,7 +122,7 @@ class Controller:
         >>> complex(Controller(derivative_gain=2.0, derivative_order=1.0).response(3.0)).imag
         6.0
         """
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency, float)
         # k ω^β e^{jπβ/2}: a power with a real base, so that no branch has to be chosen.
         derivative = (
             self.derivative_gain

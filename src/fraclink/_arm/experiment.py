@@ -327,7 +327,7 @@ def _column(frame: Any, channel: Channel) -> Real:
     try:
         # By column name only, which every kind of frame supports: no frame library is
         # imported.
-        values = np.asarray(frame[channel.column], dtype=np.float64)
+        values = np.asarray(frame[channel.column], np.float64)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise LogError(
             "columns",

@@ -107,7 +107,7 @@ class FractionalPid(Saved):
 
     def response(self, frequency: ArrayLike) -> Complex:
         """Return C(jω) at real `frequency` [rad/s] > 0, shape kept."""
-        return self.transfer()(1j * np.asarray(frequency, dtype=float))
+        return self.transfer()(1j * np.asarray(frequency, float))
 
     def transfer(self) -> FractionalTransferFunction:
         """Return C(s) as a fractional transfer function, for every other function of

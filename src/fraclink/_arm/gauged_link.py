@@ -81,7 +81,7 @@ class GaugedLink:
         inertia = np.exp(self.link_order * ln_w) * np.exp(
             0.5j * np.pi * self.link_order
         )
-        spring = np.square(np.asarray(natural_frequency, dtype=np.complex128))
+        spring = np.square(np.asarray(natural_frequency, np.complex128))
         drag = (
             self.loss
             * spring
@@ -132,11 +132,9 @@ class GaugedLink:
         last term stays within ±π/2 again. The whole turns of arg X at the entry to and
         the exit from such an interval join the pieces.
         """
-        w, frequency = np.broadcast_arrays(
-            w, np.asarray(natural_frequency, dtype=float)
-        )
+        w, frequency = np.broadcast_arrays(w, np.asarray(natural_frequency, float))
         bracket, _, angle = self.parts(w, frequency)
-        phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
+        phase, outside = np.angle(bracket), np.zeros(w.shape, bool)
         turns = np.zeros(w.shape)
         for value in np.unique(frequency):
             row = frequency == value
@@ -148,7 +146,7 @@ class GaugedLink:
             size = np.log(np.abs(bracket))
         # arg(1 − 1/X) from −B·X̄, which needs no division by X near zero.
         beyond = angle - math.pi + np.angle(-bracket * np.conj(1.0 - bracket))
-        phase = np.where(outside, beyond, phase) + 2.0 * math.pi * turns
+        phase = np.where(outside, beyond, phase) + math.tau * turns
         return size + 1j * phase
 
     def turns(self, low: float, high: float, each: float) -> Real:
@@ -188,7 +186,7 @@ class GaugedLink:
         """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)``
         (eq. (14)) [rad/s].
         """
-        square = np.square(np.asarray(natural_frequency, dtype=float))
+        square = np.square(np.asarray(natural_frequency, float))
         return (-square * math.cos(0.5 * math.pi * self.link_order)) ** (
             1.0 / self.link_order
         )
@@ -230,6 +228,6 @@ def _unit_gains(
         place = float(grid[i] * (grid[i + 1] / grid[i]) ** share)
         angle = float(link.parts(np.asarray(place), natural_frequency)[2])
         crossings.append(
-            (place, math.floor(angle / (2.0 * math.pi)), bool(level[i + 1] > 0.0))
+            (place, math.floor(angle / math.tau), bool(level[i + 1] > 0.0))
         )
     return tuple(crossings)

@@ -35,12 +35,12 @@ OutputKind = Literal["torque", "deflection"]
 UNITS = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-        "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi},
+        "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": math.tau},
         "torque": {"Nm": 1.0, "mNm": 1e-3, "N·m": 1.0, "N*m": 1.0},
         "voltage": {"V": 1.0, "mV": 1e-3},
         "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
         | {"um": 1e-6, "µm": 1e-6, "inch": 0.0254},
-        "frequency": {"rad/s": 1.0, "Hz": 2 * math.pi, "kHz": 2000 * math.pi},
+        "frequency": {"rad/s": 1.0, "Hz": math.tau, "kHz": 2000 * math.pi},
         "ratio": {"1": 1.0},
         "gain": {"1": 1.0, "dB": 1.0},
     }

@@ -240,7 +240,7 @@ class Loop(GaugedLink):
         """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that
         of the phase.
         """
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency, float)
         # A central difference over such a small step is exact to 1e-9, and one formula
         # serves every factor of L.
         up, down = (
@@ -250,7 +250,7 @@ class Loop(GaugedLink):
 
     def crossings(self, natural_frequency: ArrayLike) -> Crossings:
         """Return every crossing of |L| = 1 below `highest` for each ω₀ of the array."""
-        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        w0 = np.atleast_1d(np.asarray(natural_frequency, float))
         w = self._grid(w0)
         level = self.level(w, w0[:, None])
         row, column = np.nonzero((level[:, :-1] > 0.0) != (level[:, 1:] > 0.0))
@@ -365,14 +365,14 @@ class Loop(GaugedLink):
         between a rising and the next falling crossing, and inside, each time the
         unwrapped phase passes -π (mod 2π), the curve passes left of -1.
         """
-        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        w0 = np.atleast_1d(np.asarray(natural_frequency, float))
         crossings = self.crossings(w0)
         crossover, margin = np.zeros(w0.size), np.full(w0.size, math.pi)
         first = ~self._at_mode(crossings, w0)
         np.maximum.at(crossover, crossings.row[first], crossings.frequency[first])
         np.minimum.at(margin, crossings.row, np.abs(crossings.phase_margin))
         # Clockwise encirclements of -1 for each ω₀.
-        turns = crossings.phase / (2.0 * math.pi) + 0.5
+        turns = crossings.phase / math.tau + 0.5
         encirclements = np.zeros(w0.size)
         passed = np.where(crossings.slope > 0.0, np.floor(turns), -np.floor(turns))
         np.add.at(encirclements, crossings.row, passed)
@@ -385,7 +385,7 @@ class Loop(GaugedLink):
             crossings.frequency < high[crossings.row]
         )
         rows, first = np.unique(crossings.row[near], return_index=True)
-        alone = np.zeros(w0.size, dtype=bool)
+        alone = np.zeros(w0.size, bool)
         alone[rows] = crossings.slope[near][first] > 0.0
         return near & alone[crossings.row]
 
@@ -406,7 +406,7 @@ class Loop(GaugedLink):
         angles: the gauge's torque noise divided by the stiffness.
         """
         gains = []
-        for value in np.atleast_1d(np.asarray(natural_frequency, dtype=float)):
+        for value in np.atleast_1d(np.asarray(natural_frequency, float)):
             w, weights = noise_points(self, float(value), period)
             outer = np.exp(self.outer_log(w).real)
             gains.append(

@@ -180,7 +180,7 @@ class SampledMotorLoop:
         )
         late = Polynomial([1.0, 1.0]) ** self.delay_samples
         closed = late * delta**2 * motor * lag + Polynomial([m1 + m2, m1]) * controller
-        poles = 1.0 + np.asarray(closed.roots(), dtype=np.complex128)
+        poles = 1.0 + np.asarray(closed.roots(), np.complex128)
         return poles[np.argsort(-np.abs(poles))]
 
     def ratio(self, pole: float, frequency: ArrayLike) -> Complex:
@@ -275,7 +275,7 @@ def _left_over(
     # The equation of the power 0 reads 1 = 1 and is left out.
     solution = np.linalg.solve(matrix[1:], right[1:])
     left_over = np.roots(np.concatenate([[1.0], solution[3:]]))
-    return np.asarray(solution[:3], dtype=float), float(np.max(np.abs(left_over)))
+    return np.asarray(solution[:3], float), float(np.max(np.abs(left_over)))
 
 
 def _parallel(s: Real, r: float, z0: float, period: float) -> DiscretePid:

@@ -109,7 +109,7 @@ class Recording:
         >>> float(record.input.max()), round(float(record.output.max()), 2)
         (1.0, 0.19)
         """
-        values = np.asarray(output, dtype=np.float64)
+        values = np.asarray(output, np.float64)
         # A fiftieth of the record, but at least ten samples: enough to tell a held
         # link, which only shows noise, from a moving one.
         lead = max(10, values.size // 50)

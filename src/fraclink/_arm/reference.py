@@ -119,7 +119,7 @@ class Path(Reference):
 
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
-        t = np.asarray(time, dtype=float)
+        t = np.asarray(time, float)
         # Continuous from the right: at a break the later piece applies, so a step at t
         # = 0 has been made at t = 0.
         piece = np.clip(np.searchsorted(self.breaks, t, side="right") - 1, 0, None)
@@ -212,7 +212,7 @@ class SampledReference(Reference):
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
         place, last = (
-            np.asarray(time, dtype=float) / self.period,
+            np.asarray(time, float) / self.period,
             self.values.shape[1] - 1,
         )
         # k periods divided by the period is not always k; values on both sides of a

@@ -98,7 +98,7 @@ class Moves:
     6.0
     """
 
-    angle: Annotated[float, Between(0.0, 1e6, "rad", low_open=True)] = 2 * math.pi
+    angle: Annotated[float, Between(0.0, 1e6, "rad", low_open=True)] = math.tau
     velocity: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] = 6.0
     acceleration: Annotated[float, Between(0.0, 1e6, "rad/s²", low_open=True)] = 60.0
     torque: Annotated[float, _limit("N·m")] = math.inf
@@ -312,7 +312,7 @@ class Encoder:
         return (
             0.0
             if self.counts_per_revolution is None
-            else 2 * math.pi / self.counts_per_revolution
+            else math.tau / self.counts_per_revolution
         )
 
 

@@ -49,8 +49,8 @@ class SampledPlant:
         With one of the `aliases` on either side, for coarse tables, the error is 1e-2
         at the Nyquist frequency and 1e-5 at a tenth of it, at a tenth of the cost.
         """
-        w = np.asarray(frequency, dtype=float)
-        rate = 2.0 * math.pi / self.period
+        w = np.asarray(frequency, float)
+        rate = math.tau / self.period
         s = 1j * (w[..., None] + rate * np.arange(-aliases, aliases + 1))
         # 1/s comes from the integral of the hold; its factor 1 − e^(−sT) is the same
         # for every alias and is factored out of the sum.

@@ -175,7 +175,7 @@ class Disc:
         """The discs in sequence at the places where the flag is set, zero at all
         others.
         """
-        centre, radius = np.zeros(where.shape, dtype=complex), np.zeros(where.shape)
+        centre, radius = np.zeros(where.shape, complex), np.zeros(where.shape)
         centre[where], radius[where] = self.c, self.r
         return Disc(
             centre,

@@ -74,7 +74,7 @@ class BoxLoop:
         self.statement = s = statement
         c, self.motor_loop = s.coefficients, s.motor_loop
         self.period, self.direct = float(c["period"]), float(c["direct"])
-        self.turn = 2 * math.pi / self.period
+        self.turn = math.tau / self.period
         self.modes = modes_of(c)
         self.read = float(c["compliance"]) * s.stiffness
         self.pid = {name: float(c[name]) for name in layout.PID}

@@ -44,10 +44,10 @@ def loop_values(
     arguments are broadcast.
     """
     w, at = (
-        np.asarray(frequency, dtype=float),
-        {k: np.asarray(v, dtype=float) for k, v in place.items()},
+        np.asarray(frequency, float),
+        {k: np.asarray(v, float) for k, v in place.items()},
     )
-    turn = 2.0 * math.pi / law.period
+    turn = math.tau / law.period
     outer = (
         law.frequency_response(w.ravel()).reshape(w.shape)
         * -np.expm1(-1j * w * law.period)

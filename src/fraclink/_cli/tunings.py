@@ -5,6 +5,7 @@ watched afterwards.
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -93,23 +94,17 @@ def tune(
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
     connection = connection_of(io, unsafe_remote, key_file)
-    answers = {
-        "angle_deg": angle_deg,
-        "speed": speed,
-        "torque": torque,
-        "voltage": voltage,
-        "payload": payload,
-    }
+    answers = dict(
+        zip(_QUESTIONS, (angle_deg, speed, torque, voltage, payload), strict=True)
+    )
     own_rig = None if rig is None else load_rig(rig)
     if resume and (out / FILES[0]).is_file():
         earlier: Tuning = load(out / FILES[0], Tuning)
         limits = earlier.limits
         before = {
             "angle_deg": math.degrees(limits.angle),
-            "speed": limits.speed,
-            "torque": limits.torque,
-            "voltage": limits.voltage,
             "payload": earlier.payload,
+            **asdict(limits),
         }
         answers = {k: before[k] if x is None else x for k, x in answers.items()}
         payloads, own_rig = payloads or earlier.payloads, own_rig or earlier.rig

@@ -258,7 +258,7 @@ def _least_margins(loop: Complex) -> tuple[Real, Real]:
     level, turn = np.log(np.abs(loop)), np.angle(-loop)
     rise, change = np.diff(level), np.diff(turn)
     # the short way round: the phase wrap lies on the far side of −1
-    change -= 2.0 * math.pi * np.round(change / (2.0 * math.pi))
+    change -= math.tau * np.round(change / math.tau)
     # Linear interpolation between two points in ln ω: root finding for some thousand
     # candidates would take a hundred times as long.
     across, down = -level[:, :-1] / rise, -turn[:, :-1] / change

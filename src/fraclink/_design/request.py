@@ -246,9 +246,7 @@ class Request:
     def speed(self) -> float | None:
         """The requested crossover; ``2π/t_s`` (section 6) for a settling time."""
         time = self.spec.get("settling_time")
-        return self.spec.get("gain_crossover") or (
-            2.0 * math.pi / time if time else None
-        )
+        return self.spec.get("gain_crossover") or (math.tau / time if time else None)
 
     @property
     def gain_crossover(self) -> float | None:

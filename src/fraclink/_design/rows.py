@@ -36,7 +36,7 @@ SENSITIVITY = 2.0
 # with a resonance of 1/(2ζ), any gain crosses near it with a large margin, and such a
 # loop would meet every other row without damping anything.
 _PERIODS = 10
-_DAMPING = math.log(50.0) / math.hypot(2.0 * math.pi * _PERIODS, math.log(50.0))
+_DAMPING = math.log(50.0) / math.hypot(math.tau * _PERIODS, math.log(50.0))
 # Three standard deviations of the noise leave half of the voltage for the motion.
 NOISE_SHARE = 0.5 / 3.0
 # Relative reserve that a search adds to each row, so that a payload between those of
@@ -155,8 +155,8 @@ ROWS = (
         "s",
         "at most",
         _own("settling_time"),
-        lambda trial, request: trial.crossover.scaled(-1.0, math.log(2.0 * math.pi)),
-        bound=lambda trial, wanted: trial.crossed_beyond(2.0 * math.pi / wanted),
+        lambda trial, request: trial.crossover.scaled(-1.0, math.log(math.tau)),
+        bound=lambda trial, wanted: trial.crossed_beyond(math.tau / wanted),
     ),
     Row(
         "phase_margin",

@@ -156,7 +156,7 @@ class Search:
         highest = min(request.model.order, 2.0 if own == 0.0 else self.filter_order)
         # a filter that has decayed to e^-2π within a period is none to the law, and one
         # below the frequencies of the table is a gain
-        shortest = request.rig.period / (2.0 * math.pi)
+        shortest = request.rig.period / math.tau
         delta = math.log(shortest), -math.log(self.table.w.min())
         if own is not None:
             delta = (math.log(max(own, 1e-12)),) * 2

@@ -99,7 +99,7 @@ def tabulated(
     `highest` is the highest crossing allowed [rad/s], `motor` is (A, B) of A/(s(s + B));
     an `empty` gripper has no noise to judge.
     """
-    w0 = np.atleast_1d(np.asarray(natural_frequencies, dtype=float))
+    w0 = np.atleast_1d(np.asarray(natural_frequencies, float))
     mode = bare.peak(w0)
     top = bare.highest
     if bare.exact_gauge:  # |L| falls far above the mode; that of a late gauge may not
@@ -126,8 +126,8 @@ def tabulated(
         noise_w[k, : at.size], weight[k, : at.size] = at, share
     gain, decay = motor
     drive = np.abs(noise_w * (1j * noise_w + decay)) / gain
-    modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0), dtype=complex)
-    number = np.zeros((w0.size, 0), dtype=int)
+    modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0), complex)
+    number = np.zeros((w0.size, 0), int)
     if modes is not None:  # the same modes for each link, one link after the other
         modes_w = modes.frequency.reshape(w0.size, -1)
         level = modes.level.reshape(w0.size, -1)
@@ -344,7 +344,7 @@ class Trial:
         alone = np.where(rising, phase, self.log[link, 0].imag)
         partner = np.where(paired, phase[other], alone)
         middle = np.where(paired, 0.5 * (phase + partner), partner)
-        return phase - 2.0 * math.pi * np.round(middle / (2.0 * math.pi))
+        return phase - math.tau * np.round(middle / math.tau)
 
     @cached_property
     def margin(self) -> Figure:
@@ -457,7 +457,7 @@ class Trial:
         """ln of the factor by which |L| may grow where the phase passes -180° with |L|
         below 1.
         """
-        half = np.floor((self.log.imag + math.pi) / (2.0 * math.pi))
+        half = np.floor((self.log.imag + math.pi) / math.tau)
         link, i = np.nonzero(half[:, :-1] != half[:, 1:])
         line = math.pi * (2.0 * np.maximum(half[link, i], half[link, i + 1]) - 1.0)
         w, log, slope = self._zeros(link, i, -1j, line)
@@ -527,7 +527,7 @@ class Trial:
             loop = self.loops[arm]
             mode = self.table.mode[own]
             d, at = distance[own], w[own]
-            dent = np.zeros(d.shape, dtype=bool)
+            dent = np.zeros(d.shape, bool)
             dent[:, 1:-1] = (d[:, 1:-1] <= d[:, :-2]) & (d[:, 1:-1] < d[:, 2:])
             # a root farther away belongs to the motor loop or to the delay of the gauge
             dent &= (at > 0.3 * mode[:, None]) & (at < 4.0 * mode[:, None])

@@ -45,7 +45,7 @@ def array_digest(values: NDArray[Any]) -> str:
     """SHA-256 of an array's type, shape and little-endian bytes: the same on every
     machine.
     """
-    stored = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    stored = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return hashlib.sha256(
         f"{stored.dtype.str}{values.shape}".encode() + stored.tobytes()
     ).hexdigest()

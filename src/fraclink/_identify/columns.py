@@ -77,7 +77,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
     largest = float(np.max(np.abs(angle - angle[0])))
     # On the output side of the gear no flexible arm turns more than once, but 7 degrees
     # labelled as radians do.
-    if largest > 2 * math.pi:
+    if largest > math.tau:
         yield Finding(
             "W209",
             "error",

@@ -60,9 +60,7 @@ class Expression:
         # The principal branch, computed once for all powers: s^a is then the same
         # function at every point, with its cut along the negative real axis.
         logarithm = np.log(points)
-        arrays = {
-            name: np.asarray(value, dtype=np.float64) for name, value in values.items()
-        }
+        arrays = {name: np.asarray(value, np.float64) for name, value in values.items()}
         leaves = _Leaves(
             points, lambda order: np.exp(order * logarithm), np.exp, arrays
         )

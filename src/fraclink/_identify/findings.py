@@ -329,7 +329,7 @@ def _of_the_gain(fit: Fit, stiffness: float | None, audible: bool) -> Iterator[F
 
 
 def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
-    yield from _of_the_sign(fit, 2 * math.pi / math.exp(solution.shape[1]))
+    yield from _of_the_sign(fit, math.tau / math.exp(solution.shape[1]))
     error = fit.standard_errors.get("delay")
     if error is None or error == 0:
         return

@@ -187,12 +187,12 @@ def descend(
     """
     shape = np.shape(places)
     low, high = (np.broadcast_to(x, shape) for x in box or (problem.low, problem.high))
-    places = np.clip(problem.clip(np.array(places, dtype=np.float64)), low, high)
+    places = np.clip(problem.clip(np.array(places, np.float64)), low, high)
     at = problem.quadratic(places)
     costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
     damping = np.full(len(places), 1e-3)
     # A start without a response has no slope along which to leave it.
-    moving, settled = np.isfinite(costs), np.zeros(len(places), dtype=bool)
+    moving, settled = np.isfinite(costs), np.zeros(len(places), bool)
     for _ in range(iterations):
         own = np.flatnonzero(moving)
         if not own.size:
@@ -308,7 +308,7 @@ def inverted(normal: Real) -> tuple[Real, Real]:
     if not normal.size:
         return normal, normal
     values, vectors, size = (
-        x[0] for x in _axes(normal[None], np.zeros((1, len(normal)), dtype=bool))
+        x[0] for x in _axes(normal[None], np.zeros((1, len(normal)), bool))
     )
     inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
     return inverse, vectors[:, values < _UNSEEN]
@@ -368,7 +368,7 @@ def interval_ends(
     centre = parameters(best[None, :])[0][0][rows]
     places = np.repeat(best[None, :], 2 * count, axis=0)
     before, steps, values = places.copy(), np.zeros(places.shape), centre.copy()
-    active, blocked = np.ones(2 * count, dtype=bool), np.zeros(2 * count, dtype=bool)
+    active, blocked = np.ones(2 * count, bool), np.zeros(2 * count, bool)
     share = np.ones(2 * count)  # share of the step of the quadratic model
     for _ in range(_TURNS):
         own = np.flatnonzero(active)
@@ -420,7 +420,7 @@ def _outward(
     """The steps to the extreme value of a parameter on the target surface, with all
     others optimal, and flags where limits stop the parameter.
     """
-    at_limit = np.zeros(places.shape, dtype=bool)
+    at_limit = np.zeros(places.shape, bool)
     # Twice: a coordinate stopped by a limit is held in the second pass.
     for _ in range(2):
         values, vectors, size = _axes(at.normal, at_limit)

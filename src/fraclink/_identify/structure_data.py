@@ -169,7 +169,7 @@ class Signals:
         signal = self.whole_input
         power = np.abs(np.fft.rfft(np.diff(signal, prepend=0.0)))[1:] ** 2
         frequency = (
-            2 * math.pi * np.arange(1, power.size + 1) / (signal.size * self.period)
+            math.tau * np.arange(1, power.size + 1) / (signal.size * self.period)
         )
         excited = frequency[power > EXCITED * power.max()]
         return float(excited[0]), float(excited[-1])
@@ -218,7 +218,7 @@ class Blocks:
             _BACK / (span * period) + 2j * math.pi / (size * period) * lines
         )
         damped = rfft(signal * np.exp(-_BACK / span * np.arange(span)), size)
-        x = np.asarray(points * period, dtype=np.complex128)
+        x = np.asarray(points * period, np.complex128)
         into = _held(damped[lines], x, own.hold, float(signal[0]))
         return points, into * np.exp(2j * math.pi * self._middle / size * lines), blocks
 

@@ -34,7 +34,7 @@ def segments(signals: Sequence[Real], period: float) -> tuple[Real, list[Complex
         rows = sliding_window_view(signal, size)[:: size // 2]
         rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
         transforms.append(np.fft.rfft(rows)[:, 1:])
-    frequency = 2 * math.pi * np.fft.rfftfreq(size, period)[1:]
+    frequency = math.tau * np.fft.rfftfreq(size, period)[1:]
     return np.asarray(frequency), transforms
 
 

@@ -425,7 +425,7 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
     try:
         # Tested with two frequencies: a function of a single number would fail deep
         # inside the margin search.
-        shape = np.asarray(response(np.array([1.0, 2.0])), dtype=np.complex128).shape
+        shape = np.asarray(response(np.array([1.0, 2.0])), np.complex128).shape
     except (TypeError, ValueError):
         shape = ()
     if shape != (2,):

@@ -205,9 +205,7 @@ class PayloadEstimator(Block):
             numbers of the periods, from 1 where they are left out; one that is skipped
             was missed.
         """
-        angle, twist = (
-            np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque)
-        )
+        angle, twist = (np.ascontiguousarray(x, float) for x in (motor_angle, torque))
         numbers = np.arange(1, angle.size + 1) if ticks is None else np.asarray(ticks)
         if angle.ndim != 1 or not angle.shape == twist.shape == numbers.shape:
             raise FieldError(
@@ -217,10 +215,8 @@ class PayloadEstimator(Block):
                 "one value a period",
                 "cut or extend",
             )
-        numbers = np.ascontiguousarray(
-            numbers.astype(np.int64) % 2**32, dtype=np.uint32
-        )
-        out, flags = np.empty((4, angle.size)), np.empty(angle.size, dtype=np.uint32)
+        numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, np.uint32)
+        out, flags = np.empty((4, angle.size)), np.empty(angle.size, np.uint32)
         after = _kernels.payload_run(
             self.block,
             state,
@@ -315,7 +311,7 @@ def payload_estimator(
     # The lightest payload vibrates fastest; its vibration limits how many periods may
     # be combined into one sample.
     corner = abs(links[0].pole)
-    together = max(1, int(2 * math.pi / (corner * PER_VIBRATION * law.period)))
+    together = max(1, int(math.tau / (corner * PER_VIBRATION * law.period)))
     sample = together * law.period
     # Over less than one vibration a swing cannot be told from an offset, and damping by
     # another law than the model's shifts the estimate: evidence fades over two vibrations

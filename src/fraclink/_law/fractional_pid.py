@@ -215,7 +215,7 @@ def _integer_part(
 
 def _response(loop: DiscretePid, frequency: ArrayLike) -> Complex:
     """P(e^(jωT)): Tustin's integral is T/(2j tan(ωT/2))."""
-    w = np.asarray(frequency, dtype=float)
+    w = np.asarray(frequency, float)
     integral = 0.5 * loop.period / (1j * np.tan(0.5 * w * loop.period))
     return loop.direct + loop.integral_gain * integral
 

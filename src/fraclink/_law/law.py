@@ -282,7 +282,7 @@ class Law(Block, Saved):
         """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any
         shape.
         """
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency, float)
         direct, poles, gains, pairs, crossed = self._filter
         half = 0.5 * w * self.period
         # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4; pole − 1 is
@@ -339,7 +339,7 @@ class Law(Block, Saved):
         from `first_tick`, or by `ticks` where some were missed.
         """
         four = [
-            np.asarray(x, dtype=float)
+            np.asarray(x, float)
             for x in (reference, reference_acceleration, motor_angle, torque)
         ]
         if four[0].ndim != 1 or any(x.shape != four[0].shape for x in four):
@@ -352,14 +352,12 @@ class Law(Block, Saved):
             )
         count = four[0].size
         signals = np.ascontiguousarray(
-            [*four, np.broadcast_to(np.asarray(payload, dtype=float), count)]
+            [*four, np.broadcast_to(np.asarray(payload, float), count)]
         )
         numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
         # The counter of a board wraps after 2³² periods; NumPy would not accept a
         # negative number as unsigned.
-        numbers = np.ascontiguousarray(
-            numbers.astype(np.int64) % 2**32, dtype=np.uint32
-        )
+        numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, np.uint32)
         if numbers.shape != (count,):
             raise FieldError(
                 "ticks",
@@ -368,7 +366,7 @@ class Law(Block, Saved):
                 f"({count},)",
                 "give N numbers",
             )
-        outputs, marks = np.empty((5, count)), np.empty((3, count), dtype=np.uint32)
+        outputs, marks = np.empty((5, count)), np.empty((3, count), np.uint32)
         after = _kernels.law_run(
             self.block,
             state,
@@ -389,9 +387,7 @@ class Law(Block, Saved):
         the motor angle [rad]; both have shape (N,), one value a period. The answers are
         "none", "gauge reversed", "gauge dead" and "not moved enough".
         """
-        angle, twist = (
-            np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque)
-        )
+        angle, twist = (np.ascontiguousarray(x, float) for x in (motor_angle, torque))
         if angle.ndim != 1 or angle.shape != twist.shape:
             raise FieldError(
                 "torque",

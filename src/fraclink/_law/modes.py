@@ -88,7 +88,7 @@ def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
     -1, or where its phase does not count, and less elsewhere.
     """
     radius = 0.5 * np.exp(peak.real)
-    angle = np.remainder(peak.imag + math.pi, 2.0 * math.pi) - math.pi
+    angle = np.remainder(peak.imag + math.pi, math.tau) - math.pi
     # The phase at a mode that was not identified may be off by what such a loop stands
     # elsewhere: its phase margin of 29°.
     turned = np.abs(angle) + 2.0 * math.asin(0.5 * MODE_LIMIT)

@@ -71,7 +71,7 @@ def _terms(law: Law, w: Real) -> Complex:
     """
     z = np.exp(1j * w * law.period)[:, None]
     reals = 1.0 / (z - np.array(law.correction.poles)[None, :])
-    pairs = np.array(law.correction.pair_poles, dtype=np.complex128)[None, :]
+    pairs = np.array(law.correction.pair_poles, np.complex128)[None, :]
     up, down = 1.0 / (z - pairs), 1.0 / (z - pairs.conj())
     # ½(c/(z − q) + c̄/(z − q̄)) in the two real unknowns Re c and Im c, the form in
     # which the block stores a pair.

@@ -218,9 +218,9 @@ def _tabled(
     share = level[i] / (level[i] - level[i + 1])
     at = phase[i] + share * (phase[i + 1] - phase[i])
     rising = level[i] <= 0.0
-    turns = np.floor((at + math.pi) / (2.0 * math.pi))
+    turns = np.floor((at + math.pi) / math.tau)
     stable = np.sum(np.where(rising, turns, -turns)) == 0.0
-    margin = math.pi - np.abs(np.remainder(at + math.pi, 2.0 * math.pi) - math.pi)
+    margin = math.pi - np.abs(np.remainder(at + math.pi, math.tau) - math.pi)
     least = float(np.min(margin, initial=math.pi))
     return least if stable else -least - 1.0, float(np.min(np.abs(1.0 + loop)))
 

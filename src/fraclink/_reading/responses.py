@@ -91,7 +91,7 @@ def read_frequency_response(
     coherence = _in_si(roles, "coherence") if "coherence" in roles else None
     return FrequencyResponse(
         frequency,
-        np.asarray(response, dtype=np.complex128),
+        np.asarray(response, np.complex128),
         coherence=coherence,
         source=place.name,
         sha256=sha256_of(place),
@@ -117,7 +117,7 @@ def _in_si(columns: Given, role: str) -> Real:
             "no unit" if set(factors) == {"1"} else " or ".join(factors),
             f'convert the column and state its unit, as in "{name} [{next(iter(factors))}]"',
         )
-    return np.asarray(values * factors[unit], dtype=np.float64)
+    return np.asarray(values * factors[unit], np.float64)
 
 
 def _absent(columns: Given, wanted: str, allowed: str) -> LogError:

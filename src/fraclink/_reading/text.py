@@ -163,7 +163,7 @@ def _utf8(raw: bytes, path: Path) -> bytes:
     except UnicodeDecodeError as error:
         # A high byte far below the header is damage and not the ° of a name; some
         # encoding might turn it into a digit.
-        high = np.flatnonzero(np.frombuffer(raw, dtype=np.uint8) > 127)
+        high = np.flatnonzero(np.frombuffer(raw, np.uint8) > 127)
         header = raw.count(b"\n", 0, int(high[-1])) < _HEAD
         if encoding != "utf-8-sig" or not header:
             raise _not_text(
@@ -181,7 +181,7 @@ def _not_text(path: Path, problem: str, remedy: str) -> FileFormatError:
 
 def _check_lines(text: bytes) -> None:
     """Reject a text beyond the limits."""
-    ends = np.flatnonzero(np.frombuffer(text + b"\n", dtype=np.uint8) == ord("\n"))
+    ends = np.flatnonzero(np.frombuffer(text + b"\n", np.uint8) == ord("\n"))
     lengths = np.diff(ends, prepend=-1) - 1
     longest = int(np.argmax(lengths))
     if lengths[longest] > LINE_LIMIT:
@@ -389,7 +389,7 @@ def _seconds(cells: list[str]) -> list[float]:
     ]
     try:
         # In whole nanoseconds: rounding errors of seconds would look like jitter.
-        times = np.array(texts, dtype="datetime64[ns]")
+        times = np.array(texts, "datetime64[ns]")
     except ValueError:
         return []
     nanoseconds = (times - times[0]).astype(np.int64)
@@ -430,11 +430,11 @@ def _parsed(layout: Layout) -> Real | None:
     """The whole body by numpy's C parser, or None if a cell is not a plain finite
     number.
     """
-    allowed = np.zeros(256, dtype=bool)
+    allowed = np.zeros(256, bool)
     # A letter other than e, E or a quote: one table lookup per byte decides, without
     # examining cells, whether the slow path is needed.
     allowed[list(b"0123456789+-.eE\n " + (layout.separator or "\t").encode())] = True
-    if not allowed[np.frombuffer(layout.body, dtype=np.uint8)].all():
+    if not allowed[np.frombuffer(layout.body, np.uint8)].all():
         return None
     stream, mark = io.BytesIO(layout.body), layout.separator or None
     try:

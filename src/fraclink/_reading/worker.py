@@ -75,9 +75,7 @@ def columns_of(
             if table.shape[1] > 1
             else name
         )
-        yield RawColumn(
-            label, unit, np.ascontiguousarray(table[:, place], dtype=np.float64)
-        )
+        yield RawColumn(label, unit, np.ascontiguousarray(table[:, place], np.float64))
 
 
 # --- HDF5, and MATLAB v7.3, which is HDF5 with transposed arrays -----------------------------------------
@@ -193,7 +191,7 @@ def _channel(name: str, channel: Any) -> list[RawColumn]:
     if columns and isinstance(step, float) and np.isfinite(step) and step > 0:
         start = channel.properties.get("wf_start_offset", 0.0)
         stamps = np.asarray(
-            float(start) + step * np.arange(columns[0].values.size), dtype=np.float64
+            float(start) + step * np.arange(columns[0].values.size), np.float64
         )
         columns.append(RawColumn(f"{name}.time", "s", stamps))
     return columns

@@ -257,4 +257,4 @@ class Twin:
         # |D(s)|.
         if isinstance(self.damping, PowerLaw):
             frequency = frequency ** (2.0 / self.damping.order)
-        return 2.0 * math.pi / frequency
+        return math.tau / frequency

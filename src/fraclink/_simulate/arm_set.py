@@ -174,7 +174,7 @@ class ArmSet:
     def vibration(self) -> float:
         """Longest vibration period of the model [s], that with the heaviest payload."""
         pole = self.model.at_payload(self.payloads[-1]).pole
-        return 2.0 * math.pi / max(pole.imag, -pole.real)
+        return math.tau / max(pole.imag, -pole.real)
 
     @property
     def linear(self) -> ArmSet:
@@ -257,7 +257,7 @@ class ArmSet:
                 else math.inf
                 for payload, run in runs
             ]
-            latest = int(np.argmax(settling))
+            latest = np.argmax(settling)
             rows.append(
                 ArmFigures(
                     arm=words,

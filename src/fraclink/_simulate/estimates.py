@@ -65,7 +65,7 @@ def estimate_signals(estimates: Estimates) -> dict[str, Real]:
     flags.
     """
     return {
-        name: np.asarray(values, dtype=np.float64)
+        name: np.asarray(values, np.float64)
         for name, values in zip(_NAMES, estimates, strict=True)
     }
 
@@ -120,7 +120,7 @@ def estimate_findings(
         low, high = estimator.certified
         # The last time outside: early in a move the interval is wide, and part of it
         # lies outside the range for a while.
-        last = int(np.flatnonzero(outside)[-1])
+        last = np.flatnonzero(outside)[-1]
         share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
         findings.append(
             Finding(

@@ -179,7 +179,7 @@ def run_lumped(
     """
     runs, length = len(arms.seed), path.shape[2]
     signals = np.empty((len(SIGNALS), runs, length))
-    marks = np.empty((len(MARKS), runs, length), dtype=np.uint32)
+    marks = np.empty((len(MARKS), runs, length), np.uint32)
     # The kernel reads rows: sliced or stacked arrays must be contiguous.
     links = {
         field.name: np.ascontiguousarray(getattr(arms.links, field.name))
@@ -281,8 +281,8 @@ class ArmState:
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
-        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck; first tick
-        self.fresh, self.estimate = law_state, np.zeros(0, dtype=np.uint8)
+        self.counters = np.array([1, 1], np.uint32)  # stuck; first tick
+        self.fresh, self.estimate = law_state, np.zeros(0, np.uint8)
         self.restart()
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
@@ -303,7 +303,7 @@ class ArmState:
         """
         if estimator is not None and self.estimate.size == 0:
             self.estimate = np.frombuffer(
-                bytearray(estimator.initial_state()), dtype=np.uint8
+                bytearray(estimator.initial_state()), np.uint8
             )
         return _kernels.twin_run(
             *self.step.arrays,
@@ -356,8 +356,8 @@ class ArmState:
         """Restart the law and its estimator; arm, queues and clock go on, as after a
         restart of the processor.
         """
-        self.law = np.frombuffer(bytearray(self.fresh), dtype=np.uint8)
-        self.estimate = np.zeros(0, dtype=np.uint8)
+        self.law = np.frombuffer(bytearray(self.fresh), np.uint8)
+        self.estimate = np.zeros(0, np.uint8)
 
     def free(self) -> None:
         """Remove the obstacle."""

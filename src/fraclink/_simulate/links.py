@@ -153,7 +153,7 @@ def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
     # The poles meet at an M of argument π(1 − 2α/λ) and size above one: they are
     # followed past it on the other side, and from there to the real M.
     side = np.where(2.0 * alpha >= order, 1j, -1j) * np.minimum(ratio, 1.0)
-    steps = math.ceil(6.0 * math.log1p(float(ratio.max())))
+    steps = math.ceil(6.0 * math.log1p(ratio.max()))
     growing = [(k / steps, 1.0) for k in range(1, steps + 1)]
     # Where the poles nearly meet, each iteration halves the error only.
     turning = [(1.0, turn) for turn in (0.8, 0.6, 0.4, 0.2, 0.0, 0.0, 0.0)]
@@ -222,7 +222,7 @@ def batch_links(
             "period",
             period,
             "too long for this link",
-            f"< {LONGEST / fastest:.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
+            f"< {LONGEST / fastest:.3g} s: {math.tau / LONGEST:.2g} samples a vibration",
             "simulate at a shorter period, or a heavier payload",
         )
     # One grid for all: the smallest exponent needs the widest one at both ends.
@@ -244,7 +244,7 @@ def batch_links(
         # The density falls like e^(−λ|v|). Very slow modes hardly move within the span;
         # very fast ones have decayed within a period. At either end the stricter of the
         # two limits is sufficient.
-        still = (digits + math.log(float(speed.max()) * span)) / (1.0 + slowest)
+        still = (digits + math.log(speed.max() * span)) / (1.0 + slowest)
         over = math.log(digits / float(reach.min()))
         ends = -min(digits / slowest, still), min(digits / slowest, over)
         first, last = (math.floor(end / width) for end in ends)

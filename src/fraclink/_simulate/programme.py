@@ -216,7 +216,7 @@ def _least(
     is exact, and takes a third of the time of all rows at once.
     """
     scale = np.maximum(np.abs(sides), PART * np.max(np.abs(sides)))
-    active = np.zeros(len(rows), dtype=bool)
+    active = np.zeros(len(rows), bool)
     active[::FIRST] = True
     while True:
         # presolve removes nothing from a dense programme and takes longer than the

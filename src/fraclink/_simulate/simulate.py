@@ -287,7 +287,7 @@ def _on_model(
     arm = LumpedArms.of(
         rig,
         link_weights(link, law.period, max(length, 2 * law.period)),
-        np.array([about["seed"]], dtype=np.uint64),
+        np.array([about["seed"]], np.uint64),
         **{name: np.array([value]) for name, value in values.items()},
     )
     rig_constants = shared_rig(
@@ -303,7 +303,7 @@ def _on_model(
         rig_constants,
         arm,
         path[None, [0, 2]],
-        np.zeros(1, dtype=np.int32),
+        np.zeros(1, np.int32),
         faults=broken,
         estimator=estimator,
     )
@@ -353,7 +353,7 @@ def model_run(
         period=law.period,
         ended=ended,
         # A link that decays faster than it turns has its decay for a period.
-        vibration_period=2 * math.pi / max(link.pole.imag, -link.pole.real),
+        vibration_period=math.tau / max(link.pole.imag, -link.pole.real),
         about=about,
         findings=findings,
         extras=extras,

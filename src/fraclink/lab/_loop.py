@@ -155,7 +155,7 @@ def run_realtime(
     # Filled and not only allocated, so that no page of the record is missing in the
     # loop.
     record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)
-    marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, dtype=np.uint32)
+    marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, np.uint32)
     with contextlib.ExitStack() as stack:
         with controller_end(connection) as way:
             obeyed = stack.enter_context(signals_held())

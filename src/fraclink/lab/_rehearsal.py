@@ -23,7 +23,7 @@ def rehearse(
     is the rig's nominal one.
     """
     path = sampled(reference, law.period, reference.duration)
-    reach = float(np.max(np.abs(path[0])))
+    reach = np.max(np.abs(path[0]))
     # Relative to the position of the arm, which may be anywhere in the encoder's range.
     most = law.limits.motor_limit - abs(design.rig.moves.centre)
     if reach > most:

@@ -368,7 +368,7 @@ def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | Non
     _, again = law.run(
         law.initial_state(), *(columns[name] for name in INPUTS), ticks=tick
     )
-    differs = np.zeros(len(tick), dtype=bool)
+    differs = np.zeros(len(tick), bool)
     for name in OUTPUTS:
         # compared by bits, so that -0 differs from 0
         differs |= getattr(again, name).view(np.uint64) != columns[name].view(np.uint64)

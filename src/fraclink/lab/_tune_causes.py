@@ -114,7 +114,7 @@ def _sticking(motor: MotorResult, period: float) -> tuple[str, ...]:
 
 
 def _long_period(resonance: float, period: float) -> tuple[str, ...]:
-    count = 2.0 * math.pi / (resonance * period)
+    count = math.tau / (resonance * period)
     if count >= _PERIODS:
         return ()
     return (

@@ -70,7 +70,7 @@ def motor_of_doublets(
         gains = (other * seen - both * pulled) / apart
         masses = (own * pulled - both * seen) / apart
         cost = float(np.sum(motions**2)) - gains * seen - masses * pulled
-        k = int(np.argmin(cost))
+        k = np.argmin(cost)
         # Errors of neighbouring samples are correlated: a doublet counts as one
         # observation.
         scatter = max(cost[k], 0.0) / begins.size

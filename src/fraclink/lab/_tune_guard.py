@@ -235,7 +235,7 @@ class Guard:
         # by a twentieth.
         while (
             self.count < last
-            and float(np.std([row[2] for row in self._rows[-window:]])) > 1.1 * noise
+            and np.std([row[2] for row in self._rows[-window:]]) > 1.1 * noise
         ):
             self.rest(_QUIET / 4)
 

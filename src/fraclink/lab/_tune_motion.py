@@ -192,7 +192,7 @@ def _keeps(
     # adds a pole slower than those that were placed, the loop follows only at the speed
     # of that pole: with three samples of delay, a loop placed too fast has one at 0.1
     # rad/s.
-    slowest = float(np.max(np.abs(true.poles())))
+    slowest = np.max(np.abs(true.poles()))
     if slowest >= 1.0 or (
         ratio == 1.0 and slowest > _SPLIT * math.exp(-loop.pole * period)
     ):
@@ -328,14 +328,14 @@ def calm(
     that.
     """
     runs, origin = Follower(law), guard.connect().angle
-    last = guard.record(-round(2.0 * math.pi / resonance / guard.period)).torque
+    last = guard.record(-round(math.tau / resonance / guard.period)).torque
     zero, swing = (float(np.mean(last)), float(np.ptp(last))) if last.size else (0, 0)
     # Within the limits, however much the link swings: k times its own deflection.
     reach = 0.5 * PLANNED * guard.limits.angle
     damping = min(_DAMPING, reach * stiffness / max(0.5 * swing, 1e-12))
     part, speed = 0.0, 0.0
     window, vibration = (
-        math.ceil(span / guard.period) for span in (_CALM, 2.0 * math.pi / resonance)
+        math.ceil(span / guard.period) for span in (_CALM, math.tau / resonance)
     )
     # A damping ratio of 0.3 leaves 0.4 % after three periods; a longer motion is due to
     # friction.
@@ -343,7 +343,7 @@ def calm(
     while guard.count < end:
         if (
             guard.count >= first
-            and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise
+            and np.std(guard.record(guard.count - window).torque) <= 1.2 * noise
         ):
             return
         # A tenth of a second between two checks: the standard deviation is that of half

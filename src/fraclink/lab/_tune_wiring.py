@@ -133,7 +133,7 @@ def check_wiring(
             float(np.std(np.diff(x, 2))) / math.sqrt(6.0)
             for x in (still.angle, still.torque)
         )
-        angle = float(np.ptp(_smoothed(still.angle, width)))
+        angle = np.ptp(_smoothed(still.angle, width))
         if angle <= _STILL + _SURE * shake / math.sqrt(width):
             break
     else:
@@ -241,7 +241,7 @@ class _Doublets:
         # The mean square of n samples scatters by √(2/n).
         torque = self._guard.record(self._start).torque
         noise = self._swing * (1.0 + _SURE * math.sqrt(2.0 / torque.size))
-        if float(np.var(torque)) <= noise:
+        if np.var(torque) <= noise:
             limits = self._guard.limits
             beyond = (
                 f"; more could take the motor beyond {limits.speed:g} rad/s within a period: if friction holds it, "
@@ -256,7 +256,7 @@ class _Doublets:
             )
         raise WiringFault(
             f"encoder dead: it stands still while the gauge answers the drive ({self.voltage:.3g} V) with "
-            f"{float(np.ptp(_smoothed(torque, self._width))):.3g} N·m"
+            f"{np.ptp(_smoothed(torque, self._width)):.3g} N·m"
         )
 
     def _enlarged(self) -> bool:
@@ -323,7 +323,7 @@ def _concluded(
     doublets: _Doublets,
     stated: Rig | None,
 ) -> Wiring | WiringFault:
-    degrees = f"{math.degrees(float(np.ptp(record.angle))):.2g}°"
+    degrees = f"{math.degrees(np.ptp(record.angle)):.2g}°"
     link = _link(record, earlier)
     gain, error, delay = motor_of_doublets(
         record, doublets.half, 0.0 if link is None else max(link[3], 0.0)

@@ -296,7 +296,7 @@ def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
         },
         "the rest is noise, offset, another mode or history before the log",
     )
-    cycle = 2 * math.pi / frequency
+    cycle = math.tau / frequency
     periods, samples = log.duration / cycle, cycle / log.period
     if periods < PERIODS:
         yield Finding(

@@ -434,7 +434,7 @@ class _Matching:
             text = f"{name} is in volts: which angle is one volt?"
             choices, example = ("90 deg", "1.57 rad"), "* N [deg]"
         # Integers are counts, unless they are few: an angle in whole degrees.
-        elif reach > 2 * math.pi and (raw == np.round(raw)).all():
+        elif reach > math.tau and (raw == np.round(raw)).all():
             text = f"{name} counts: which angle is one count?"
             choices, example = ("1/4096 rev", "0.09 deg"), "* 1/N [rev]"
         example = f"motor_angle={name} {example}"

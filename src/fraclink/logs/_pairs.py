@@ -141,7 +141,7 @@ class Pairs:
         angle = self.period * mode.model.natural_frequency
         longest = max(values.size for values in self.table.values)
         # Three periods, and four samples in each, as `diagnose` demands them.
-        shown = 2 * math.pi * PERIODS / longest < angle < 0.5 * math.pi
+        shown = math.tau * PERIODS / longest < angle < 0.5 * math.pi
         return shown and phase(mode) > -LATE
 
 

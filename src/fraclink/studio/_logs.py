@@ -93,15 +93,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
         ],
     }
     head["guesses"] = guessed.guesses
-    head["roles"] = {
-        role: {
-            "column": channel.column,
-            "unit": channel.unit,
-            "sign": channel.sign,
-            "scale": channel.scale,
-        }
-        for role, channel in roles.items()
-    }
+    head["roles"] = roles
     head["units"] = {role: [*units] for role, units in UNITS_OF.items()}
     return Reply(head | more, curves | signals)
 

@@ -63,7 +63,7 @@ class Reply:
         Non-finite numbers become null in the header; in a curve they are a defect.
         """
         arrays = {
-            name: np.atleast_2d(np.asarray(curve, dtype="<f4"))
+            name: np.atleast_2d(np.asarray(curve, "<f4"))
             for name, curve in self.curves.items()
         }
         for name, array in arrays.items():

@@ -110,8 +110,7 @@ def _reply(said: str, run: Run, move: float) -> Reply:
     # A value that is not finite is a reading changed by the fault; the law held the
     # previous one, and so does the picture.
     clean = {
-        name: held(np.asarray(values, dtype=float), 1e6)
-        for name, values in curves.items()
+        name: held(np.asarray(values, float), 1e6) for name, values in curves.items()
     }
     return Reply({"said": said, "payload": run.payload, "move": move}, clean)
 

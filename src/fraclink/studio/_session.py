@@ -43,16 +43,6 @@ _OUTDATED = (
     "faults.json",
     "model-*.json",
 )
-_BARE: dict[str, Any] = {
-    "design": None,
-    "law": None,
-    "missing": {},
-    "refused": None,
-    "certificate": None,
-    "runs": (),
-    "arms": None,
-    "faults": None,
-}
 
 
 class SupersededError(Exception):
@@ -382,8 +372,10 @@ def begun(path: Path, rig: Rig | None = None) -> Study:
 
 def bare(study: Study) -> Study:
     """Return the study without its design and all results based on it."""
-    return replace(
-        study, **_BARE, assumptions=study.rig.assumptions if study.rig else ()
+    kept = ("rig", "experiment", "findings", "comparison", "fit")
+    return Study(
+        **{name: getattr(study, name) for name in kept},
+        assumptions=study.rig.assumptions if study.rig else (),
     )
 
 

@@ -248,7 +248,7 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
     ]
     count = round(_SEEN / law.period)
     curves: dict[str, Real] = {
-        "fan_t": np.asarray(law.period * np.arange(0, count, _EVERY), dtype=np.float64)
+        "fan_t": np.asarray(law.period * np.arange(0, count, _EVERY), np.float64)
     }
     for name, runs in (
         ("fan_passed", successes[:_ARMS]),

@@ -107,7 +107,7 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
     with np.errstate(over="ignore"):
         seeds = np.asarray(
             number * np.uint64(0x9E3779B97F4A7C15) + np.uint64(campaign.seed),
-            dtype=np.uint64,
+            np.uint64,
         )
     as_drawn = (
         "stiffness",

@@ -120,7 +120,7 @@ class Evidence:
 def only(e: Evidence, *modes: str) -> Check:
     """Only `modes` after the law started: no other trip."""
     # A law is idle until it has read both sensors once, with or without a fault.
-    first = int(np.argmax(e.flags("started")))
+    first = np.argmax(e.flags("started"))
     allowed = [MODES.index(mode) for mode in modes]
     others = np.count_nonzero(~np.isin(e.faulty.mode[first:], allowed))
     return Check.at_most(OTHER_MODE, int(others), 0)
@@ -233,7 +233,7 @@ def peak(
     if outside and not e.trial.designed_for:
         ratio, limit = 0.0, outside
     best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
-    first = int(np.argmax(e.marked))
+    first = np.argmax(e.marked)
     motor = e.faulty.motor_angle[first] - e.clean.motor_angle[first]
     speed = np.abs(np.diff(e.clean.reference)).max() / e.trial.period
     unseen = abs(motor) * e.marked[first] + 2 * speed * late
@@ -315,7 +315,7 @@ def noise(e: Evidence, deviation: float) -> Check:
     # Midpoints of 4096 equal parts of the band up to the Nyquist frequency: this rule
     # converges exponentially for a periodic function such as Ĉ(z).
     grid = (np.arange(4096) + 0.5) * math.pi / 4096 / law.period
-    energy = math.sqrt(float(np.mean(np.abs(law.frequency_response(grid)) ** 2)))
+    energy = math.sqrt(np.mean(np.abs(law.frequency_response(grid)) ** 2))
     bound = deviation / law.stiffness * energy / e.trial.bench.modulus_margin
     size = float(np.std(e.faulty.motor_reference[e.last(2.0)]))
     return Check.at_most("rms of the command at rest [rad]", size, bound)
@@ -353,7 +353,7 @@ def _quiet(e: Evidence, seconds: float) -> tuple[NDArray[np.uint32], bytes]:
 
 def denormals(e: Evidence, seconds: float) -> Check:
     """Denormal numbers in the law's memory after a long rest."""
-    memory = np.frombuffer(_quiet(e, seconds)[1], dtype=np.uint8)
+    memory = np.frombuffer(_quiet(e, seconds)[1], np.uint8)
     reals = memory[MEMORY_WORDS:].view(e.trial.real)
     # Many processors take a hundred times as long for a denormal number: a state that
     # decays to one would miss its period after an hour at rest.

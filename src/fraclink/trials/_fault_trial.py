@@ -133,7 +133,7 @@ class FaultTrial:
         # period has its fault at the same moment of the move.
         self.row = round(TIMES[case.phase] / self.period)
         # periods in which a sample is bad
-        self.marks = np.zeros(self.count, dtype=bool)
+        self.marks = np.zeros(self.count, bool)
         self.actions: dict[int, list[Action]] = {}
         self.start_angle = float(self.wanted[0])
         self.detail = ""  # the random choices

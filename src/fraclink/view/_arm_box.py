@@ -176,7 +176,7 @@ def _data(
     # 3.5 vibrations in each direction show how a move decays; at least two seconds each
     # way, so that a fast arm does not flicker, and at most the capacity of the engine's
     # buffers.
-    swing = 2 * math.pi / max(abs(model.pole.imag), 1e-3)
+    swing = math.tau / max(abs(model.pole.imag), 1e-3)
     periods = min(LONGEST - 1, 2 * round(max(2.0, 3.5 * swing) / period))
     half = 0.5 * periods * period
     payloads, links = _links(design, period, periods * period, count)

@@ -197,11 +197,7 @@ def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
     """The second phase, shifted by whole turns to the first."""
     # The median, since the unwrapping of a noisy measurement may lose a turn on the
     # way.
-    turns = (
-        round(float(np.median(first - second)) / 360.0)
-        if first.size == second.size
-        else 0
-    )
+    turns = round(np.median(first - second) / 360.0) if first.size == second.size else 0
     return first, second + 360.0 * turns
 
 
@@ -290,7 +286,7 @@ def _residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     residual.
     """
     residual = np.asarray(fit.residual[: fit.fitted_samples])
-    if not float(np.ptp(residual)) > 0.0:
+    if not np.ptp(residual) > 0.0:
         return None
     frequency, (lines,) = segments((residual,), fit.period)
     # Parseval: the mean of |FFT|² of windowed white noise is its variance times the

@@ -152,7 +152,7 @@ def certificate_figure(certificate: Certificate) -> Figure | None:
 
 def _around_critical(description: str, radius: float, marks: list[Mark]) -> Figure:
     """The complex plane around −1, with a disk about it and the unit circle."""
-    turn = np.exp(1j * np.linspace(0, 2 * math.pi, 181))
+    turn = np.exp(1j * np.linspace(0, math.tau, 181))
     disk = -1 + radius * turn
     marks = [
         Curve(disk.real, disk.imag, 2, weight="fill"),

@@ -140,10 +140,8 @@ class Curve:
             return Layers(
                 below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>'
             )
-        values = np.asarray(self.y, dtype=float).ravel()
-        across = frame.x.share(
-            np.broadcast_to(np.asarray(self.x, dtype=float), values.shape)
-        )
+        values = np.asarray(self.y, float).ravel()
+        across = frame.x.share(np.broadcast_to(np.asarray(self.x, float), values.shape))
         # A name is placed where its line leaves the panel, since the line is cut off
         # beyond the right edge.
         visible = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
@@ -171,9 +169,7 @@ class Band:
 
     def drawn(self, frame: Frame) -> Layers:
         """A closed path along the upper edge and back along the lower one."""
-        x, low, high = (
-            np.asarray(v, dtype=float) for v in (self.x, self.low, self.high)
-        )
+        x, low, high = (np.asarray(v, float) for v in (self.x, self.low, self.high))
         x, low, high = np.broadcast_arrays(x, low, high)
         there, back = frame.path(x, high), frame.path(x[::-1], low[::-1])
         # Both edges are joined into one area; two subpaths would be two slivers.

@@ -52,7 +52,7 @@ def _axes(figure: Figure, ax: Any) -> Any:
         # backend, which sets parameters of its own, and leaving the context would reset
         # them.
         ax = pyplot.subplots(count, 1, sharex=True, layout="constrained")[1]
-    axes = np.asarray(ax, dtype=object).reshape(-1)
+    axes = np.asarray(ax, object).reshape(-1)
     if axes.size != count:
         raise FieldError(
             "ax",

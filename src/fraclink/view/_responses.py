@@ -94,16 +94,14 @@ class Response:
         # a curve. It counts as a pole only if both sides are large, since at a zero the
         # phase rises.
         over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
-        turns[over] -= 2 * math.pi
+        turns[over] -= math.tau
         first = float(np.angle(self.values[0]))
         # Bode's relation for a minimum-phase loop: phase = 90° times the slope. It
         # determines the multiple of 360°, which the angle alone leaves open: k/s³
         # starts at −270° and not at +90°.
-        slope = float(
-            np.diff(np.log(size[:2]))[0] / np.diff(np.log(self.frequency[:2]))[0]
-        )
+        slope = np.diff(np.log(size[:2]))[0] / np.diff(np.log(self.frequency[:2]))[0]
         if math.isfinite(slope):
-            turn = 2 * math.pi
+            turn = math.tau
             first += turn * round((0.5 * math.pi * slope - first) / turn)
         return np.asarray(np.degrees(np.append(first, first + np.cumsum(turns))))
 
@@ -118,7 +116,7 @@ class Response:
         [rad/s].
         """
         logs = np.log(self.frequency)
-        own = float(np.interp(math.log(frequency), logs, self.degrees))
+        own = np.interp(math.log(frequency), logs, self.degrees)
         return degrees + 360.0 * round((own - degrees) / 360.0)
 
 
@@ -152,7 +150,7 @@ def decibel_range(response: Response) -> tuple[float, float]:
 
 
 def _checked_grid(frequency: ArrayLike) -> Real:
-    w = np.asarray(frequency, dtype=float).reshape(-1)
+    w = np.asarray(frequency, float).reshape(-1)
     rising = np.isfinite(w).all() and np.all(w > 0) and np.all(np.diff(w) > 0)
     if w.size < 3 or not rising:
         raise FieldError(

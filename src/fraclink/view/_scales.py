@@ -65,7 +65,7 @@ class Scale:
 
     def share(self, values: ArrayLike) -> Real:
         """The relative position of values between the ends: 0 to 1."""
-        at, ends = np.asarray(values, dtype=float), np.array([self.low, self.high])
+        at, ends = np.asarray(values, float), np.array([self.low, self.high])
         # Outside the domain of a logarithmic scale the share is −∞ or NaN, which paths
         # leave out as a gap.
         if self.log:
@@ -94,9 +94,7 @@ class Scale:
         """A scale that shows all finite values with some margin, with a span of at
         least `least`.
         """
-        every = np.concatenate(
-            [np.asarray(value, dtype=float).ravel() for value in values]
-        )
+        every = np.concatenate([np.asarray(value, float).ravel() for value in values])
         every = every[np.isfinite(every)]
         low, high = (
             (float(every.min()), float(every.max())) if every.size else (0.0, 1.0)
