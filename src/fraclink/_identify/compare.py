@@ -12,7 +12,7 @@ from types import MappingProxyType
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
-from fraclink._display import Overview, Table, displayed, rows_of
+from fraclink._display import Overview, Row, Table, displayed, rows_of
 from fraclink._files import document
 from fraclink._identify.fit import Fit, coincidence
 from fraclink._identify.fitting import (
@@ -77,12 +77,25 @@ class Comparison:
 
     @property
     def table(self) -> Table:
-        """The fits beside one another: parameters with their errors, then criteria."""
-        records = (
-            (row for row in fit.rows if row.key not in ("gain", "offset"))
-            for fit in self.fits.values()
+        """The fits beside one another: what one sees of the link, parameters with their
+        errors, then criteria.
+        """
+        rates = {
+            name: abs(fit.model.pole.imag) if fit.model.oscillates else None
+            for name, fit in self.fits.items()
+        }
+        return Table.of(
+            "",
+            (
+                (
+                    fit.rows[0],
+                    Row("", "resonance", rates[name], "rad/s"),
+                    Row("", "resonance", rates[name], "Hz", digits=3),
+                    *(row for row in fit.rows[1:] if row.key not in ("gain", "offset")),
+                )
+                for name, fit in self.fits.items()
+            ),
         )
-        return Table.of("", records)
 
     def overview(self) -> Overview:
         """The fits beside one another, and which of them is to be used."""

@@ -52,7 +52,7 @@ def _log_words(session: Session, verb: str, rig: str = "", *more: str) -> str:
     # installation.
     word = "demo" if source == bundled_log("prbs_30g") else str(source)
     if source is None:
-        word = "demo" if log is None else Path(log.source).name or "log.csv"
+        word = "demo" if log is None else str(session.folder / "log.npz")
     elif source.is_relative_to(session.draft):
         # uploaded by the page, which does not know its original place
         word = source.name

@@ -29,6 +29,7 @@ from fraclink._reading.reading import (
 )
 from fraclink.errors import FieldError, LogError, required
 from fraclink.logs import match
+from fraclink.studio._copied import copies
 from fraclink.studio._messages import Reply, held
 from fraclink.studio._session import Session, Verb, bare, begun
 from fraclink.trials._stages import examined
@@ -64,6 +65,7 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
         "rigs": Rig.names(),
         "rig": session.study.rig.name if session.study.rig else "",
         "log": None,
+        "copies": copies(session),
     }
     more, signals = _experiment(session)
     if session.source is None:
@@ -80,9 +82,9 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
     units = {channel.column: channel.unit for channel in roles.values()}
     channels = listing.channels
-    samples = channels[0].samples if channels else 0
     head["log"] = {
-        "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, {samples} samples.",
+        "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, "
+        f"{channels[0].samples if channels else 0} samples.",
         "channels": [
             {
                 "name": entry.name,

@@ -105,6 +105,8 @@ export class Logs {
     const answer = await this.app.need('log', name ? {name} : {}, 'log-said');
     $('log-said').classList.toggle('bad', !answer);
     if (!answer) return;
+    this.app.study.copies = answer.copies;
+    this.app.line();
     this.known = answer;
     if (name) this.keep = null;
     this.lists(answer);
