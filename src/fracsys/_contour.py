@@ -216,8 +216,8 @@ def convolve(weights: Real, u: Real) -> Real:
 # Source: Dubner and Abate, J. ACM 15 (1968) 115, with the aliasing controlled as by
 # Crump (1976).
 
-_WINDOW = 4
-_OVERSAMPLING = 8
+WINDOW = 4
+OVERSAMPLING = 8
 
 
 def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction:
@@ -263,14 +263,14 @@ def invert(
     """
     best, smallest = np.zeros(count), math.inf
     # What wraps around is lost in rounding, which e^(σt) raises by e^(36/4).
-    sigma = FOLDS / (_WINDOW * count * period)
+    sigma = FOLDS / (WINDOW * count * period)
     while True:
         # The wrap-around error depends on σ, the truncation error on the highest
         # frequency. The second inversion changes both, so neither error can be the same
         # in it.
-        fine = _series(G, exact, count, period, degree, sigma, _OVERSAMPLING)
+        fine = _series(G, exact, count, period, degree, sigma, OVERSAMPLING)
         coarse = _series(
-            G, exact, count, period, degree, 1.3 * sigma, _OVERSAMPLING // 2
+            G, exact, count, period, degree, 1.3 * sigma, OVERSAMPLING // 2
         )
         error = float(np.max(np.abs(fine - coarse), initial=0.0))
         if not error < smallest:
@@ -290,7 +290,7 @@ def _series(
     sigma: float,
     oversampling: int,
 ) -> Real:
-    size = 1 << (_WINDOW * count * oversampling - 1).bit_length()
+    size = 1 << (WINDOW * count * oversampling - 1).bit_length()
     step = period / oversampling
     s = sigma + 2j * math.pi / (size * step) * np.arange(size // 2 + 1)
     spectrum = (G(s) - exact(s)) / s**degree

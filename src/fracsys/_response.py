@@ -12,12 +12,19 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fracsys._contour import convolve, delay_free_part, feedthrough, invert
+from fracsys._contour import (
+    OVERSAMPLING,
+    WINDOW,
+    convolve,
+    delay_free_part,
+    feedthrough,
+    invert,
+)
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._held import HeldQuotient, Part
 from fracsys._modes import TOLERANCE, DiscreteModes
 from fracsys._quotient import Quotient, singular_order
-from fracsys._terms import Term, grid, largest, refuse_beyond_memory
+from fracsys._terms import BYTES, Term, grid, largest, refuse_beyond_memory
 from fracsys.checks import Array, Between, Positive, Real, checked
 from fracsys.checks.equality import compared
 from fracsys.errors import FieldError, NotConvergedError, required
@@ -28,8 +35,6 @@ Times = Annotated[ArrayLike, Array(1, min_size=1), Between(0.0, unit="s")]
 SamplePeriod = Annotated[float, Between(1e-12, 1e12, "s")]
 Hold = Literal["zero", "first"]
 
-# bytes per sample of the numerical inversion: four spans, eight times oversampled
-FFT_BYTES = 2000
 _METHODS = ("modes", "contour", "fft")  # from the most to the least direct
 
 
@@ -338,7 +343,7 @@ def _by_inversion(
     hold: Hold,
 ) -> TimeResponse:
     """The exact response of `exact` plus the numerically inverted rest."""
-    refuse_beyond_memory("u", len(u), FFT_BYTES)
+    refuse_beyond_memory("u", len(u), WINDOW * OVERSAMPLING * BYTES)
     base = time_response(exact, u, period, hold=hold)
     if not len(u):
         return base

@@ -340,10 +340,10 @@ def grid(count: int, period: float) -> Real:
 # Points evaluated together: about 100 numbers of each take 6 MB.
 TOGETHER = 4096
 # bytes per sample of a response: input, output, time and the arrays of the hold
-_BYTES = 40
+BYTES = 40
 
 
-def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
+def refuse_beyond_memory(field: str, count: float, each: int = BYTES) -> None:
     """Raise `SizeError` if `count` samples need more memory than the machine has;
     nothing is allocated.
     """

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from fraclink._certify.discs import ROUNDING, Disc
 from fraclink._certify.enclosure import AXES, LEAVES, LETTERS, BoxLoop
+from fracsys._precision import ROUNDS
 from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["MarginFailure", "prove"]
 
-_DEPTH = 80
 # The proof is for slightly more than the claim, so that a different arithmetic confirms
 # the same leaves.
 _SLACK = 1.0 + 1e-6
@@ -254,7 +254,8 @@ def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
         rest = possible & ~proved
         leaves = np.where(loud, len(AXES) + 1, len(AXES))
         generations.append(np.where(rest, axis, leaves))
-        if rest.any() and (nodes > most or len(generations) > _DEPTH):
+        # After so many cuts of one axis its ends are one double.
+        if rest.any() and (nodes > most or len(generations) > ROUNDS):
             k = int(np.argmax(rest))
             middle = 0.5 * (low[k] + high[k])
             return MarginFailure("the bound is not met", loop.place(middle))

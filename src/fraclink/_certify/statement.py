@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from fraclink._arm.box import ParameterBox, outward
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
@@ -82,8 +84,6 @@ CLAIM = (
     "{velocity} rad/s and {acceleration} rad/s² none of a sensor or of the motor (friction {friction} V, coupling "
     "{coupling} V/(N m))."
 )
-# relative to 1/c: six times the rounding to single precision
-COMPLIANCE_TOLERANCE = 1e-6
 # [rad per sample] From 0 to here |L| is bounded: 2^-20 of the Nyquist frequency, 0.7
 # mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its value at the crossover; or a twentieth
 # of the rate of a mode that is slower than that.
@@ -388,10 +388,9 @@ def _check_law(law: Law, model: LinkModel) -> None:
     """
     c = law.coefficients
     deflection = float(c["compliance"]) * model.stiffness  # type: ignore[arg-type]
-    if (
-        not min(abs(deflection - 1), abs(deflection * model.gauge_gain - 1))
-        <= COMPLIANCE_TOLERANCE
-    ):
+    off = min(abs(deflection - 1), abs(deflection * model.gauge_gain - 1))
+    # The compliance 1/c is rounded to single precision.
+    if not off <= np.finfo(np.float32).eps:
         raise FieldError(
             "law.stiffness",
             law.stiffness,

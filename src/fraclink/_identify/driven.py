@@ -22,6 +22,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
 from fraclink._display import Overview, number, rows_of
 from fraclink._files import document
+from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_data import Limits
 from fraclink._identify.structure_findings import BEYOND
 from fraclink._identify.structure_fit import StructureFit
@@ -29,6 +30,8 @@ from fraclink._identify.structure_problem import POSITIVE_LIMITS
 from fraclink._identify.structures import Weighting, identify_structure
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding, errors_of
+from fracsys._loops import as_loop
+from fracsys._sweep import gain_slope, sweep, valleys, zeros_of
 from fracsys.checks import Between, Positive, checked
 
 Output = Literal["motor_angle", "torque"]
@@ -42,7 +45,6 @@ _STRUCTURES = {
     "motor_angle": f"A*((s/z)**l + 1)/{_BOTTOM}",
     "torque": f"k*(s/z)**l/{_BOTTOM}",
 }
-_GRID = 3000
 _LEAST_OCTAVES = 2  # anti-resonance and peak, with lines on either side of them
 # lines required on either side of a feature that the response is said to show
 _AROUND = 3
@@ -302,20 +304,17 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     # Below its anti-resonance the response of a motor angle falls like an integrator: a
     # maximum there is not a resonance.
     low = fit.parameters["z"] if output == "motor_angle" else band[0] / BEYOND
-    # Searched on the fitted function instead of the lines, since noise has maxima
-    # everywhere.
-    w = np.geomspace(low, BEYOND * max(band[1], low), _GRID)
-    level = np.log(np.abs(fit.transfer_function(1j * w)))
-    tops = np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:])) + 1
-    if not tops.size:
+    high = BEYOND * max(band[1], low)
+    # Of the fitted function, since noise has maxima everywhere; and without its delay,
+    # which turns the phase only.
+    response = parse_expression(fit.expression).function({**fit.parameters, "T": 0.0})
+    loop = replace(as_loop(response, high), low=math.log(low), high=math.log(high))
+    x, values, _ = sweep(loop)
+    tops = valleys(1 / np.abs(values), spare=math.inf)
+    peaks = zeros_of(loop, gain_slope, [(x[k - 1], x[k + 1]) for k in tops])
+    if not peaks:
         return None
-    k = int(tops[np.argmax(level[tops])])
-    # The grid has steps of 0.3 % if the band spans three decades; an error of a third
-    # of a per cent would exceed the interval of the peak.
-    before, at, after = level[k - 1 : k + 2]
-    # the vertex of the parabola through three points
-    shift = 0.5 * (before - after) / (before - 2 * at + after)
-    return float(w[k] * (w[1] / w[0]) ** shift)
+    return math.exp(max(peaks, key=lambda peak: abs(peak[1]))[0])
 
 
 def _of_the_band(

@@ -34,7 +34,6 @@ RESONANCE_MOST = 0.1
 # Vibration periods at the beginning of a log that are compared with the rest, and the
 # largest ratio of their error to that of the rest.
 _START, _FIRST_ERROR = 2.0, 2.0
-_TREMBLE = 1e-3  # [rad]: the encoder of every rig is finer than this
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",
@@ -107,31 +106,23 @@ def likelihood_ratio(
 
 
 def _no_signal(signal: float, least: float, log: Experiment) -> Finding:
-    """W313, with its cause if the output or the motor shows one."""
-    travel, hum = float(np.ptp(log.motor_angle)), mains_of(log)
-    evidence = {"signal": signal, "least": least, "motor_range": travel}
-    if travel < _TREMBLE:
-        return Finding(
-            "W313",
-            "error",
-            f"no signal: the motor hardly moves, it turns by {travel:.2g} rad",
-            evidence,
-            "excite the arm: a pulse, a PRBS or a square wave, and check the unit of the motor angle",
-        )
+    """W313, with its cause if the output shows one."""
+    problem = "this model predicts the output hardly better than a constant does"
+    remedy = (
+        "check that the gauge is connected, that the motor turns, and that both channels are of one "
+        "recording; or move further"
+    )
+    hum = mains_of(log)
     if hum is not None:
-        return Finding(
-            "W313",
-            "error",
-            f"no signal: the output is mains hum at {hum:.0f} Hz",
-            evidence,
-            "check the gauge's wiring and shield",
-        )
+        problem = f"the output is mains hum at {hum:.0f} Hz"
+        remedy = "check the gauge's wiring and shield"
+    travel = float(np.ptp(log.motor_angle))
     return Finding(
         "W313",
         "error",
-        "no signal: this model predicts the output hardly better than a constant does",
-        evidence,
-        "check that the gauge is connected, and that both channels are of one recording; or move further",
+        f"no signal: {problem}",
+        {"signal": signal, "least": least, "motor_range": travel},
+        remedy,
     )
 
 

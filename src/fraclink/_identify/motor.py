@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from fraclink._display import Overview, Row, displayed, number, rows_of
 from fraclink._identify.fitting import check_motion
-from fraclink._identify.problem import CERTAIN
+from fraclink._identify.problem import CERTAIN, LEAST_EACH
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding
@@ -29,7 +29,6 @@ from fracsys.checks import Array, Between, Real, checked
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5
-_LEAST_WINDOWS = 20
 # A motor model that leaves half of the acceleration unexplained compensates no
 # friction.
 _NMSE_MOST = 0.5
@@ -213,12 +212,13 @@ def identify_motor(
     # derivative of the bump.
     half = max(15, round(0.04 / period))
     bumps = _Bumps(motor_angle, torque, period, half, starts, spring)
-    if bumps.places.size < _LEAST_WINDOWS:
+    least = LEAST_EACH * (3 + (torque is not None) + 2 * spring)
+    if bumps.places.size < least:
         raise LogError(
             "motor_angle",
             int(bumps.places.size),
             "too little motion in one direction",
-            f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
+            f">= {least} stretches of {2 * half * period:.3g} s",
             "drive further, with voltages of both signs",
         )
     best_delay, best_zone = _search(bumps, voltage, period, delay, dead_zone)

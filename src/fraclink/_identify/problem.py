@@ -42,6 +42,9 @@ RESOLUTION = 2.0**-32
 _UNSEEN = 1e-10
 # Factors down by ten and up by eight, so that no damping that failed is tried again.
 _FASTER, _SLOWER = 0.1, 8.0
+# Measured numbers per free parameter, at least: a fit of noise then leaves four fifths of
+# its sum of squares, which a gate rejects.
+LEAST_EACH = 5
 FIRST_STEPS = 10  # enough to tell a promising descent from a lost one
 _STUCK = 1e9  # damping at which a step is negligible
 _PERFECT = 1e-16  # share of the power: a cost below it is rounding

@@ -13,7 +13,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
 from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, check_motion, fitted_samples
-from fraclink._identify.problem import descend
+from fraclink._identify.problem import LEAST_EACH, descend
 from fraclink._identify.shape import Hold, moving_angle
 from fraclink._identify.structure_certainty import certainty_of
 from fraclink._identify.structure_data import Lines, Signals
@@ -39,7 +39,6 @@ _ADMITTED = {
     "delay": Between(0.0, 1e6, "s", remedy="give finite numbers in this range"),
     "coefficient": Between(-1e15, 1e15, remedy="give finite numbers in this range"),
 }
-_LEAST_EACH = 5  # measured numbers per free parameter, at least
 _EVERY = 4  # every fourth line of a frequency response is predicted from the others
 # share of a record: an output with a longer delay is hardly visible
 _LONGEST_DELAY = 0.5
@@ -328,9 +327,7 @@ def _problem(
 def _check_start(
     problem: StructureProblem, start: Values | None, measured: int
 ) -> None:
-    # Five numbers each: a fit of noise then leaves four fifths of its sum of squares,
-    # which a gate rejects.
-    least = _LEAST_EACH * len(problem.names)
+    least = LEAST_EACH * len(problem.names)
     if measured < least:
         raise FieldError(
             "data",
@@ -375,7 +372,7 @@ def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float |
     # middle, but none extrapolates a missing end.
     heldout = np.arange(lines.points.size) % _EVERY == _EVERY // 2
     # Real and imaginary part of each line: two numbers.
-    if 2 * np.count_nonzero(~heldout) < _LEAST_EACH * len(problem.names):
+    if 2 * np.count_nonzero(~heldout) < LEAST_EACH * len(problem.names):
         return None
     # From the best parameters: a new search could end in another valley, and the error
     # would be that of the search.
