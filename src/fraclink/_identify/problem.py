@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtri
 
+from fracsys._precision import BLUR, EPSILON, ROUNDS
 from fracsys.checks import Mask, Real
 
 # Chance below which something counts as shown, and the standard errors beyond which noise
@@ -46,8 +47,6 @@ _FASTER, _SLOWER = 0.1, 8.0
 # its sum of squares, which a gate rejects.
 LEAST_EACH = 5
 FIRST_STEPS = 10  # enough to tell a promising descent from a lost one
-_STUCK = 1e9  # damping at which a step is negligible
-_PERFECT = 1e-16  # share of the power: a cost below it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +177,7 @@ def descend(
     problem: Problem,
     places: Real,
     *,
-    iterations: int = 100,
+    iterations: int = ROUNDS,
     box: tuple[Real, Real] | None = None,
 ) -> Descent:
     """Levenberg-Marquardt descents from all rows of `places` at once, within the
@@ -207,14 +206,17 @@ def descend(
             np.maximum(low[own] - places[own], -problem.reach),
             np.minimum(high[own] - places[own], problem.reach),
         )
-        least = np.maximum(problem.precision * costs[own], _PERFECT * problem.power)
+        least = np.maximum(problem.precision * costs[own], EPSILON * problem.power)
         settled[own] = gain <= least
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
         at = problem.quadratic(trial)
         better = at.cost < costs[own]
         # At its end a descent continues as long as that costs one candidate per step.
         moving[own] = np.where(
-            better, gain > 0.01 * least, ~settled[own] & (damping[own] < _STUCK)
+            # So much damping makes a step negligible.
+            better,
+            gain > 0.01 * least,
+            ~settled[own] & (BLUR * damping[own] < 1.0),
         )
         damping[own] *= np.where(better, _FASTER, _SLOWER)
         successes = own[better]

@@ -14,6 +14,7 @@ from fraclink._arm.link import SecondMode
 from fraclink._identify.problem import CERTAIN, LEVEL
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import Window, columns_of, mask_of
+from fracsys._precision import ROUNDS
 from fracsys.checks import Real
 
 _LAGS = 25  # lags of the portmanteau tests
@@ -357,7 +358,7 @@ def find_second_mode(
     for start in grid[np.argsort(costs)[:3]]:
         begin = row(start, _RATIO)[None]
         optimum = kernel.solve(
-            begin, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100
+            begin, mask_of((1, 2)), lower, upper, math.nan, math.nan, ROUNDS
         )[1]
         # Hardly any damping is what a mode of steel has; at the other ends lies a misfit
         # of the first mode, noise, or a filter.

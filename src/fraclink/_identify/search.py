@@ -28,7 +28,7 @@ from fraclink._identify.shape import (
 )
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
-from fracsys._precision import BLUR
+from fracsys._precision import BLUR, ROUNDS
 from fracsys.checks import Real
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ _VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a na
 # cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
 # of the resonance's width.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
-_ITERATIONS = 200  # an undamped link on a damped log converges by a third per step
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +326,8 @@ class Search:
             upper,
             self.gain,
             self.offset,
-            FIRST_STEPS if first else _ITERATIONS,
+            # Enough for an undamped link on a damped log, by a third per step.
+            FIRST_STEPS if first else ROUNDS,
         )
         if first:
             # On all samples, where the costs of different averages compare.
