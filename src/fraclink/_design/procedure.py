@@ -213,7 +213,7 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
         result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.kept else 0):
             result = result.with_law()
-            reserves = _lost_by_law(result, solution)
+            reserves = _lost_by_law(result)
             tighter = solution.tightened(reserves) if reserves else solution
             if not reserves or not tighter.kept:
                 break
@@ -247,15 +247,9 @@ def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]
     return [(requests[0], best), *((one, None) for one in requests)]
 
 
-def _lost_by_law(made: Design, solution: Solution) -> dict[str, float]:
-    """The relative reserve to add to each row that the law misses; to the gain at the
-    higher modes where the law is unstable and has more of it.
-    """
+def _lost_by_law(made: Design) -> dict[str, float]:
+    """The relative reserve to add to each row that the law misses."""
     margin, modulus = made.requirements[-2:]
-    if made.has_law and margin.achieved < 0.0:
-        louder = _louder_law(made, solution.search.request)
-        if louder > 0.0:
-            return {"mode_gain": louder + RESERVE}
     reserves: dict[str, float] = {}
     if not margin.passed:
         reserves["phase_margin"] = (
@@ -265,14 +259,6 @@ def _lost_by_law(made: Design, solution: Solution) -> dict[str, float]:
         more = 1.5 * math.log(modulus.wanted / modulus.achieved)
         reserves["max_sensitivity"] = more + RESERVE
     return reserves
-
-
-def _louder_law(made: Design, request: Request) -> float:
-    """ln of the largest gain at the higher modes that the law has, over the bound."""
-    every = [request.arms.modes(number) for number in range(len(request.arms.cases))]
-    response = made.law().frequency_response
-    gains = [modes.gains(response).max() for modes in every if modes is not None]
-    return math.log(max(gains) / request.mode_gain) if gains else -math.inf
 
 
 def _design_of(solution: Solution) -> Design:

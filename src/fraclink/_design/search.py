@@ -397,11 +397,16 @@ class Solution:
         return replace(self.search, links=tuple(links), ringing=True)
 
     @cached_property
+    def _vibrations(self) -> Trial:
+        """The trial at these links, which takes a search for poles."""
+        return self._ringing.trial(self.x)
+
+    @cached_property
     def _damping(self) -> dict[str, tuple[float, int]]:
         """The same of the damping; empty where no vibration is left."""
         ringing = self._ringing
         row, goal = next(pair for pair in ringing.rows if pair[0].key == "damping")
-        figure = row.kept(ringing.trial(self.x), ringing.request, goal)
+        figure = row.kept(self._vibrations, ringing.request, goal)
         if not figure.value.size:
             return {}
         value, link = figure.least
@@ -431,7 +436,7 @@ class Solution:
         for row, goal in request.wanted:
             trial, payloads = self._trial, request.arms.payloads_at
             if row.key == "damping":
-                trial = self._ringing.trial(self.x)
+                trial = self._vibrations
                 payloads = payloads[list(self._ringing.links)]
             items = row.measured(trial, request, goal, payloads)
             pairs += [(row, item) for item in items]
