@@ -238,9 +238,11 @@ class Table:
     records: tuple[tuple[Row, ...], ...]
 
     @staticmethod
-    def of(key: str, records: Iterable[Iterable[Row]]) -> Table:
-        """The table of such records."""
-        return Table(key, tuple(tuple(record) for record in records))
+    def of(key: str, records: Iterable[Any]) -> Table:
+        """The table of such records, or of things with `rows`."""
+        return Table(
+            key, tuple(tuple(getattr(record, "rows", record)) for record in records)
+        )
 
     def columns(self, *labels: str) -> Table:
         """The same with these columns only."""
@@ -432,6 +434,6 @@ class Listed(tuple[Item, ...]):
 
     def overview(self) -> Overview:
         """Its table and the number of entries."""
-        table = Table.of("", (item.rows for item in self))  # type: ignore[attr-defined]
+        table = Table.of("", self)
         passed = all(getattr(item, "passed", True) for item in self)
         return Overview(str(len(self)), state_of(passed), tables=(table,))

@@ -11,14 +11,14 @@ from scipy.interpolate import CubicSpline
 from scipy.special import beta
 
 from fracsys._contour import convolve
-from fracsys.checks import Array, Between, Real, checked
+from fracsys.checks import Array, Real, above, checked
 from fracsys.errors import FieldError
 
 Samples = Annotated[ArrayLike, Array(1, min_size=4)]
 # Between samples the second derivative of a cubic spline is a straight line; its third
 # derivative would be piecewise constant.
-DerivativeOrder = Annotated[float, Between(0.0, 2.0, low_open=True)]
-IntegralOrder = Annotated[float, Between(0.0, 20.0, low_open=True)]
+DerivativeOrder = Annotated[float, above(0.0, 2.0)]
+IntegralOrder = Annotated[float, above(0.0, 20.0)]
 Definition = Literal["caputo", "riemann-liouville"]
 
 # On every interval but the last, the singularity of the kernel is at least one period

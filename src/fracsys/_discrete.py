@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fracsys._minimax import PartialFractions, Target, finish, grow, score
-from fracsys.checks import Between, Complex, Real, ascending, rule
+from fracsys.checks import Between, Complex, Real, above, ascending, rule
 from fracsys.errors import FieldError
 
 Band = Annotated[
     tuple[
-        Annotated[float, Between(0.0, unit="rad/s", low_open=True)],
-        Annotated[float, Between(0.0, unit="rad/s", low_open=True)],
+        Annotated[float, above(0.0, unit="rad/s")],
+        Annotated[float, above(0.0, unit="rad/s")],
     ],
     ascending(strict=True),
 ]

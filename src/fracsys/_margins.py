@@ -27,7 +27,7 @@ from fracsys._sweep import (
     sweep,
     zeros_of,
 )
-from fracsys.checks import Between, Complex, Mask, Real, checked
+from fracsys.checks import Between, Complex, Mask, Real, above, checked
 from fracsys.errors import FieldError
 
 Index = NDArray[np.intp]
@@ -155,7 +155,7 @@ class Margins:
 def margins(
     loop: FractionalTransferFunction | Callable[[Complex], Complex],
     *,
-    limit: Annotated[float, Between(0.0, unit="rad/s", low_open=True)] | None = None,
+    limit: Annotated[float, above(0.0, unit="rad/s")] | None = None,
     unstable_poles: Annotated[int, Between(0, 1000)] | None = None,
 ) -> Margins:
     """Return every gain crossing, phase crossing and the modulus margin of an open loop

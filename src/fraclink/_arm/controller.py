@@ -16,7 +16,7 @@ from fraclink._arm.rig_parts import positive
 from fraclink._files import document
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys._margins import Margins
-from fracsys.checks import Between, Complex, Period, checked
+from fracsys.checks import Between, Complex, Period, above, checked
 
 __all__ = ["Controller"]
 
@@ -71,11 +71,10 @@ class Controller:
     derivative_gain: Annotated[float, positive("s^β")]
     derivative_order: Annotated[
         float,
-        Between(
+        above(
             0.0,
             2.0,
             "(β)",
-            low_open=True,
             high_open=True,
             remedy="lower the derivative's order",
         ),

@@ -23,7 +23,7 @@ from fraclink._display import Overview, Row, displayed, rows_of, source_name
 from fraclink._files import document, write_text
 from fraclink.errors import LogError
 from fraclink.findings import Finding, Findings
-from fracsys.checks import Array, Between, Payload, Positive, Real, checked
+from fracsys.checks import Array, Payload, Positive, Real, above, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["Experiment"]
@@ -312,10 +312,9 @@ class Experiment:
         # empty.
         count = self.motor_angle.size
         edge = 0.5 / count
-        inside = Between(
+        inside = above(
             edge,
             1 - edge,
-            low_open=True,
             high_open=True,
             remedy="give a fraction such as 0.6",
         )

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fraclink._files import Saved, document
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys.checks import Between, Complex, checked
+from fracsys.checks import Between, Complex, above, checked
 
 __all__ = ["FractionalPid"]
 
@@ -22,7 +22,7 @@ _ONE_SIGN = (
     "write a plant of negative gain as -plant, and negate the controller's output"
 )
 Gain = Annotated[float, Between(0.0, 1e12, remedy=_ONE_SIGN)]
-PidOrder = Annotated[float, Between(0.0, 2.0, low_open=True, high_open=True)]
+PidOrder = Annotated[float, above(0.0, 2.0, high_open=True)]
 
 
 @document("fractional-pid", summary=lambda made: {"formula": made.formula})

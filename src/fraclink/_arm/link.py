@@ -20,7 +20,7 @@ from fraclink._display import number, quantity
 from fraclink._files import document
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys.checks import Between, Complex, Real, Where, checked, checked_choice
+from fracsys.checks import Between, Complex, Real, Where, above, checked, checked_choice
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
 
@@ -74,7 +74,7 @@ def structure(name: str) -> Structure:
 
 Mass = Annotated[
     float,
-    Between(0.0, unit="kg", low_open=True, remedy="give the mass at the tip in kg"),
+    above(0.0, unit="kg", remedy="give the mass at the tip in kg"),
 ]
 
 
@@ -109,19 +109,18 @@ class SecondMode:
 
     frequency: Annotated[
         float,
-        Between(0.0, 1e6, "rad/s", low_open=True, remedy="give mode 2's frequency"),
+        above(0.0, 1e6, "rad/s", remedy="give mode 2's frequency"),
     ]
     gain: Annotated[
         float,
-        Between(0.0, 1e3, low_open=True, remedy="give its static share in Γ/(c θm)"),
+        above(0.0, 1e3, remedy="give its static share in Γ/(c θm)"),
     ]
     damping_ratio: Annotated[
         float,
-        Between(
+        above(
             0.0,
             1.0,
             "(ζ)",
-            low_open=True,
             high_open=True,
             remedy="give ζ, 0.02 where it is not known",
         ),
@@ -203,9 +202,7 @@ class LinkModel:
 
     stiffness: Annotated[
         float,
-        Between(
-            0.0, unit="N·m/rad", low_open=True, remedy="give the torque for one radian"
-        ),
+        above(0.0, unit="N·m/rad", remedy="give the torque for one radian"),
     ]
     natural_frequency: Annotated[
         float, Between(0.0, 1e6, "s^(-λ/2)", remedy="give ω₀ = sqrt(c/(m L²))")
@@ -218,11 +215,10 @@ class LinkModel:
     )
     damping_order: Annotated[
         float,
-        Between(
+        above(
             0.0,
             2.0,
             "(α)",
-            low_open=True,
             high_open=True,
             remedy="give α, 1 for viscous damping",
         ),
@@ -240,10 +236,9 @@ class LinkModel:
     unseen_up_to: (
         Annotated[
             float,
-            Between(
+            above(
                 0.0,
                 unit="rad/s",
-                low_open=True,
                 remedy="leave it out where it is not known",
             ),
         ]

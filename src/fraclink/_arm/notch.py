@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys.checks import Between, Complex, Frequency, checked
+from fracsys.checks import Complex, Frequency, above, checked
 
 __all__ = ["Notch"]
 
-Ratio = Annotated[float, Between(0.0, 1.0, low_open=True)]
+Ratio = Annotated[float, above(0.0, 1.0)]
 
 
 @checked(prefix="notch.")

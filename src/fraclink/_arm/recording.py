@@ -13,7 +13,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document
 from fraclink.errors import FieldError, LogError
-from fracsys.checks import Array, Between, Complex, Positive, Real, checked
+from fracsys.checks import Array, Between, Complex, Positive, Real, above, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
@@ -178,12 +178,12 @@ _OUT = "leave the line at zero frequency out"
 Lines = Annotated[
     Real,
     Array(1),
-    Between(0.0, low_open=True, unit="rad/s", remedy=_OUT),
+    above(0.0, unit="rad/s", remedy=_OUT),
 ]
 Coherence = Annotated[
     Real,
     Array(1),
-    Between(0.0, 1.0, low_open=True, remedy="leave lines without it out"),
+    above(0.0, 1.0, remedy="leave lines without it out"),
 ]
 
 

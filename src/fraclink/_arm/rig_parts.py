@@ -8,7 +8,7 @@ from typing import Annotated
 
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Frequency, Where, checked, length
+from fracsys.checks import Between, Frequency, Where, above, checked, length
 from fracsys.checks.ranges import CHECK_UNIT
 
 __all__ = [
@@ -98,9 +98,9 @@ class Moves:
     6.0
     """
 
-    angle: Annotated[float, Between(0.0, 1e6, "rad", low_open=True)] = math.tau
-    velocity: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] = 6.0
-    acceleration: Annotated[float, Between(0.0, 1e6, "rad/s²", low_open=True)] = 60.0
+    angle: Annotated[float, above(0.0, 1e6, "rad")] = math.tau
+    velocity: Annotated[float, above(0.0, 1e6, "rad/s")] = 6.0
+    acceleration: Annotated[float, above(0.0, 1e6, "rad/s²")] = 60.0
     torque: Annotated[float, _limit("N·m")] = math.inf
     vibration: Annotated[float | None, positive("rad")] = None
     centre: Annotated[float, Between(-1e6, 1e6, "rad")] = 0.0
@@ -363,7 +363,7 @@ class DesignDefaults:
     """
 
     gain_crossover: Frequency
-    phase_margin_deg: Annotated[float, Between(0.0, 179.0, "°", low_open=True)]
+    phase_margin_deg: Annotated[float, above(0.0, 179.0, "°")]
     filter_time: Annotated[float | None, at_least_zero("s")] = None
 
     @property

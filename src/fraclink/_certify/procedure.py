@@ -26,12 +26,12 @@ from fraclink._law.design import Design
 from fraclink._law.limits import JUMP
 from fraclink._law.requirement import LEAST_MODULUS
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Payload, ascending, checked
+from fracsys.checks import Between, Payload, above, ascending, checked
 
 __all__ = ["certify"]
 
 PayloadRange = Annotated[tuple[Payload, Payload], ascending()]
-ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
+ModulusMargin = Annotated[float, above(0.0, 1.0)]
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005

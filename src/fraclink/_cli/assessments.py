@@ -34,7 +34,7 @@ from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
 from fracsys._fractional import FractionalTransferFunction
-from fracsys.checks import Between, PhaseMarginDeg
+from fracsys.checks import PhaseMarginDeg, above
 
 app = group()
 
@@ -96,7 +96,7 @@ class Assessment:
             "failed" if spillover else self.design.overview().state,
             rows,
             (
-                Table.of("spillover", (mode.rows for mode in self.modes)),
+                Table.of("spillover", self.modes),
                 Table.of("", budget),
                 Table.of("", margins),
             ),
@@ -171,7 +171,7 @@ def tune_pid(
     phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin at the crossover"] = 60.0,
     period_ms: Annotated[
         float | None,
-        Between(0.0, 1e6, "ms", low_open=True),
+        above(0.0, 1e6, "ms"),
         "Period of the law, counted as delay",
     ] = None,
     out: Annotated[Path, "File to write the tuning to", Writes()] = Path("pid.json"),

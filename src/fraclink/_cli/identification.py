@@ -39,7 +39,7 @@ from fraclink._reading.responses import read_frequency_response, read_recording
 from fraclink.errors import FieldError, LogError, required
 from fraclink.findings import errors_of
 from fraclink.logs import diagnose
-from fracsys.checks import Between, Real
+from fracsys.checks import Real, above
 
 app = group()
 
@@ -229,7 +229,7 @@ def _transfer_function(
     output: Output = None,
     period_ms: Annotated[
         float | None,
-        Between(0.0, 1e6, "ms", low_open=True),
+        above(0.0, 1e6, "ms"),
         "Transfer function: sampling period of a file without stamps",
     ] = None,
     ring_down: Annotated[

@@ -19,7 +19,7 @@ from fraclink.logs import Question, Start
 from fraclink.logs import start as start_from
 from fraclink.logs._start import START_FILES
 from fraclink.view._figures import fit_figure
-from fracsys.checks import Between, Payload
+from fracsys.checks import Payload, above
 
 app = group()
 
@@ -42,7 +42,7 @@ def start(
     ] = None,
     period_ms: Annotated[
         float | None,
-        Between(0.0, 1000.0, "ms", low_open=True),
+        above(0.0, 1000.0, "ms"),
         "Sampling period of a log without time stamps",
     ] = None,
     payload: Annotated[Payload | None, "Payload of the log, if it is known"] = None,

@@ -27,12 +27,12 @@ from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError
 from fracsys.checks import (
     Array,
-    Between,
     Frequency,
     Mask,
     Payload,
     PhaseMargin,
     Real,
+    above,
     checked,
 )
 from fracsys.checks.equality import compared
@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 
-GainLimit = Annotated[float, Between(0.0, 1e3, low_open=True)]
+GainLimit = Annotated[float, above(0.0, 1e3)]
 CurveKind = Literal["ideal", "motor", "loop", "sampled"]
 
 

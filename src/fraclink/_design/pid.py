@@ -19,7 +19,7 @@ from fraclink.findings import Finding
 from fracsys._control import from_control
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._stability import is_stable
-from fracsys.checks import Between, Duration, Frequency, PhaseMargin, checked
+from fracsys.checks import Between, Duration, Frequency, PhaseMargin, above, checked
 
 __all__ = ["tune_pid"]
 
@@ -40,16 +40,16 @@ def tune_pid(
     *,
     phase_margin: PhaseMargin = MARGIN,
     gain_crossover: Frequency | None = None,
-    gain_margin: Annotated[float, Between(1.0, 1e3, low_open=True)] | None = None,
-    max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None = None,
+    gain_margin: Annotated[float, above(1.0, 1e3)] | None = None,
+    max_sensitivity: Annotated[float, above(1.0, 100.0)] | None = None,
     flat_phase: bool = True,
     form: Form = "PID",
     integral_order: PidOrder | None = None,
     derivative_order: PidOrder | None = None,
     filter_time: Annotated[float, Between(0.0, 1e3, "s")] | None = None,
-    period: Annotated[float, Between(0.0, 1e3, "s", low_open=True)] | None = None,
-    output_limit: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None,
-    measurement_limit: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None,
+    period: Annotated[float, above(0.0, 1e3, "s")] | None = None,
+    output_limit: Annotated[float, above(0.0, 1e6)] | None = None,
+    measurement_limit: Annotated[float, above(0.0, 1e6)] | None = None,
     horizon: Duration | None = None,
 ) -> PidTuning:
     """Tune ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n`` for a plant, integer or

@@ -32,7 +32,7 @@ from fracsys._loops import as_loop
 from fracsys._margins import Margins, margins
 from fracsys._precision import DIFFERENCE_STEP
 from fracsys._response import discrete_modes, time_response
-from fracsys.checks import Between, Complex, Real
+from fracsys.checks import Complex, Real, above
 
 __all__ = ["PERIODS", "PidStep", "PidTuning"]
 
@@ -199,9 +199,9 @@ class PidTuning(Saved):
             ("horizon", "over", "s"),
         )
         # A requirement on an arm states the payload at which it is worst.
-        requirements = Table.of(
-            "requirements", (requirement.rows for requirement in self.requirements)
-        ).columns("requirement", "", "required", "achieved", "verdict")
+        requirements = Table.of("requirements", self.requirements).columns(
+            "requirement", "", "required", "achieved", "verdict"
+        )
         notes = [] if self.stable else ["the closed loop is not stable"]
         if self.delay:
             notes.append(
@@ -251,7 +251,7 @@ class PidTuning(Saved):
                     "a number > 0",
                     f"give {name}= here or to tune_pid (--{option})",
                 )
-        step = Between(0.0, 1e3, "s", low_open=True).check("period", values["period"])
+        step = above(0.0, 1e3, "s").check("period", values["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / step
         band = None
         # If the crossover lies in the last fifth of the band, a band up to fifty times

@@ -23,7 +23,7 @@ from fraclink._design.rows import RESERVE, specification
 from fraclink._design.search import Solution, solved
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink.errors import InfeasibleError
-from fracsys.checks import Between, checked_choice, checked_noun
+from fracsys.checks import above, checked_choice, checked_noun
 
 if TYPE_CHECKING:
     from fraclink._identify import Fit
@@ -398,7 +398,7 @@ def link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     link = checked_noun(
         "model", content, LinkModel, remedy="give a fit, fit.model, or rig.model"
     )
-    Between(1.0, 2.0, "(λ)", low_open=True, remedy="λ is 2 for a classical link").check(
+    above(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link").check(
         "order", link.order
     )
     return in_loop(link, rig)

@@ -32,7 +32,7 @@ from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding, errors_of
 from fracsys._loops import as_loop
 from fracsys._sweep import gain_slope, sweep, valleys, zeros_of
-from fracsys.checks import Between, Positive, checked
+from fracsys.checks import Positive, above, checked
 
 Output = Literal["motor_angle", "torque"]
 
@@ -122,7 +122,7 @@ class DrivenLinkFit(StructureFit):
         self,
         inertia: Positive,
         *,
-        payload: Annotated[float, Between(0.0, low_open=True, unit="kg")] | None = None,
+        payload: Annotated[float, above(0.0, unit="kg")] | None = None,
     ) -> LinkModel:
         """Return the link, c = m J for the motor's inertia J at the gear's output,
         gear² times that of the rotor.
@@ -261,8 +261,8 @@ def _narrower(band: Limits) -> Iterator[Limits]:
     low, high = band
     octaves = int(math.log2(high / low)) - _LEAST_OCTAVES
     for octave in range(1, octaves + 1):
-        for above in range(octave, -1, -1):
-            yield low * 2.0 ** (octave - above), high / 2.0**above
+        for upper in range(octave, -1, -1):
+            yield low * 2.0 ** (octave - upper), high / 2.0**upper
 
 
 def _fitted(

@@ -38,7 +38,7 @@ from fraclink._identify.uncertainty import (
 )
 from fraclink.errors import LogError
 from fraclink.findings import errors_of
-from fracsys.checks import Array, Between, Real, checked, checked_choice
+from fracsys.checks import Array, Between, Real, above, checked, checked_choice
 
 _FIXABLE: dict[str, tuple[float, float]] = {
     "gain": (-1e12, 1e12),
@@ -52,9 +52,7 @@ HeldOut = Annotated[
 ]
 Stiffness = Annotated[
     float,
-    Between(
-        0.0, 1e9, "N·m/rad", low_open=True, remedy="give c in N·m/rad or leave it out"
-    ),
+    above(0.0, 1e9, "N·m/rad", remedy="give c in N·m/rad or leave it out"),
 ]
 Motion = Annotated[Real, Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]

@@ -25,7 +25,7 @@ from fraclink._identify.problem import CERTAIN, LEAST_EACH
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding
-from fracsys.checks import Array, Between, Real, checked
+from fracsys.checks import Array, Between, Real, above, checked
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5
@@ -127,7 +127,7 @@ def identify_motor(
     *,
     period: Annotated[float, Between(1e-6, 10.0, "s")],
     torque: Channel | None = None,
-    inertia: Annotated[float, Between(0.0, 1e6, "kg·m²", low_open=True)] | None = None,
+    inertia: Annotated[float, above(0.0, 1e6, "kg·m²")] | None = None,
     delay: float | None = None,
     dead_zone: float | None = None,
     starts: Sequence[int] = (),

@@ -24,10 +24,10 @@ from fraclink._identify.problem import descend, inverted
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, columns_of, model_of
 from fraclink.errors import LogError, NotConvergedError
-from fracsys.checks import Between, Real, checked, checked_choice
+from fracsys.checks import Real, above, checked, checked_choice
 from fracsys.checks.equality import compared
 
-Length = Annotated[float, Between(0.0, 1e3, "m", low_open=True)]
+Length = Annotated[float, above(0.0, 1e3, "m")]
 
 
 @dataclass(frozen=True)

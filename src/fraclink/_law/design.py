@@ -47,6 +47,7 @@ from fracsys.checks import (
     Payload,
     PhaseMargin,
     Real,
+    above,
     ascending,
     checked_choice,
 )
@@ -130,9 +131,9 @@ class Specification(TypedDict, total=False):
     motor_loop: Literal["ideal", "sampled"] | None
     placement: Literal["tustin", "direct"] | None
     settling_time: Duration | None
-    max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None
-    noise_gain: Annotated[float, Between(0.0, 1e6, low_open=True)] | None
-    mode_gain: Annotated[float, Between(0.0, 1e3, low_open=True)] | None
+    max_sensitivity: Annotated[float, above(1.0, 100.0)] | None
+    noise_gain: Annotated[float, above(0.0, 1e6)] | None
+    mode_gain: Annotated[float, above(0.0, 1e3)] | None
 
 
 @displayed
@@ -259,7 +260,7 @@ class Design(Saved):
             self.sentence,
             state,
             rows,
-            (Table.of("requirements", (r.rows for r in self.requirements)),),
+            (Table.of("requirements", self.requirements),),
             self.findings,
         )
 
@@ -439,6 +440,4 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
 
 
 def _checked_frequency(value: object) -> float:
-    return Between(0.0, 1e6, "s^(-λ/2)", low_open=True).check(
-        "natural_frequency", value
-    )
+    return above(0.0, 1e6, "s^(-λ/2)").check("natural_frequency", value)

@@ -34,7 +34,7 @@ from fracsys._discrete import (
     checked_band,
     fit_discrete,
 )
-from fracsys.checks import Between, Payload, Real, checked
+from fracsys.checks import Payload, Real, above, checked
 
 if TYPE_CHECKING:
     from fraclink._law.design import Design
@@ -324,7 +324,7 @@ def discrete_motor_loop(
 
 
 def _check_period(controller: Controller, period: float) -> None:
-    Between(0.0, unit="s", low_open=True, remedy="give seconds").check("period", period)
+    above(0.0, unit="s", remedy="give seconds").check("period", period)
     designed = controller.period
     if designed is not None and not math.isclose(designed, period, rel_tol=1e-9):
         raise FieldError(

@@ -32,7 +32,7 @@ from fraclink._law.block import Block, Precision, framed, real_type
 from fraclink._law.law import REASONS, Law
 from fraclink._law.tracking import masses_of
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Real, above, checked
 
 __all__ = [
     "COUNTS",
@@ -237,10 +237,7 @@ def payload_estimator(
     law: Law,
     payloads: tuple[float, float],
     *,
-    gain_doubt: Annotated[
-        float, Between(0.0, 1e3, low_open=True, remedy="0.03 is usual")
-    ]
-    | None = None,
+    gain_doubt: Annotated[float, above(0.0, 1e3, remedy="0.03 is usual")] | None = None,
 ) -> PayloadEstimator:
     """Return the payload estimator for a law and the link that it was designed for.
 

@@ -34,7 +34,7 @@ from fraclink._law.law import Law
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError
 from fracsys._discrete import Band, Order, checked_band, fit_discrete
-from fracsys.checks import Between, Complex, Positive, Real, checked
+from fracsys.checks import Complex, Positive, Real, above, checked
 
 __all__ = ["discretize_pid", "pid_response"]
 
@@ -46,7 +46,7 @@ JOINT = 3.0
 # length of the default band: 8 states represent s^(1−λ) over this many decades within
 # the tolerance
 DECADES = 4.0
-Range = Annotated[float, Between(0.0, 1e6, low_open=True)]
+Range = Annotated[float, above(0.0, 1e6)]
 
 
 @checked

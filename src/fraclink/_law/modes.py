@@ -27,7 +27,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._law.requirement import Requirement
-from fracsys.checks import Between, Complex, Real
+from fracsys.checks import Complex, Real, above
 
 __all__ = [
     "MODE_LIMIT",
@@ -134,9 +134,7 @@ def higher_modes(
     if rig.link.mass <= 0.0 and model.second_mode is None:
         return None
     if damping_ratio is not None:
-        damping_ratio = Between(0.0, 0.999, low_open=True).check(
-            "damping_ratio", damping_ratio
-        )
+        damping_ratio = above(0.0, 0.999).check("damping_ratio", damping_ratio)
     rows: list[tuple[int, float, Real, Complex]] = []
     nyquist = math.pi / rig.period
     for payload in payloads:

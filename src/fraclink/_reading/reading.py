@@ -373,7 +373,7 @@ class LogListing:
         return Overview(
             f"{self.path}: {self.kind}, {len(self.channels)} channels",
             rows=rows,
-            tables=(Table.of("channels", (each.rows for each in self.channels)),),
+            tables=(Table.of("channels", self.channels),),
             notes=tuple(lines),
         )
 

@@ -386,7 +386,7 @@ class WorstCase:
         return Overview(
             f"{self.carried}: {result} the arm “{worst.arm}” with {quantity(worst.payload, 'g')}",
             rows=rows,
-            tables=(Table.of("arms", (each.rows for each in self.arms)),),
+            tables=(Table.of("arms", self.arms),),
         )
 
     @property

@@ -26,7 +26,7 @@ from typing import Annotated
 
 import numpy as np
 
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Between, Real, above, checked
 
 __all__ = [
     "Chain",
@@ -167,9 +167,7 @@ class FractionalKelvinVoigt:
     coefficient: Annotated[float, Between(0.0, 1e6, "s^α", remedy=_ENERGY)]
     order: Annotated[
         float,
-        Between(
-            0.0, 1.0, low_open=True, high_open=True, remedy="use KelvinVoigt for α = 1"
-        ),
+        above(0.0, 1.0, high_open=True, remedy="use KelvinVoigt for α = 1"),
     ]
     higher: _Time | None = None
 
@@ -203,11 +201,10 @@ class PowerLaw:
 
     order: Annotated[
         float,
-        Between(
+        above(
             1.0,
             2.0,
             "(λ)",
-            low_open=True,
             high_open=True,
             remedy="use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy",
         ),

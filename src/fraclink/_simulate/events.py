@@ -14,7 +14,7 @@ from fraclink._arm.rig import Gauge
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.kernel import ArmState
 from fraclink.errors import FieldError
-from fracsys.checks import Angle, Between, Duration, Real, Time, checked
+from fracsys.checks import Angle, Between, Duration, Real, Time, above, checked
 
 __all__ = [
     "FAULTS",
@@ -101,11 +101,10 @@ class Obstacle:
     side: Literal[1, -1] = 1
     stiffness: Annotated[
         float,
-        Between(
+        above(
             0.0,
             1e4,
             "N/m",
-            low_open=True,
             remedy="a stop of foam has 500 N/m, one of wood 1e4",
         ),
     ] = 500.0

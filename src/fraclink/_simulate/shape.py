@@ -35,7 +35,7 @@ from fraclink._simulate.metrics import BAND
 from fraclink._simulate.programme import Programme
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Duration, Real, checked
+from fracsys.checks import Between, Duration, Real, above, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["ShapedMove", "shape"]
@@ -165,7 +165,7 @@ def shape(
     told: Told = False,
     over: Over = "box",
     settle: Duration | None = None,
-    voltage: Annotated[float, Between(0.0, 1e6, "V", low_open=True)] | None = None,
+    voltage: Annotated[float, above(0.0, 1e6, "V")] | None = None,
     reserve: Annotated[float, Between(0.0, 0.9)] = 0.25,
     on: On = "twin",
     seeds: Annotated[int, Between(1, 1000)] = 1,

@@ -48,7 +48,7 @@ from fraclink._simulate.on_twin import checked_motor_loop, on_twin
 from fraclink._simulate.run import Run, judged_run
 from fraclink.errors import FieldError, required
 from fraclink.findings import Finding
-from fracsys.checks import Between, Real, Seed, checked
+from fracsys.checks import Between, Real, Seed, above, checked
 
 __all__ = ["link_at", "model_run", "simulate"]
 
@@ -74,7 +74,7 @@ def simulate(
     | bool
     | Literal["estimated"]
     | PayloadEstimator = False,
-    duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
+    duration: Annotated[float, above(0.0, 1e300, "s")] | None = None,
     motor_loop: Drive | None = None,
     events: Iterable[Event] = (),
     gauge_delay: Annotated[float, Between(0.0, 1e3, "s")] | None = None,

@@ -25,7 +25,7 @@ from fraclink.lab._machine import (
     granted,
     period_ns,
 )
-from fracsys.checks import Between, Real, Seed, checked
+from fracsys.checks import Between, Real, Seed, above, checked
 from fracsys.checks.equality import compared
 
 __all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
@@ -105,7 +105,7 @@ def serve_arm(
     connection: Connection,
     period: float,
     *,
-    duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] = 600.0,
+    duration: Annotated[float, above(0.0, 1e300, "s")] = 600.0,
     watchdog: Annotated[int, Between(1, 1000, "periods")] = WATCHDOG,
     once: bool = False,
     seed: Seed = 0,

@@ -34,7 +34,7 @@ from fraclink.lab._run import (
     first_difference,
     saved,
 )
-from fracsys.checks import Between, checked
+from fracsys.checks import Between, above, checked
 
 __all__ = ["run_realtime"]
 
@@ -48,7 +48,7 @@ def run_realtime(
     reference: Reference,
     connection: Connection,
     *,
-    duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
+    duration: Annotated[float, above(0.0, 1e300, "s")] | None = None,
     out: Path | None = None,
     payload: Annotated[float, Between(0.0, 1e9, "kg")] = 0.0,
     estimator: PayloadEstimator | None = None,

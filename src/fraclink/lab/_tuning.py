@@ -256,7 +256,7 @@ class Tuning:
         """What was measured with how sure it is, the first moves, and the scopes."""
         verdict = self.verdict
         time = f"{self.arm_time:.0f} s of the arm, {self.computing:.1f} s of computing"
-        moves = Table.of("moves", (move.rows for move in self.moves))
+        moves = Table.of("moves", self.moves)
         rows = rows_of(self, "stopped", "reasons", "verdict", *self._measured())
         return Overview(
             f"stopped: {self.stopped}" if self.stopped else time,

@@ -128,7 +128,7 @@ class Watch:
             f"a retune is due: {due}" if due else unchanged,
             state_of(self.passed),
             rows,
-            (Table.of("changes", (change.rows for change in self.changes)),),
+            (Table.of("changes", self.changes),),
             notes=(note,),
         )
 

@@ -229,7 +229,7 @@ class Session:
                     design.overview().tables[0].columns("requirement", "required", "achieved", "verdict")
                 ),
                 "findings": design.findings,
-                "moves": grid_of(Table.of("", (run.rows for run in study.runs))),
+                "moves": grid_of(Table.of("", study.runs)),
                 "passed": design.passed,
             },
             "certificate": study.certificate is not None,

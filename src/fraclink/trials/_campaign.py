@@ -25,7 +25,7 @@ from fraclink._arm.rig import Rig
 from fraclink._law import Law, equip
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Between, Real, above, checked
 
 __all__ = [
     "PART_RUNS",
@@ -100,12 +100,12 @@ def _always(value: float) -> Distribution:
     return Distribution("uniform", value, value)
 
 
-_POSITIVE, _NOT_NEGATIVE = Between(0.0, low_open=True), Between(0.0)
+_POSITIVE, _NOT_NEGATIVE = above(0.0), Between(0.0)
 # What the distributions of physical quantities stay within.
 _RANGES = {
     "payload": _POSITIVE,
     "stiffness": _POSITIVE,
-    "order": Between(1.0, 2.0, low_open=True),
+    "order": above(1.0, 2.0),
     "delay_samples": Between(0.0, 100.0),
     "motor_gain": _POSITIVE,
     "viscous_friction": _NOT_NEGATIVE,

@@ -22,7 +22,7 @@ from fraclink._simulate.events import FAULTS, healthy_inputs
 from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import acted, twin_run
 from fraclink._simulate.run import Run
-from fracsys.checks import Between, Real, checked
+from fracsys.checks import Between, Real, above, checked
 
 __all__ = ["PHASES", "Bench", "Case", "FaultTrial", "Phase", "end_of", "execute"]
 
@@ -64,7 +64,7 @@ class Case:
 
     fault: str
     severity: Annotated[int, Between(1, 3)]
-    payload: Annotated[float, Between(0.0, 1e3, "kg", low_open=True)]
+    payload: Annotated[float, above(0.0, 1e3, "kg")]
     phase: Phase
     seed: Annotated[int, Between(0, 2**63 - 1)]
 

@@ -356,11 +356,7 @@ class FaultTable:
             ),
             # sorted is stable: within met and missed the order of the catalogue
             # remains.
-            (
-                Table.of(
-                    "", (f.rows for f in sorted(summaries, key=lambda f: f.passed))
-                ),
-            ),
+            (Table.of("", sorted(summaries, key=lambda f: f.passed)),),
             notes=tuple(note for fault in summaries for note in fault.notes),
         )
 

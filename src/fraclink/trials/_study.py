@@ -188,7 +188,7 @@ class Study:
         )
         tables = [table for part in parts for table in part.tables]
         if self.runs:
-            tables.append(Table.of("", (run.rows for run in self.runs)))
+            tables.append(Table.of("", self.runs))
         notes = (note for part in parts for note in part.notes)
         return Overview(
             self.sentence,

@@ -171,7 +171,7 @@ class Summary:
             failure.sentence,
             state_of(self.passed),
             rows,
-            (Table.of("", (metric.rows for metric in shown)),),
+            (Table.of("", shown),),
             notes=(*filter(None, (self.given,)), *trips),
         )
 

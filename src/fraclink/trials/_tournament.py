@@ -161,7 +161,7 @@ class Tournament:
             f"{first.name} is best in {wins} of {len(FIGURES)} figures",
             state_of(first.passed),
             rows,
-            (Table.of("standings", (standing.rows for standing in self.standings)),),
+            (Table.of("standings", self.standings),),
             notes=(*self.verdicts(), *rules, *self.notes),
         )
 

@@ -183,7 +183,7 @@ def _tables(study: Study) -> Mapping[str, Figures]:
         (sections["requirements"],) = study.design.overview().tables
         sections["margins"] = tables.margins_table(study.design, payloads)
     if study.runs:
-        sections["moves"] = Table.of("", (run.rows for run in study.runs))
+        sections["moves"] = Table.of("", study.runs)
     if study.arms is not None:
         (sections["arms"],) = study.arms.summary.overview().tables
     return sections

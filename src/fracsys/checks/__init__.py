@@ -33,6 +33,7 @@ from fracsys.checks.ranges import ARGUMENTS, Refused
 from fracsys.checks.ranges import Array as Array
 from fracsys.checks.ranges import Between as Between
 from fracsys.checks.ranges import Where as Where
+from fracsys.checks.ranges import above as above
 from fracsys.checks.ranges import ascending as ascending
 from fracsys.checks.ranges import length as length
 from fracsys.checks.ranges import whole_number as whole_number
@@ -52,40 +53,35 @@ Mask = NDArray[np.bool_]
 
 # --- ranges that recur --------------------------------------------------------------------------------
 
-Positive = Annotated[float, Between(0.0, low_open=True)]
+Positive = Annotated[float, above(0.0)]
 Period = Annotated[
     float,
-    Between(
-        0.0, 10.0, "s", low_open=True, remedy="give the sampling period in seconds"
-    ),
+    above(0.0, 10.0, "s", remedy="give the sampling period in seconds"),
 ]
 Time = Annotated[float, Between(0.0, 1e6, "s", remedy="give seconds")]
-Duration = Annotated[
-    float, Between(0.0, 1e6, "s", low_open=True, remedy="give seconds")
-]
+Duration = Annotated[float, above(0.0, 1e6, "s", remedy="give seconds")]
 Payload = Annotated[
     float,
-    Between(0.0, 1e4, "kg", low_open=True, remedy="give the mass at the tip in kg"),
+    above(0.0, 1e4, "kg", remedy="give the mass at the tip in kg"),
 ]
-Frequency = Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)]
+Frequency = Annotated[float, above(0.0, 1e6, "rad/s")]
 # The unit depends on λ, because ω₀² is added to s^λ.
-NaturalFrequency = Annotated[float, Between(0.0, 1e6, "s^(-λ/2)", low_open=True)]
+NaturalFrequency = Annotated[float, above(0.0, 1e6, "s^(-λ/2)")]
 Angle = Annotated[
     float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")
 ]
 PhaseMargin = Annotated[
     float,
-    Between(
+    above(
         0.0,
         math.pi,
         "rad",
-        low_open=True,
         high_open=True,
         remedy="give radians; deg(50) converts degrees",
     ),
 ]
 PhaseMarginDeg = Annotated[
-    float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")
+    float, above(0.0, 179.0, "°", remedy="50° is a usual margin")
 ]
 # the range of NumPy's generators
 Seed = Annotated[int, Between(0, 2**64 - 1)]

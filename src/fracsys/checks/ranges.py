@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sized
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -128,7 +129,7 @@ ARGUMENTS = Form()
 class Between:
     """A range of numbers, of every element for arrays; bounds are included unless open.
 
-    >>> Between(0.0, 9.0, "rad/s", low_open=True).expected
+    >>> above(0.0, 9.0, "rad/s").expected
     '> 0 and <= 9 rad/s'
     """
 
@@ -161,14 +162,19 @@ class Between:
 
     def admits(self, number: Any) -> Any:
         """Whether a number lies in the range; elementwise for arrays."""
-        above = number > self.low if self.low_open else number >= self.low
-        return above & (number < self.high if self.high_open else number <= self.high)
+        return (number > self.low if self.low_open else number >= self.low) & (
+            number < self.high if self.high_open else number <= self.high
+        )
 
     def check(self, name: str, value: object) -> float:
         """Return `value` as a float of this range; for bounds that are known at run
         time only.
         """
         return cast(float, number(self).check(name, value))
+
+
+# The same without its lower bound.
+above = partial(Between, low_open=True)
 
 
 @dataclass(frozen=True)
