@@ -147,6 +147,22 @@ def test_a_dead_sensor_is_named_within_the_plan_on_other_arms(
     assert np.ptp([row[1] for row in own.rows]) < planned_motion()
 
 
+@pytest.mark.parametrize(
+    ("tilt", "friction"), [(0.34, (0.10, 0.12)), (0.34, (0.2, 0.3)), (0.5, (0.35, 0.5))]
+)
+def test_the_weight_of_a_tilted_arm_is_named_as_what_pulls_it(
+    tilt: float, friction: tuple[float, float]
+) -> None:
+    """Friction holds it at rest; each doublet lets it sink, so that the motor is nowhere
+    where the doublets alone would leave it.
+    """
+    own = outside_arm(grav=tilt, Fc=friction[0], Fs=friction[1])
+    limits = fl.MotionLimits(angle=0.698, speed=4.0, torque=1.5, voltage=10.0)
+    with pytest.raises(FraclinkError, match="weight"):
+        check_wiring(guarded(Callback(own.read, own.write), limits), None)
+    assert np.ptp([row[1] for row in own.rows]) < 1.5 * planned_motion()
+
+
 def planned_motion() -> float:
     """The largest motion [rad] that the plan states for the wiring check."""
     (degrees,) = re.findall(r"wiring: .* over ([\d.]+)° at most", PLAN.text)

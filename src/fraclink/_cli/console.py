@@ -109,7 +109,7 @@ def ask(
                 option.removeprefix("--").replace("-", "_"),
                 None,
                 "missing",
-                f"an answer to: {question.rstrip('?')}",
+                f"an answer to: {question.rstrip('?')}" if question else "an answer",
                 f"give {option} where nobody can be asked",
             )
         try:

@@ -55,6 +55,10 @@ _COUNTS = 8
 # attempt.
 _LARGER = 1.6
 COUNT = MOST / _LARGER / _COUNTS  # [rad]: the coarsest encoder with that many counts
+_PULLED = (
+    f"small doublets take the motor {math.degrees(MOST):.2g}° from where it stood: its weight, a cable or a "
+    "spring pulls it; take that away, or level the arm"
+)
 # Standard errors required of a sign: a wrong sign closes a loop that runs away; the
 # probability of chance is one in two million.
 _SURE = 5.0
@@ -138,8 +142,8 @@ def check_wiring(
             break
     else:
         raise WiringFault(
-            f"the motor turns by {math.degrees(angle):.2g}° at 0 V: the drive is not off, or the arm is "
-            "being moved"
+            f"the motor turns by {math.degrees(angle):.2g}° at 0 V: the drive is not off, its weight pulls it "
+            "(the axis must be upright), or the arm is being moved"
         )
     # The zero of the gauge is its mean at rest, not its first sample.
     guard.offset += float(np.mean(still.torque))
@@ -161,10 +165,7 @@ def _checked(
     """
     doublets = smallest()
     goal, largest = max(size * _ANSWER, doublets.clear), size * MOST / _LARGER
-    found: Wiring | WiringFault = WiringFault(
-        f"small doublets take the motor {math.degrees(MOST):.2g}° from where it stood: its weight, a cable or a "
-        "spring pulls it; take that away, or level the arm"
-    )
+    found: Wiring | WiringFault = WiringFault(_PULLED)
     while doublets.grow(goal):
         record, earlier = doublets.train()
         found = _concluded(record, earlier, noise, doublets, stated)
@@ -355,9 +356,12 @@ def _concluded(
     stiffness, spread, frequency, gauge_delay, nmse = link
     voltage = f"{doublets.voltage:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
     if abs(gain) < _SURE * error:
+        # A train that ended for want of room is too short for its signs.
         return _Unsure(
             f"signs not sure: {voltage}, at {math.degrees(_step(record.angle)):.2g}° a count; a finer or quieter "
             "encoder, or less play in the gear, helps"
+            if doublets.room
+            else _PULLED
         )
     bend = f"torque over angle {stiffness:+.3g} ± {spread:.1g} N·m/rad, {100 * (1 - nmse):.0f} % explained"
     if min(gain, stiffness) < 0:
@@ -395,8 +399,7 @@ def _scales(
         return (
             "scales of encoder and gauge: not shown, as nothing is stated to compare them with (--rig)",
         ), ""
-    motor = stated.motor.gain
-    encoder = gain / motor
+    encoder = gain / stated.motor.gain
     # The stiffness is torque over angle, so a wrong encoder scale divides it; the
     # product is the ratio of the gauge's scale to the true one.
     bend = stiffness / stated.link.stiffness * encoder
@@ -427,12 +430,13 @@ def _unplaced(record: Record, half: int, channel: Real) -> float:
     """The share of a channel's motion that does not follow the motor positions reached by
     the doublets.
     """
-    place = np.zeros(channel.size)
+    places = np.zeros((2, channel.size))
     for begin in edges_of(record):
         # A doublet leaves the motor where its first half has moved it: a staircase with
-        # its steps in the middle of the doublets.
-        place[begin + half :] += np.sign(record.voltage[begin])
-    matrix = np.column_stack([place, np.ones(channel.size)])
+        # its steps in the middle of the doublets, and steps of their own each way where
+        # a weight helps one way.
+        places[int(record.voltage[begin] > 0), begin + half :] += 1.0
+    matrix = np.column_stack([*places, np.ones(channel.size)])
     rest = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
     whole = float(np.sum((channel - np.mean(channel)) ** 2))
     return float(rest @ rest) / whole if whole > 0.0 else 1.0
