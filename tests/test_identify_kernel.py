@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fraclink import Experiment, LinkModel, identify
-from fraclink._identify.shape import Window, shape_of, undamped_as_damped
+from fraclink._identify.shape import Window, embedded, shape_of
 from fraclink.extend import simulated_torque
 from fracsys import time_response
 from identify_cases import PERIOD, TRUTH, smooth_pulse
@@ -93,7 +93,7 @@ def test_gram_matrix_is_that_of_the_columns() -> None:
 def test_fractional_link_is_the_edge_of_the_damped_one() -> None:
     angle = smooth_pulse(PERIOD * np.arange(2000))
     kernel = Window(angle, angle, PERIOD, "first").kernel(10.0, longest_delay=0.1)
-    one, other = shape_of(TRUTH), undamped_as_damped(shape_of(TRUTH))
+    one, other = shape_of(TRUTH), embedded(shape_of(TRUTH), "D-FOM")
     first, second = kernel.columns(one, 0), kernel.columns(other, 0)
     assert first is not None
     assert second is not None

@@ -147,10 +147,10 @@ def check_motion(**channels: Real) -> None:
         if np.ptp(values) == 0:
             raise LogError(
                 name,
-                float(values[0]),
-                "constant over the fitted part",
-                "a motion",
-                "check the wiring, or fit a part in which the arm moves",
+                f"{float(values[0]):.6g} in all {values.size} samples",
+                "constant",
+                "a signal that moves",
+                "excite the arm, check gauge and wiring, or give another column or part of the log",
             )
 
 

@@ -23,9 +23,8 @@ from fraclink._identify.shape import (
     mask_of,
 )
 from fraclink._kernels import FitProblem
+from fracsys._precision import RESOLUTION
 from fracsys.checks import Real
-
-_NO_DAMPING = 1e-12  # ζ below which α has no meaning
 
 
 def quadratic_of(
@@ -138,7 +137,8 @@ class LinkProblem(Problem):
         chain = np.tile(np.eye(5), (len(places), 1, 1))
         if self.turned:
             share = shapes[:, 3].copy()
-            double = 2 * np.maximum(shapes[:, 2], _NO_DAMPING)
+            # Below that ζ, α has no meaning.
+            double = 2 * np.maximum(shapes[:, 2], RESOLUTION)
             square = math.pi / 2 * (double**2 + share**2)
             shapes[:, 3] = 2 / math.pi * np.arctan2(double, share)
             chain[:, 3, 2], chain[:, 3, 3] = 2 * share / square, -double / square

@@ -362,8 +362,10 @@ class _Bumps:
         # the centre of its bump.
         return products[self.centres + abs(whole) + 1 - whole]
 
-    def matrix(self, u: Real, delay: float, zone: float) -> Real:
-        """Columns of A, B, C (and 1/J) (and k/J, and k θ₀/J)."""
+    def solved(self, u: Real, delay: float, zone: float) -> tuple[Real, Real, Real]:
+        """The matrix with the columns of A, B, C (and 1/J) (and k/J, and k θ₀/J), their
+        least-squares values, and the error.
+        """
         columns = [
             self.driven(np.sign(u) * np.maximum(np.abs(u) - zone, 0), delay),
             -self.velocity,
@@ -373,11 +375,7 @@ class _Bumps:
             columns.append(-self.load)
         if self.spring:
             columns += [-self.angle, np.full(self.sign.size, self.area)]
-        return np.column_stack(columns)
-
-    def solved(self, u: Real, delay: float, zone: float) -> tuple[Real, Real, Real]:
-        """The matrix, the least-squares values of its columns, and the error."""
-        matrix = self.matrix(u, delay, zone)
+        matrix = np.column_stack(columns)
         values = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
         return (
             matrix,

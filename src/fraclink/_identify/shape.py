@@ -70,7 +70,7 @@ def special_cases(name: str) -> list[str]:
     """Structures that are special cases of this one, in the order of the table.
 
     The undamped link of order λ is a special case of every link with a free α: see
-    `undamped_as_damped`.
+    `embedded`.
     """
     free = set(structure(name).free)
     return [
@@ -81,12 +81,17 @@ def special_cases(name: str) -> list[str]:
 
 
 def embedded(shape: Real, name: str) -> Real:
-    """The shape of a special case in the coordinates of the structure `name`."""
-    return (
-        undamped_as_damped(shape)
-        if shape[0] < 2 and "order" not in structure(name).free
-        else shape
-    )
+    """The shape of a special case in the coordinates of the structure `name`.
+
+    The link with fractional damping that is the undamped one of order λ is that one with
+    its inertia divided by s^α: ω₀ = 0, μ is the old ω₀² and α = 2 − λ.
+    """
+    order, place, *_, delay = shape.tolist()
+    if order >= 2 or "order" in structure(name).free:
+        return shape
+    other = min(max(2 - order, ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
+    place += math.log(math.cos(other * math.pi / 2)) / order
+    return np.array([2.0, place, largest_ratio(other), other, delay])
 
 
 def lowest_valleys(costs: Real, count: int) -> NDArray[np.int_]:
@@ -189,17 +194,6 @@ def largest_ratio(other: float) -> float:
     vibrates.
     """
     return math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
-
-
-def undamped_as_damped(shape: Real) -> Real:
-    """The link with fractional damping that is the undamped one of order λ: its inertia
-    divided by s^α.
-
-    ω₀ = 0, μ is the old ω₀² and α = 2 − λ.
-    """
-    other = min(max(2 - float(shape[0]), ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
-    log_resonance = shape[1] + math.log(math.cos(other * math.pi / 2)) / float(shape[0])
-    return np.array([2.0, log_resonance, largest_ratio(other), other, shape[4]])
 
 
 def moving_angle(log: Experiment) -> Real:

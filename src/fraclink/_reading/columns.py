@@ -89,20 +89,6 @@ def check_count(count: int) -> None:
         raise LogError("log", size, "too short", allowed, remedy)
 
 
-def check_signals(angle: Real, output: Real, kind: str) -> None:
-    """Raise LogError if the motor angle or the output is equal in all samples."""
-    remedies = {
-        "motor_angle": "excite the arm: a pulse, a PRBS or a square wave; or state another column",
-        kind: "check the gauge and its amplifier, or state another column",
-    }
-    for (role, remedy), values in zip(remedies.items(), (angle, output), strict=True):
-        # An exactly constant column is rejected here, since no fit is possible; one
-        # that moves by a billionth is left to `diagnose`.
-        if np.ptp(values) == 0:
-            text = f"{float(values[0]):.6g} in all {values.size} samples (standard deviation 0)"
-            raise LogError(role, text, "constant", "a signal that moves", remedy)
-
-
 def stated_payload(
     table: LogTable, stated: float | None
 ) -> tuple[float | None, list[Finding]]:

@@ -22,9 +22,9 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base, uniform_before
 from fraclink._display import Overview, Row, Table, displayed, rows_of
 from fraclink._files import kind_of, load, sha256_of
+from fraclink._identify.fitting import check_motion
 from fraclink._reading.columns import (
     check_count,
-    check_signals,
     columns_of_names,
     converter_step,
     stated_payload,
@@ -170,7 +170,8 @@ def read_log(
         check_size(int(float(np.ptp(stamps)) / base.period))
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[channels.output_kind]
-    check_signals(data["motor_angle"], output, channels.output_kind)
+    # One that moves by a billionth is left to `diagnose`.
+    check_motion(motor_angle=data["motor_angle"], **{channels.output_kind: output})
     mass, payload_findings = stated_payload(table, payload)
     earlier = whole_angle[uniform_before(recorded, first, base.period)]
     return Experiment(
