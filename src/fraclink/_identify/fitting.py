@@ -147,9 +147,9 @@ def check_motion(**channels: Real) -> None:
         if np.ptp(values) == 0:
             raise LogError(
                 name,
-                f"{float(values[0]):.6g} in all {values.size} samples",
+                float(values[0]),
                 "constant",
-                "a signal that moves",
+                "a motion",
                 "excite the arm, check gauge and wiring, or give another column or part of the log",
             )
 
