@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
-import typer
-
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Keywords, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, argument, command, option
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     DesignFile,
@@ -140,7 +138,7 @@ def compare(
     ),
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT"),
+        option("TEXT"),
         "Run rivals whose name contains this",
     ] = None,
 ) -> Answer:
@@ -165,7 +163,7 @@ def compare(
 def tune_pid(
     plant: Annotated[
         str,
-        typer.Argument(metavar="PLANT"),
+        argument("PLANT"),
         'Transfer function, such as "2/(0.4*s**1.5 + 1)*exp(-0.05*s)", or a file of `identify --structure`',
     ],
     phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin at the crossover"] = 60.0,

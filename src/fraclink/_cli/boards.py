@@ -7,13 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
-
 from fraclink import lab
 from fraclink._arm.reference import Length, Reference, prbs
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Keywords, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, command, option
 from fraclink._cli.console import steps, tell
 from fraclink._cli.options import (
     Amplitude,
@@ -52,7 +50,7 @@ UnsafeRemote = Annotated[
 KeyFile = Annotated[
     Path | None, "File with a key of 16 bytes or more that both ends share (udp only)"
 ]
-Address = typer.Option(metavar="ADDRESS")
+Address = option("ADDRESS")
 
 
 def connection_of(
@@ -170,7 +168,7 @@ def fmu(
     ] = "single",
     compiler: Annotated[
         list[str] | None,
-        typer.Option(metavar="CC"),
+        option("CC"),
         "Adds a library for its platform: cc (where none is given), x86_64-w64-mingw32-gcc",
     ] = None,
     source: Annotated[bool, "C sources only, no library"] = False,

@@ -7,10 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-import typer
-
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Keywords, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, argument, command, option
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     load_design,
@@ -93,9 +91,7 @@ def campaign_answer(runs: CampaignRuns, place: Path) -> Answer:
 
 @command(app)
 def replay(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE"), "File of `campaign montecarlo`"
-    ],
+    file: Annotated[Path, argument("FILE"), "File of `campaign montecarlo`"],
     run: Annotated[int, "Number of the run, as the campaign lists it"],
     out: Annotated[Path, "File for the signals of that run (.npz)", Writes()] = Path(
         "run.npz"
@@ -120,25 +116,21 @@ def faults(
         "Folder for the table",
         Writes(("faults.json", "run.npz", "run.svg")),
     ] = Path("faults"),
-    only: Annotated[
-        list[str] | None, typer.Option(metavar="FAULT"), "A fault, e.g. F07"
-    ] = None,
+    only: Annotated[list[str] | None, option("FAULT"), "A fault, e.g. F07"] = None,
     severity: Annotated[
-        list[int] | None, typer.Option(metavar="LEVEL"), "1, 2 or 3; default: all"
+        list[int] | None, option("LEVEL"), "1, 2 or 3; default: all"
     ] = None,
     payload: Annotated[
         list[float] | None,
-        typer.Option(metavar="KG"),
+        option("KG"),
         "Payload [kg]; default: low, nominal, high",
     ] = None,
     phase: Annotated[
         list[str] | None,
-        typer.Option(metavar="PHASE"),
+        option("PHASE"),
         "whole, start, mid or rest; default: all",
     ] = None,
-    seed: Annotated[
-        list[int] | None, typer.Option(metavar="SEED"), "Seed; default: 1, 2, 3"
-    ] = None,
+    seed: Annotated[list[int] | None, option("SEED"), "Seed; default: 1, 2, 3"] = None,
 ) -> Answer:
     """Inject the catalogue's faults F01-F44 into the shipped law on the twin; exit code
     1 where one fails.
@@ -149,9 +141,6 @@ def faults(
     $ fraclink campaign faults --design design.json --only F07 --out faults
     """
     bench = Bench.of(load_design(design))
-    # Stored in the table: a replay a year later must find the same arm.
-    place = shlex.quote(str(design))
-    about = {"command": f"fraclink campaign faults --design {place}"}
     plan = cases(
         bench,
         only=only or (),
@@ -164,7 +153,13 @@ def faults(
     out.mkdir(parents=True, exist_ok=True)
     with steps(len(plan)) as begin:
         result = run_faults(
-            bench, plan, watch=lambda outcome: begin(outcome.case.name), about=about
+            bench,
+            plan,
+            watch=lambda outcome: begin(outcome.case.name),
+            # Stored in the table: a replay a year later must find the same arm.
+            about={
+                "command": f"fraclink campaign faults --design {shlex.quote(str(design))}"
+            },
         )
     save(result, out / "faults.json", force=True)
     worst = next((row.worst[1] for row in result.rows() if row.worst), None)

@@ -173,6 +173,16 @@ def _option(parameter: Parameter) -> inspect.Parameter:
     )
 
 
+def argument(word: str) -> Any:
+    """Mark a parameter as an argument that the help calls so."""
+    return typer.Argument(metavar=word)
+
+
+def option(word: str) -> Any:
+    """Mark an option whose value the help calls so."""
+    return typer.Option(metavar=word)
+
+
 def _flags(
     json: Annotated[bool, "Print the result as one JSON object"] = False,
     force: Annotated[bool, "Overwrite files that are already there"] = False,

@@ -6,13 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
-
 from fraclink._arm.reference import Length
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
 from fraclink._cli.campaigns import campaign_answer
-from fraclink._cli.command import Answer, Keywords, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, argument, command, option
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     LOG,
@@ -261,7 +259,7 @@ def certify(
     ] = None,
     others: Annotated[
         list[Path] | None,
-        typer.Option(metavar="MODEL"),
+        option("MODEL"),
         "Model from another log of the same arm, which the proof is to hold for, too; may be repeated",
     ] = None,
 ) -> Answer:
@@ -294,7 +292,7 @@ def certify(
 def report(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER"),
+        argument("FOLDER"),
         "Folder of results, or the file of `campaign montecarlo`",
     ],
     out: Annotated[

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 import numpy as np
-import typer
 
 from fraclink import _identify as identification
 from fraclink._arm.draft import doubts_of
@@ -19,7 +18,7 @@ from fraclink._arm.log_columns import drive_columns
 from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Keywords, command, declared
+from fraclink._cli.command import Answer, Keywords, argument, command, declared, option
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     READING,
@@ -46,7 +45,7 @@ app = group()
 
 RigFile = Annotated[
     str | None,
-    typer.Option(metavar="RIG"),
+    option("RIG"),
     "A rig file, or a bundled rig such as paper-2023; a link needs one",
 ]
 ModelOut = Annotated[
@@ -104,8 +103,7 @@ def _link(
 
 
 def _rig(name: str | None) -> str:
-    remedy = "give --rig rig.toml, or --rig paper-2023"
-    return required("rig", name, "a rig", remedy)
+    return required("rig", name, "a rig", "give --rig rig.toml, or --rig paper-2023")
 
 
 def _several(
@@ -144,8 +142,12 @@ def _motor(
     motor without a link.
     """
     if not column:
-        remedy = "give --rig, or --column for time, motor_angle and voltage"
-        rig = required("rig", rig, "a rig, or the columns", remedy)
+        rig = required(
+            "rig",
+            rig,
+            "a rig, or the columns",
+            "give --rig, or --column for time, motor_angle and voltage",
+        )
     arm = None if rig is None else load_rig(rig)
     # --column describes the whole log: mixed with the rig's mapping, two columns could
     # have the same role.
@@ -317,7 +319,7 @@ _WORDS = {"link": "the fit of one log", "several links": "the fit of several log
 def identify(
     data: Annotated[
         list[str],
-        typer.Argument(metavar="DATA"),
+        argument("DATA"),
         "A log, `demo` for the bundled one; several logs, each of another payload; "
         "or a table of a frequency response",
     ],

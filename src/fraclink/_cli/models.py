@@ -6,11 +6,9 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from fraclink import _identify as identification
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command
+from fraclink._cli.command import Answer, Writes, argument, command
 from fraclink._cli.options import (
     LOG,
     Columns,
@@ -65,12 +63,10 @@ def diagnose(
 
 @command(app)
 def validate(
-    model: Annotated[
-        Path, typer.Argument(metavar="MODEL"), "Model made by `fraclink identify`"
-    ],
+    model: Annotated[Path, argument("MODEL"), "Model made by `fraclink identify`"],
     logs: Annotated[
         list[str],
-        typer.Argument(metavar="LOG"),
+        argument("LOG"),
         "One or more logs that the model was not made from",
     ],
     rig: RigName,

@@ -7,15 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
-from fraclink._cli.command import Keywords
+from fraclink._cli.command import Keywords, argument, option
 from fraclink._design import Design
 from fraclink._files import load
 from fraclink._identify import Fit
@@ -28,14 +26,10 @@ from fracsys import checks as ranges
 
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin, as its header states
 
-LogName = Annotated[
-    str, typer.Argument(metavar="LOG"), "The log; `demo` is the bundled one"
-]
-DesignFile = Annotated[
-    Path, typer.Argument(metavar="DESIGN"), "Design made by `fraclink design`"
-]
+LogName = Annotated[str, argument("LOG"), "The log; `demo` is the bundled one"]
+DesignFile = Annotated[Path, argument("DESIGN"), "Design made by `fraclink design`"]
 RigName = Annotated[
-    str, typer.Option(metavar="RIG"), "A rig file, or a bundled rig such as paper-2023"
+    str, option("RIG"), "A rig file, or a bundled rig such as paper-2023"
 ]
 NominalPayload = Annotated[ranges.Payload | None, "Payload; default: nominal"]
 BoxFlag = Annotated[
@@ -54,12 +48,12 @@ Estimate = Annotated[
 ]
 Payloads = Annotated[
     list[float] | None,
-    typer.Option(metavar="KG"),
+    option("KG"),
     "Payload of each log [kg], in their order",
 ]
 Columns = Annotated[
     list[str] | None,
-    typer.Option(metavar="ROLE=NAME [UNIT]"),
+    option("ROLE=NAME [UNIT]"),
     'A column of the log, such as "motor_angle=theta [deg]"; a minus turns the sign. '
     "Instead of [log] in the rig file; roles: time, motor_angle, torque or deflection, voltage",
 ]

@@ -8,10 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Keywords, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, command, option
 from fraclink._cli.console import ask, interactive, tell
 from fraclink._cli.options import LogName, in_seconds, log_path
 from fraclink._reading.reading import read_log
@@ -36,7 +34,7 @@ def start(
     ] = Path(),
     column: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROLE=NAME [UNIT]"),
+        option("ROLE=NAME [UNIT]"),
         'What you know of a column: "motor_angle=theta", "torque=-bridge [mNm]", "deflection=[deg]", '
         '"motor_angle=pot * 36.8 [deg]"; a minus turns the sign, a plus keeps it',
     ] = None,

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, command
+from fraclink._cli.command import Answer, argument, command, option
 from fraclink._cli.console import emit
 from fraclink.errors import FieldError, MissingExtraError
 from fracsys.checks import Between
@@ -23,12 +21,12 @@ app = group()
 def studio(
     place: Annotated[
         Path | None,
-        typer.Argument(metavar="[RESULTS | LOG | DESIGN | MODEL]"),
+        argument("[RESULTS | LOG | DESIGN | MODEL]"),
         "A folder of results, a log, a design, or a model of identify; without it the rig's own model",
     ] = None,
     rig: Annotated[
         str | None,
-        typer.Option(metavar="RIG"),
+        option("RIG"),
         "A rig file or a bundled rig; default: the study's own",
     ] = None,
     out: Annotated[Path, "Folder that Keep writes to where no folder is opened"] = Path(

@@ -9,12 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from fraclink._arm.experiment import Experiment
 from fraclink._cli.app import group
 from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
-from fraclink._cli.command import Answer, command
+from fraclink._cli.command import Answer, argument, command, option
 from fraclink._cli.console import ask, tell
 from fraclink._cli.options import in_seconds, load_rig
 from fraclink._files import checked_path, load, output_path
@@ -46,7 +44,7 @@ def tune(
     ] = None,
     payloads: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="LOW HIGH"),
+        option("LOW HIGH"),
         "Payload range [kg]; default: the rig's",
     ] = None,
     angle_deg: Annotated[
@@ -65,7 +63,7 @@ def tune(
     ] = None,
     rig: Annotated[
         str | None,
-        typer.Option(metavar="RIG"),
+        option("RIG"),
         "What is known of the arm; measured scales are compared with it",
     ] = None,
     period_ms: Annotated[
@@ -166,7 +164,7 @@ def _following(tuning: Tuning, io: str, out: Path) -> str:
 def watch(
     record: Annotated[
         Path,
-        typer.Argument(metavar="RECORD"),
+        argument("RECORD"),
         "Record of the running arm (npz): of run-realtime, or a log",
     ],
     tuned: Annotated[Path, "Folder of the tuning, or its tuning.json"] = Path("tuned"),

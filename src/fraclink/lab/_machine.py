@@ -67,10 +67,12 @@ class Spread(NamedTuple):
         """Return the spread of (N,) values; NaN where there are none."""
         if not values.size:
             return Spread(*[float("nan")] * 4)
-        # "higher": a measured quantile instead of an interpolated one
-        high = np.quantile(values, 0.999, method="higher")
         return Spread(
-            float(values.min()), float(values.mean()), float(high), float(values.max())
+            float(values.min()),
+            float(values.mean()),
+            # "higher": a measured quantile instead of an interpolated one
+            float(np.quantile(values, 0.999, method="higher")),
+            float(values.max()),
         )
 
 

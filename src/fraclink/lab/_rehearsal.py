@@ -9,6 +9,7 @@ from fraclink._law import MODES, REASONS, Law
 from fraclink._law.design import Design
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError
+from fraclink.lab._tune_guard import largest
 
 __all__ = ["rehearse"]
 
@@ -22,8 +23,7 @@ def rehearse(
     `payload` [kg] is given to the law; with 0 it gets none, and the simulated payload
     is the rig's nominal one.
     """
-    path = sampled(reference, law.period, reference.duration)
-    reach = np.max(np.abs(path[0]))
+    reach = largest(sampled(reference, law.period, reference.duration)[0])
     # Relative to the position of the arm, which may be anywhere in the encoder's range.
     most = law.limits.motor_limit - abs(design.rig.moves.centre)
     if reach > most:

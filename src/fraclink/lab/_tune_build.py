@@ -36,7 +36,7 @@ from fraclink._simulate.arm import Twin, damping_of
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.lab._tune_guard import PLANNED, MotionLimits
+from fraclink.lab._tune_guard import PLANNED, MotionLimits, largest
 from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_motor import MotorResult
@@ -391,13 +391,11 @@ def _objection(
     failed = [run.verdict.reason for run in (*runs, *far) if not run.verdict.passed]
     # Over four periods: one count of an encoder from one to the next is a high speed.
     speed = max(
-        float(
-            np.max(np.abs(run.motor_angle_measured[4:] - run.motor_angle_measured[:-4]))
-        )
+        largest(run.motor_angle_measured[4:] - run.motor_angle_measured[:-4])
         / (4 * period)
         for run in runs
     )
-    torque = max(float(np.max(np.abs(run.torque_measured))) for run in runs)
+    torque = max(largest(run.torque_measured) for run in runs)
     times = [run.metrics.settling_time for run in runs]
     if failed:
         return failed[0]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
-from fraclink.lab._tune_guard import Record
+from fraclink.lab._tune_guard import Record, largest
 from fracsys.checks import Real
 
 __all__ = ["LATEST", "edges_of", "motor_of_doublets"]
@@ -42,7 +42,7 @@ def motor_of_doublets(
     """(A [rad/(s²·V)], its standard error, delay [s]); from doublets of
     `half` periods in each direction, with a torque that is `gauge_delay` [s] late.
     """
-    period, most = record.period, float(np.max(np.abs(record.voltage)))
+    period, most = record.period, largest(record.voltage)
     shape, edges = _shape(half, period) * most, edges_of(record)
     late = round(gauge_delay / period)
     torque = np.append(record.torque[late:], np.full(late, record.torque[-1]))

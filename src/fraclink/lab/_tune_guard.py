@@ -37,6 +37,11 @@ _QUIET = 0.6  # [s]: a vibration period of a slow arm
 _SIZES = (1.0, 0.5, 0.25)
 
 
+def largest(values: Real) -> float:
+    """Return the largest size of some values."""
+    return float(np.max(np.abs(values)))
+
+
 class LimitReached(FraclinkError):
     """A limit would have been exceeded; the drive is off."""
 

@@ -19,7 +19,7 @@ from fraclink._files import document
 from fraclink._identify import Fit, identify, simulated_torque
 from fraclink._law import Law
 from fraclink.errors import FraclinkError
-from fraclink.lab._tune_guard import PLANNED, Guard, Record
+from fraclink.lab._tune_guard import PLANNED, Guard, Record, largest
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
 from fraclink.lab._tune_motor import (
     FIRST,
@@ -126,8 +126,8 @@ def tune_link(
             break
         most = min(
             PLANNED * limits.angle / reach,
-            PLANNED * limits.torque / float(abs(record.torque).max()),
-            PLANNED * limits.voltage / float(abs(record.voltage).max()),
+            PLANNED * limits.torque / largest(record.torque),
+            PLANNED * limits.voltage / largest(record.voltage),
         )
         # Another tenth of size is less than the scatter of the errors: a further round
         # would take time and change nothing.

@@ -19,7 +19,7 @@ from fraclink._files import document
 from fraclink._identify import MotorFit, identify_motor
 from fraclink._law import Law
 from fraclink.errors import FraclinkError, LogError
-from fraclink.lab._tune_guard import PLANNED, Guard, Record
+from fraclink.lab._tune_guard import PLANNED, Guard, Record, largest
 from fraclink.lab._tune_motion import fastest_loop, follow, motor_law, random_moves
 from fraclink.lab._tune_wiring import Wiring
 
@@ -141,7 +141,7 @@ def tune_motor(
         # with its size.
         reach *= min(
             PLANNED * limits.angle / reach,
-            PLANNED * limits.torque / max(float(np.max(np.abs(record.torque))), 1e-12),
+            PLANNED * limits.torque / max(largest(record.torque), 1e-12),
             1.8,
         )
         speed = min(PLANNED * limits.speed, 1.8 * speed)

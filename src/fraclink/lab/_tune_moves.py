@@ -15,7 +15,7 @@ from fraclink._display import Row, rows_of
 from fraclink._law import Law
 from fraclink._simulate.simulate import simulate
 from fraclink.lab._tune_build import agree, twins_of
-from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_guard import Guard, Record, largest
 from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_motion import Follower, calm, follow, motor_law
 from fraclink.lab._tune_motor import MotorResult
@@ -157,7 +157,7 @@ def first_moves(
     waited = follow(guard, law, np.zeros((2, count)), follower=runs)
     # Only the first periods count as a bump; later the law responds to the vibration of
     # the link.
-    jump = float(np.max(np.abs(waited.angle[:_FIRST] - before)))
+    jump = largest(waited.angle[:_FIRST] - before)
     records = list[tuple[float, Record]]()
     # All moves in one run under the law, which damps the vibration left for the next
     # one, each towards the first position of the arm.
@@ -189,7 +189,7 @@ def first_moves(
                 measured_unrest=measured[2],
                 band=band,
                 jump=jump,
-                peak_voltage=float(np.max(np.abs(record.voltage))),
+                peak_voltage=largest(record.voltage),
                 payload=payload,
             )
         )

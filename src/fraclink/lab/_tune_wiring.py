@@ -22,7 +22,7 @@ from fraclink._files import document
 from fraclink._identify import identify
 from fraclink.errors import FraclinkError
 from fraclink.lab._tune_doublets import LATEST, edges_of, motor_of_doublets
-from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_guard import Guard, Record, largest
 from fracsys.checks import Real
 
 __all__ = ["FAR", "Wiring", "WiringFault", "check_wiring"]
@@ -216,9 +216,7 @@ class _Doublets:
         # one.
         self._sign = -self._sign
         record = guard.record(before)
-        self.travel = float(
-            np.max(np.abs(_smoothed(record.angle, self._width) - angle))
-        )
+        self.travel = largest(_smoothed(record.angle, self._width) - angle)
         self._apart = float(np.mean(record.angle[-self._width :])) - self._first
         return record
 

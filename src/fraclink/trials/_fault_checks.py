@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fraclink._law import MODES, REASONS
 from fraclink._simulate.run import Run
 from fraclink.trials._fault_trial import MEMORY_WORDS, RUN, FaultTrial
+from fracsys.checks import Mask
 
 __all__ = ["CHECKS", "Check", "Evidence", "shared_checks"]
 
@@ -76,12 +77,12 @@ class Evidence:
     @property
     def peak(self) -> float:
         """Largest |tip error| [rad]."""
-        return float(np.abs(self.faulty.error).max())
+        return self.faulty.metrics.peak_tip_error
 
     @property
     def clean_peak(self) -> float:
         """The same of the clean run [rad]."""
-        return float(np.abs(self.clean.error).max())
+        return self.clean.metrics.peak_tip_error
 
     @property
     def final(self) -> float:
@@ -94,13 +95,13 @@ class Evidence:
         """The periods of the last seconds of the run."""
         return slice(-round(seconds / self.trial.period), None)
 
-    def flags(self, name: str) -> NDArray[np.bool_]:
+    def flags(self, name: str) -> Mask:
         """The periods of the faulty run in which the law raised a flag."""
         bit = 1 << FLAGS.index(name)
         return np.asarray((self.faulty.flags & bit) != 0)
 
     @property
-    def marked(self) -> NDArray[np.bool_]:
+    def marked(self) -> Mask:
         """The bad periods that were simulated: a run that leaves every bound ends early."""
         return self.trial.marks[: len(self.faulty.flags)]
 
@@ -181,7 +182,7 @@ def silent(e: Evidence) -> Check:
     return Check.at_most("output of a law that is not started", largest, 0.0)
 
 
-def _judged(e: Evidence) -> NDArray[np.bool_]:
+def _judged(e: Evidence) -> Mask:
     """The marked periods, or all where none is."""
     return e.marked if e.marked.any() else np.ones_like(e.marked)
 
@@ -232,7 +233,7 @@ def peak(
     """
     if outside and not e.trial.designed_for:
         ratio, limit = 0.0, outside
-    best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
+    best = 0.0 if e.best is None else e.best.metrics.peak_tip_error
     first = np.argmax(e.marked)
     motor = e.faulty.motor_angle[first] - e.clean.motor_angle[first]
     speed = np.abs(np.diff(e.clean.reference)).max() / e.trial.period

@@ -161,14 +161,14 @@ def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
 
 def _not_simulated(design: Design) -> list[str]:
     """Sentences on the effects that are not simulated."""
-    missing = [
-        "the link's torque on the motor: it is assumed to be compensated exactly, even without a gauge",
-        "contact, gravity, play and elasticity of the gear, heat, wear",
-        "anything about the arm that the log did not show",
-    ]
     higher = (
         "higher modes"
         if design.model.second_mode
         else "the second and all higher modes"
     )
-    return [f"the mass of the link, and so {higher} in the motion of the tip", *missing]
+    return [
+        f"the mass of the link, and so {higher} in the motion of the tip",
+        "the link's torque on the motor: it is assumed to be compensated exactly, even without a gauge",
+        "contact, gravity, play and elasticity of the gear, heat, wear",
+        "anything about the arm that the log did not show",
+    ]

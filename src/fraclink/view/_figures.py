@@ -15,8 +15,8 @@ from fraclink._identify import Comparison, Fit, StructureFit, Validation
 from fraclink._identify.welch import segments, welch_response
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
-from fraclink.view._marks import Across, Band, Curve, Mark, Upright
-from fraclink.view._scales import POINTS, Scale, envelope
+from fraclink.view._marks import Across, Band, Curve, Mark, Upright, record
+from fraclink.view._scales import POINTS, Scale
 from fracsys.checks import Complex, Real
 
 __all__ = [
@@ -48,9 +48,7 @@ def _record(
     # With more than about two samples per dot a curve is a band of ink, whose edge a
     # thin stroke shows better.
     thin = not wide and len(values) > 2 * POINTS
-    return Curve(
-        *envelope(time, values), line, name, "wide" if wide else "thin" if thin else ""
-    )
+    return record(time, values, line, name, "wide" if wide else "thin" if thin else "")
 
 
 @figure_of.register
@@ -97,7 +95,7 @@ def _measured(
     """A measured record, with the prediction of the given name on top."""
     return [
         _record(time, measured, 0, "measured", wide=True),
-        Curve(*envelope(time, predicted), 1, name),
+        record(time, predicted, 1, name),
     ]
 
 

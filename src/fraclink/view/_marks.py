@@ -7,12 +7,12 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink.view._scales import Scale
+from fraclink.view._scales import Scale, envelope
 from fracsys.checks import Real
 
 __all__ = [
@@ -156,6 +156,19 @@ class Curve:
         return Layers(
             curves=f'<path class="{style}"{attribute} d="{path}"/>', ends=ends
         )
+
+
+def record(
+    time: NDArray[Any],
+    values: NDArray[Any],
+    line: int = 1,
+    name: str = "",
+    weight: Literal["", "thin", "wide"] = "",
+    *,
+    dashed: bool | None = None,
+) -> Curve:
+    """Return a line through a record, thinned without the loss of a peak."""
+    return Curve(*envelope(time, values), line, name, weight, dashed)
 
 
 @dataclass(frozen=True)

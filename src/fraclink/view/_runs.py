@@ -18,9 +18,9 @@ from fraclink.trials._fault_checks import Evidence
 from fraclink.trials._fault_trial import Bench
 from fraclink.trials._faults import Outcome, fault_named, observe
 from fraclink.view._drawing import Figure, Panel, figure_of
-from fraclink.view._marks import Across, Curve, Mark, Upright, Zone
+from fraclink.view._marks import Across, Curve, Mark, Upright, Zone, record
 from fraclink.view._pages import LINES
-from fraclink.view._scales import Scale, envelope
+from fraclink.view._scales import Scale
 from fraclink.view._text import grams
 
 __all__ = ["moves_figure", "outcome_figure", "shaped_figure"]
@@ -36,22 +36,16 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
     tip: list[Mark] = (
         [Zone(end - BAND * size, end + BAND * size, lying=True)] if size else []
     )
-    tip.append(
-        Curve(*envelope(first.time, first.reference), 0, "reference", dashed=True)
-    )
+    tip.append(record(first.time, first.reference, 0, "reference", dashed=True))
     milli = 1e3 * BAND * size
     error: list[Mark] = [Zone(-milli, milli, lying=True)] if size else []
     torque: list[Mark] = []
     voltage: list[Mark] = []
     for line, run in zip(LINES, runs, strict=False):
-        tip.append(Curve(*envelope(run.time, run.tip_angle), line, grams(run.payload)))
-        error.append(
-            Curve(*envelope(run.time, 1e3 * (run.tip_angle - run.reference)), line)
-        )
-        torque.append(
-            Curve(*envelope(run.time, run.torque_measured), line, weight="thin")
-        )
-        voltage.append(Curve(*envelope(run.time, run.voltage), line, weight="thin"))
+        tip.append(record(run.time, run.tip_angle, line, grams(run.payload)))
+        error.append(record(run.time, 1e3 * (run.tip_angle - run.reference), line))
+        torque.append(record(run.time, run.torque_measured, line, weight="thin"))
+        voltage.append(record(run.time, run.voltage, line, weight="thin"))
     panels = (
         Panel("tip angle θt [rad]; shaded: within 2 % of the move", tip, 200.0),
         Panel("tip error [mrad]", error, 110.0),
@@ -86,12 +80,10 @@ def shaped_figure(move: ShapedMove) -> Figure:
     tip: list[Mark] = [Zone(low, high, lying=True)]
     if math.isfinite(move.settling_time) and move.settling_time < end:
         tip.append(Upright(move.settling_time, "all settled"))
-    tip.append(
-        Curve(*envelope(time, reference.angle(time)), 0, "reference", dashed=True)
-    )
+    tip.append(record(time, reference.angle(time), 0, "reference", dashed=True))
     # The acceleration shows the difference between a shaped and a smooth move, which
     # angles do not.
-    push = [Curve(*envelope(time, reference.acceleration(time)), 0)]
+    push = [record(time, reference.acceleration(time), 0)]
     voltage: list[Mark] = [Across(move.voltage, "limit"), Across(-move.voltage)]
     for line, arm, angle, volts in zip(
         LINES,
@@ -101,8 +93,8 @@ def shaped_figure(move: ShapedMove) -> Figure:
         strict=False,
     ):
         words = f"{arm.arm}, {grams(arm.payload)}"
-        tip.append(Curve(*envelope(time, angle[part]), line, words))
-        voltage.append(Curve(*envelope(time, volts[part]), line, weight="thin"))
+        tip.append(record(time, angle[part], line, words))
+        voltage.append(record(time, volts[part], line, weight="thin"))
     panels = (
         Panel("tip angle θt [rad]", tip, 200.0),
         Panel("acceleration of the reference [rad/s²]", push, 100.0),
@@ -126,8 +118,8 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
     verdict = str(outcome.failed[0]) if outcome.failed else "passed"
     event = e.trial.row * e.trial.period
     gauge: list[Mark] = [
-        Curve(*envelope(e.faulty.time, e.faulty.torque_measured), 2, "gauge", "thin"),
-        Curve(*envelope(e.faulty.time, e.faulty.torque), 0, "true"),
+        record(e.faulty.time, e.faulty.torque_measured, 2, "gauge", "thin"),
+        record(e.faulty.time, e.faulty.torque, 0, "true"),
     ]
     modes = Scale(
         -0.4,
@@ -160,9 +152,9 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
 def _tip(e: Evidence) -> list[Mark]:
     time, reference = e.faulty.time, e.faulty.reference
     return [
-        Curve(*envelope(time, reference), 0, "reference", dashed=True),
-        Curve(*envelope(e.clean.time, e.clean.tip_angle), 2, "clean"),
-        Curve(*envelope(time, e.faulty.tip_angle), 1, "faulty"),
+        record(time, reference, 0, "reference", dashed=True),
+        record(e.clean.time, e.clean.tip_angle, 2, "clean"),
+        record(time, e.faulty.tip_angle, 1, "faulty"),
     ]
 
 
@@ -172,14 +164,15 @@ def _motor(e: Evidence) -> Panel:
     low, high = float(e.faulty.motor_angle.min()), float(e.faulty.motor_angle.max())
     edge = 0.2 * max(high - low, 0.5)
     marks: list[Mark] = [
-        Curve(*envelope(e.faulty.time, e.faulty.motor_angle), 0, "true"),
-        Curve(
-            *envelope(e.faulty.time, e.faulty.motor_angle_measured),
+        record(e.faulty.time, e.faulty.motor_angle, 0, "true"),
+        record(
+            e.faulty.time,
+            e.faulty.motor_angle_measured,
             2,
             "encoder",
             "thin",
         ),
-        Curve(*envelope(e.faulty.time, e.faulty.motor_reference), 1, "reference"),
+        record(e.faulty.time, e.faulty.motor_reference, 1, "reference"),
     ]
     # an encoder in degrees would flatten everything else
     return Panel("motor [rad]", marks, 120.0, Scale(low - edge, high + edge))

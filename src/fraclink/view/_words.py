@@ -82,14 +82,14 @@ def steps(study: Study) -> list[tuple[str, str]]:
                 "fraclink campaign faults --design design.json --out .",
             )
         )
-    todo.append(
+    return [
+        *todo,
         (
             "Write the law as C99 with a self-test",
             "fraclink export c design.json --out firmware",
-        )
-    )
-    todo.append(("Share the moving arm as one file", "fraclink report . --arm"))
-    return todo
+        ),
+        ("Share the moving arm as one file", "fraclink report . --arm"),
+    ]
 
 
 def power_on(design: Design) -> list[str]:
