@@ -107,22 +107,23 @@ def likelihood_ratio(
 
 def _no_signal(signal: float, least: float, log: Experiment) -> Finding:
     """W313, with its cause if the output shows one."""
-    problem = "this model predicts the output hardly better than a constant does"
-    remedy = (
-        "check that the gauge is connected, that the motor turns, and that both channels are of one "
-        "recording; or move further"
-    )
-    hum = mains_of(log)
+    travel, hum = float(np.ptp(log.motor_angle)), mains_of(log)
+    evidence = {"signal": signal, "least": least, "motor_range": travel}
     if hum is not None:
-        problem = f"the output is mains hum at {hum:.0f} Hz"
-        remedy = "check the gauge's wiring and shield"
-    travel = float(np.ptp(log.motor_angle))
+        return Finding(
+            "W313",
+            "error",
+            f"no signal: the output is mains hum at {hum:.0f} Hz",
+            evidence,
+            "check the gauge's wiring and shield",
+        )
     return Finding(
         "W313",
         "error",
-        f"no signal: {problem}",
-        {"signal": signal, "least": least, "motor_range": travel},
-        remedy,
+        "no signal: this model predicts the output hardly better than a constant does",
+        evidence,
+        "check that the gauge is connected, that the motor turns, and that both channels are of one "
+        "recording; or move further",
     )
 
 
