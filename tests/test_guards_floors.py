@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1471,
     "_export": 429,
     "_files": 558,
-    "_identify": 2558,
+    "_identify": 2553,
     "_law": 949,
     "_reading": 886,
     "_simulate": 1177,

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from fraclink._arm.box import in_loop
@@ -177,8 +176,6 @@ class Fit(Saved):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "findings", Findings(self.findings))
-        for name in ("standard_errors", "intervals"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
     def rows(self) -> tuple[Row, ...]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import ClassVar, Literal
 
 from fraclink._display import Overview, Row, Table, displayed, number, quantity, rows_of
@@ -116,10 +115,6 @@ class StructureFit(Saved):
     __made_by__ = "fraclink.identify_structure(data, expression)"
     # Label and unit of parameters for which they differ from the name and none.
     _labels: ClassVar[Mapping[str, tuple[str, str]]] = {}
-
-    def __post_init__(self) -> None:
-        for name in ("parameters", "limits", "intervals", "standard_errors"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def known(self, name: str) -> str | tuple[float, float]:
         """How well a parameter is known: its 95 % interval, or why it has none."""

@@ -23,6 +23,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, cast, overload
 
 import numpy as np
@@ -104,8 +105,8 @@ def checked(
 
     Defaults are trusted and not checked. `error` is the class that is raised; `prefix`
     stands before the field's name ("lead."). Put it above `@dataclass(frozen=True)`;
-    the class's own ``__post_init__`` then sees normalised fields, arrays as read-only
-    copies, and checks only what involves several of them. A dataclass that inherits
+    the class's own ``__post_init__`` then sees normalised fields, arrays and mappings as
+    read-only copies, and checks only what involves several of them. A dataclass that inherits
     from a checked one needs its own `@checked`, because `dataclass` writes it a new
     ``__init__``.
 
@@ -170,7 +171,7 @@ def _guarded(
             # Without the inner frames: the mistake is at the call, and the internals of
             # the check do not help to find it.
             raise refused.error(prefix + name, error) from None
-        if is_class:  # the arrays that an object keeps are read-only
+        if is_class:  # the arrays and mappings that an object keeps are read-only
             values = [values[0], *map(_read_only, values[1:])]
             kwargs = {name: _read_only(value) for name, value in kwargs.items()}
         return function(*values, **kwargs)
@@ -186,7 +187,11 @@ _REST = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def _read_only(value: Any) -> Any:
-    """An array itself where it is read-only, a read-only copy otherwise."""
+    """An array itself where it is read-only, a read-only copy otherwise; a mapping's
+    read-only view.
+    """
+    if isinstance(value, dict):  # as the check has copied it
+        return MappingProxyType(value)
     if not isinstance(value, np.ndarray):
         return value
     # A read-only view is not enough: the owner of its base can still write to it.
