@@ -169,6 +169,19 @@ def test_a_loop_that_controls_nothing_is_no_answer_where_nothing_is_asked() -> N
     assert made.gain_crossover > 10.0
 
 
+def test_a_law_that_a_further_reserve_made_unstable_is_not_what_is_named() -> None:
+    """The loop keeps every row, its law a margin of 41° of 44.5°, and none with more
+    reserve a margin at all.
+    """
+    rig = fl.Rig.named("paper-2023-geared")
+    asked = {"gain_crossover": 14.0, "phase_margin": fl.deg(45), "nearest": False}
+    with pytest.raises(InfeasibleError) as refused:
+        fl.design(rig.model, rig, payloads=RANGE, **asked)
+    if "shipped law" in refused.value.condition:
+        assert "−" not in refused.value.explanation
+        assert "at most 0 " not in refused.value.explanation
+
+
 def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
     late = replace(MODEL, gauge_delay=0.03)
     with pytest.raises(InfeasibleError, match=r"at .* g .* is asked for") as e:

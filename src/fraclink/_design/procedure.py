@@ -161,8 +161,9 @@ def request_of(
     that contradict the arm.
     """
     payload_model = with_payload(link, rig)
-    goals = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
-    if box is None and not goals & set(spec):
+    if box is None and not spec.keys() & {
+        *("gain_crossover", "settling_time", "phase_margin", "max_sensitivity")
+    }:
         box = True  # nothing requested: also cover the uncertainty of fit and rig
     arms = ParameterBox.of(payload_model, rig) if box is True else None
     if box and arms is None:
@@ -208,19 +209,26 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
+    refused: list[Design] = []
     for attempt, near in _asked(request, goal):
         solution = solved(attempt, near)
         result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.kept else 0):
             result = result.with_law()
+            refused.append(result)
             reserves = _lost_by_law(result)
             tighter = solution.tightened(reserves) if reserves else solution
             if not reserves or not tighter.kept:
                 break
             solution, result = tighter, _design_of(tighter)
         if not result.missed:
-            break
-    return result, solution
+            return result, solution
+    # A further reserve may have made the law worse: the one that stays farthest from -1
+    # says what is in the way.
+    return (
+        max(refused, key=lambda made: made.requirements[-1].achieved, default=result),
+        solution,
+    )
 
 
 def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]]:
@@ -256,8 +264,9 @@ def _lost_by_law(made: Design) -> dict[str, float]:
             1.05 * abs(margin.slack / made.phase_margin) + RESERVE
         )
     if not modulus.passed and modulus.achieved > 0.0:
-        more = 1.5 * math.log(modulus.wanted / modulus.achieved)
-        reserves["max_sensitivity"] = more + RESERVE
+        reserves["max_sensitivity"] = (
+            1.5 * math.log(modulus.wanted / modulus.achieved) + RESERVE
+        )
     return reserves
 
 
