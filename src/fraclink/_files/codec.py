@@ -240,7 +240,7 @@ def _unlisted(rule_: Rule, data: list[Any]) -> NDArray[Any]:
         pairs = np.array(numbers, float)
         return pairs.reshape(-1, 2).view(complex).reshape(pairs.shape[:-1] or (0,))
 
-    return np.asarray(_made(array))
+    return _made(array)
 
 
 def _misfit(value: object, problem: str, rule: Rule) -> Refused:

@@ -43,8 +43,7 @@ def rehearse(
         told=payload > 0,
         duration=reference.duration + 1.0,
     )
-    trips = np.flatnonzero(run.mode > MODES.index("run"))
-    if trips.size:
+    if (trips := np.flatnonzero(run.mode > MODES.index("run"))).size:
         row = trips[0]
         raise FieldError(
             "reference",

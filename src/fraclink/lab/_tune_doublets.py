@@ -113,4 +113,4 @@ def _shape(half: int, period: float) -> Real:
         new = speed + step * (voltage - _FRICTIONS * against - _DECAY * speed)
         speed = np.where(new * speed < 0.0, 0.0, new)  # it stops before it reverses
         speeds.append(speed)
-    return np.asarray(cumulative_trapezoid(speeds, dx=step, axis=0, initial=0.0).T)
+    return cumulative_trapezoid(speeds, dx=step, axis=0, initial=0.0).T

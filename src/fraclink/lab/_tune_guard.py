@@ -182,8 +182,7 @@ class Guard:
             self._rows.append(
                 (sent, angle, last.torque + part * (reading.torque - last.torque))
             )
-        self._before = last.angle
-        self.reading = reading
+        self._before, self.reading = last.angle, reading
         return reading
 
     def learn(self, gain: float, delay: float) -> None:
@@ -273,8 +272,7 @@ class Guard:
         )
 
     def _check(self) -> None:
-        limits = self.limits
-        speed = self.speed
+        limits, speed = self.limits, self.speed
         # A coarse encoder at rest shows speeds of one count per period, which are not
         # motion.
         speed -= math.copysign(min(abs(speed), self.shake), speed)

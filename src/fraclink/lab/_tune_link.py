@@ -307,7 +307,7 @@ def _ringing(fit: Fit, output: Real, mode: SecondMode | None) -> Real:
         [part for turn in turns for part in (turn.real, turn.imag)]
     )
     size, *_ = np.linalg.lstsq(columns, output - fit.predicted, rcond=None)
-    return np.asarray(columns @ size)
+    return columns @ size
 
 
 def shortfall(fit: Fit) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -31,6 +32,13 @@ _WORTH = {
     "friction": 0.4,
 }
 _ABSOLUTE = ("gauge_delay", "order")
+# Parameter of the link -> its place in a fit, which ends in the name of its error.
+_LINK = {
+    "natural_frequency": "model.natural_frequency",
+    "gauge_gain": "gain",
+    "gauge_delay": "delay",
+    "order": "model.order",
+}
 # Standard errors required in addition, since those of a short record exceed the limits
 # above.
 _SURE = 4.0
@@ -281,18 +289,13 @@ def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
 
 
 def _link_changes(was: Fit, now: Fit) -> tuple[Change, ...]:
-    return (
-        _compared(
-            "natural_frequency",
-            was.model.natural_frequency,
-            now.model.natural_frequency,
-            now,
-            was,
-        ),
-        _compared("gauge_gain", was.gain, now.gain, now, was, "gain"),
-        _compared("gauge_delay", was.delay, now.delay, now, was, "delay"),
-        _compared("order", was.model.order, now.model.order, now, was),
-    )
+    """ω₀, the gauge's gain and delay, and λ: the errors of two fits are independent."""
+    changes = []
+    for name, place in _LINK.items():
+        value, key = attrgetter(place), place.rpartition(".")[2]
+        errors = (fit.standard_errors.get(key, 0.0) for fit in (now, was))
+        changes.append(_change(name, value(was), value(now), math.hypot(*errors)))
+    return tuple(changes)
 
 
 def _moving_time(log: Experiment) -> float:
@@ -301,14 +304,6 @@ def _moving_time(log: Experiment) -> float:
     lag = max(1, round(0.05 / log.period))
     speed = np.abs(log.motor_angle[lag:] - log.motor_angle[:-lag]) / (lag * log.period)
     return float(np.count_nonzero(speed > _MOVING)) * log.period
-
-
-def _compared(
-    name: str, was: float, now: float, fit: Fit, known: Fit, error: str = ""
-) -> Change:
-    # The errors of the two fits are independent.
-    parts = (found.standard_errors.get(error or name, 0.0) for found in (fit, known))
-    return _change(name, was, now, math.hypot(*parts))
 
 
 def _change(name: str, was: float, now: float, spread: float) -> Change:

@@ -96,7 +96,7 @@ def held(values: Real, most: float = 1e30) -> Real:
     """
     good = np.isfinite(values) & (np.abs(values) < most)
     last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
-    return np.asarray(np.where(good, values, 0.0)[last])
+    return np.where(good, values, 0.0)[last]
 
 
 def _no_constant(name: str) -> float:

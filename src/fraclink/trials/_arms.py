@@ -57,11 +57,7 @@ def simulate_part(
     # reference as for three; stored is the index of the reference that the run
     # followed.
     values["shape"] = values["shape"] % len(campaign.references)
-    return (
-        {"run": number}
-        | {name: np.asarray(column) for name, column in values.items()}
-        | measured
-    )
+    return {"run": number} | values | measured
 
 
 def batch_runs(campaign: Campaign) -> int:

@@ -82,12 +82,11 @@ class Distribution:
         kept.
         """
         if self.kind == "uniform" or self.low == self.high:
-            return np.asarray(self.low + uniform * (self.high - self.low))
+            return self.low + uniform * (self.high - self.low)
         cut = ndtr(-TAILS)
         deviation = ndtri(cut + uniform * (1.0 - 2.0 * cut))
-        return np.asarray(
-            0.5 * (self.low + self.high)
-            + deviation * (self.high - self.low) / (2.0 * TAILS)
+        return 0.5 * (self.low + self.high) + deviation * (self.high - self.low) / (
+            2.0 * TAILS
         )
 
 

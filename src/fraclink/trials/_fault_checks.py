@@ -98,7 +98,7 @@ class Evidence:
     def flags(self, name: str) -> Mask:
         """The periods of the faulty run in which the law raised a flag."""
         bit = 1 << FLAGS.index(name)
-        return np.asarray((self.faulty.flags & bit) != 0)
+        return (self.faulty.flags & bit) != 0
 
     @property
     def marked(self) -> Mask:

@@ -169,7 +169,7 @@ class FaultTrial:
     def sprinkled(self, share: float) -> NDArray[np.int_]:
         """Return random periods, `share` of all but the first two."""
         rows = np.flatnonzero(self.chance.random(self.count) < share)
-        return np.asarray(rows[rows >= 2])
+        return rows[rows >= 2]
 
     def at(self, row: int, action: Action) -> None:
         """Apply `action` to the arm just before period `row`."""

@@ -282,4 +282,4 @@ def _ranks(values: Real) -> Real:
     ranks = stats.rankdata(values) - 0.5 * (len(values) + 1)
     # A parameter that does not vary has rank zero everywhere, and a correlation of 0
     # instead of 0/0.
-    return np.asarray(ranks / (float(np.linalg.norm(ranks)) or 1.0))
+    return ranks / (np.linalg.norm(ranks) or 1.0)

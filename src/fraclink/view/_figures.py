@@ -184,11 +184,11 @@ def _over_frequency(fit: StructureFit) -> Figure:
 
 def _decibel(response: Complex) -> Real:
     with np.errstate(divide="ignore"):
-        return np.asarray(20 * np.log10(np.abs(response)))
+        return 20 * np.log10(np.abs(response))
 
 
 def _turned(response: Complex) -> Real:
-    return np.asarray(np.degrees(np.unwrap(np.angle(response))))
+    return np.degrees(np.unwrap(np.angle(response)))
 
 
 def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
@@ -283,7 +283,7 @@ def _residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     line of white noise lies in the band with 99 % probability. None for a constant
     residual.
     """
-    residual = np.asarray(fit.residual[: fit.fitted_samples])
+    residual = fit.residual[: fit.fitted_samples]
     if not np.ptp(residual) > 0.0:
         return None
     frequency, (lines,) = segments((residual,), fit.period)

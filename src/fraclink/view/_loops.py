@@ -340,7 +340,7 @@ def _edges(middles: Real) -> Real:
 
 def _levels(values: Real) -> Real:
     """Three round limits that divide finite values into four groups of similar size."""
-    finite = np.asarray(values)[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     if not finite.size:
         return np.array([1.0, 2.0, 3.0])
     # Quartiles, so that each colour has about a quarter of the map: with equal steps

@@ -141,7 +141,7 @@ class Curve:
                 below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>'
             )
         values = np.asarray(self.y, float).ravel()
-        across = frame.x.share(np.broadcast_to(np.asarray(self.x, float), values.shape))
+        across = frame.x.share(np.broadcast_to(self.x, values.shape))
         # A name is placed where its line leaves the panel, since the line is cut off
         # beyond the right edge.
         visible = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]

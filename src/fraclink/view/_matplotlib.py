@@ -83,7 +83,7 @@ def _draw(ax: Any, mark: Mark, style: dict[str, Any]) -> None:
     """
     match mark:
         case Curve():
-            x, y = np.broadcast_arrays(np.asarray(mark.x), np.asarray(mark.y))
+            x, y = np.broadcast_arrays(mark.x, mark.y)
             thin = mark.weight == "thin"
             dashes = DASHES[mark.line] if mark.dashed is None and not thin else ""
             own = {

@@ -80,7 +80,7 @@ class Response:
     def decibels(self) -> Real:
         """20 lg |L|."""
         with np.errstate(divide="ignore"):
-            return np.asarray(20 * np.log10(np.abs(self.values)))
+            return 20 * np.log10(np.abs(self.values))
 
     @property
     def degrees(self) -> Real:
@@ -103,7 +103,7 @@ class Response:
         if math.isfinite(slope):
             turn = math.tau
             first += turn * round((0.5 * math.pi * slope - first) / turn)
-        return np.asarray(np.degrees(np.append(first, first + np.cumsum(turns))))
+        return np.degrees(np.append(first, first + np.cumsum(turns)))
 
     def around(self, frequencies: Sequence[float]) -> Response:
         """The part within a factor of 30 of some frequencies [rad/s]."""

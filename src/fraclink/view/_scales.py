@@ -71,7 +71,7 @@ class Scale:
         if self.log:
             with np.errstate(divide="ignore", invalid="ignore"):
                 at, ends = np.log(at), np.log(ends)
-        return np.asarray((at - ends[0]) / (ends[1] - ends[0]))
+        return (at - ends[0]) / (ends[1] - ends[0])
 
     def marks(self, most: int) -> tuple[tuple[float, str], ...]:
         """Positions and labels of at most about `most` ticks."""
