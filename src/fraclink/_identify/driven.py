@@ -46,7 +46,8 @@ _STRUCTURES = {
     "torque": f"k*(s/z)**l/{_BOTTOM}",
 }
 _LEAST_OCTAVES = 2  # anti-resonance and peak, with lines on either side of them
-# lines required on either side of a feature that the response is said to show
+# Lines required on either side of a feature that the response is said to show: one for
+# its place, its height and its width.
 _AROUND = 3
 
 

@@ -61,7 +61,8 @@ SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 _HELDOUT = 0.4
 # share of the motor's motion (mean square speed) that a held-out part must contain
 _MOVES = 0.05
-_BLOCKS = 120  # parts of a log in which its motion is measured
+# Parts of a log in which its motion is measured: a border lies within a hundredth of it.
+_BLOCKS = 120
 
 
 @checked

@@ -24,7 +24,7 @@ from fraclink._identify.fitting import check_motion
 from fraclink._identify.problem import CERTAIN, LEAST_EACH
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
-from fraclink.findings import Finding
+from fraclink.findings import Finding, errors_of
 from fracsys.checks import Array, Between, Real, above, checked
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
@@ -85,7 +85,7 @@ class MotorFit:
     @property
     def passed(self) -> bool:
         """Whether the model explains the motion: no finding of severity "error"."""
-        return not any(finding.severity == "error" for finding in self.findings)
+        return not errors_of(self.findings)
 
     def overview(self) -> Overview:
         """The motor's figures, each with its standard error."""

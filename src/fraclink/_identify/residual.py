@@ -17,7 +17,7 @@ from fraclink._identify.shape import Window, columns_of, mask_of
 from fracsys._precision import ROUNDS
 from fracsys.checks import Real
 
-_LAGS = 25  # lags of the portmanteau tests
+_LAGS = 25  # lags of the portmanteau tests: the usual number of residual analyses
 # Order of the residual's autoregression: a few resonances, mains hum and slow drift
 # together.
 _AR_MOST = 30

@@ -54,7 +54,7 @@ _MISSING = frozenset(
 _NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
 _SEPARATORS = ("\t", ";", ",", "")  # "": blanks
 
-LINE_LIMIT = 100_000  # bytes of one line
+LINE_LIMIT = 100_000  # bytes of one line: a hundred for each of `COLUMN_LIMIT`
 _HEAD = 200  # lines in which a table must begin
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 

@@ -25,7 +25,9 @@ from fracsys.checks import Real
 if sys.platform != "win32":
     import resource
 
-MEMORY_LIMIT = 1_000_000_000  # bytes of address space
+# Bytes of address space: a table at its limit takes a quarter, its file as much again,
+# and the parser the rest.
+MEMORY_LIMIT = 1_000_000_000
 CPU_SECONDS = 10  # for one file
 _WIDEST = 256  # columns of one array: a wider one is a picture or a matrix, not a log
 
