@@ -184,7 +184,7 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2624,
+    "fracsys": 2623,
     "_arm": 1489,
     "_certify": 843,
     "_cli": 833,

