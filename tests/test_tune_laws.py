@@ -10,7 +10,12 @@ from typing import Any
 import pytest
 
 import fraclink as fl
-from fraclink.lab._tune_build import built_laws, measured_rig
+from fraclink.lab._tune_build import (
+    built_laws,
+    measured_rig,
+    planned_move,
+    twins_of,
+)
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, staged
 
 if sys.platform != "linux":
@@ -143,6 +148,26 @@ def test_a_mode_that_was_not_seen_is_left_room(stages: Stages) -> None:
             made.law, fl.smooth_step(0.3, 1.0), arm=arm, payload=0.060, told=True
         )
         assert run.verdict.passed, run.verdict.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spoilt", ["the link as measured", "a heavier link"])
+def test_a_move_that_only_an_unseen_mode_spoils_names_it(
+    stages: Stages, monkeypatch: pytest.MonkeyPatch, spoilt: str
+) -> None:
+    rig = replace(RIG, link=replace(RIG.link, mass=0.0))
+    made = fl.design(rig.model, rig, payloads=(0.02, 0.04), gain_crossover=11.0)
+    light, heavy = twins_of(made, stages[-1].motor)
+    bad = light if spoilt == "the link as measured" else heavy
+
+    def simulated(law: Any, move: Any, *, arm: fl.Twin, **given: Any) -> fl.Run:
+        late = 0.1 if arm.beam == bad.beam else arm.gauge_delay
+        return fl.simulate(law, move, arm=replace(arm, gauge_delay=late), **given)
+
+    monkeypatch.setattr("fraclink.lab._tune_build.simulate", simulated)
+    move, reason = planned_move(made, made.law(), LIMITS, stages[-1].motor)
+    assert move is None
+    assert ("second mode would not have shown" in reason) is (bad is heavy)
 
 
 # --- the first moves -------------------------------------------------------------------------------------

@@ -69,6 +69,7 @@ _DRIFT = StatedTolerances(
 # share of the settling time, or [s]: the effect of the noise of a sample
 _AGREEMENT, _LEAST = 0.10, 0.05
 _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoot
+_UNSEEN_LINK = "with the heaviest link whose second mode would not have shown: a quieter gauge, which shows it, helps"
 _RESTED = 60.0  # [s] of rest in which the slips of a motor that sticks show
 # Mass of the link relative to the payload: a lighter link has no effect, a much heavier
 # one has hardly any tip motion; without a visible second mode it is at most as heavy as
@@ -215,8 +216,9 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
     # The link may have no mass or that much: what is infeasible for one is not tried for
     # the other.
     except InfeasibleError as error:
-        reasons = (f"requirements over the box: {error}",)
-        fallback = fallback or Built(rig, None, None, None, reasons)
+        fallback = fallback or Built(
+            rig, None, None, None, (f"requirements over the box: {error}",)
+        )
     if fallback is not None and not any_passed:
         yield fallback
 
@@ -373,10 +375,16 @@ def _simulated(
     """A move of every twin with either extreme payload and the measured one, and its rest
     `until` [s].
     """
-    move = smooth_step(amplitude, duration)
     low, high = design.payloads
     return [
-        simulate(law, move, arm=twin, payload=payload, told=True, duration=until)
+        simulate(
+            law,
+            smooth_step(amplitude, duration),
+            arm=twin,
+            payload=payload,
+            told=True,
+            duration=until,
+        )
         for twin in twins
         for payload in (low, design.model.payload, high)
     ]
@@ -388,7 +396,12 @@ def _objection(
     """Why a move cannot be promised, "" if it can; `far` are the runs that nearly reach
     the angle limit.
     """
-    failed = [run.verdict.reason for run in (*runs, *far) if not run.verdict.passed]
+    failed = [
+        (number, run.verdict.reason)
+        for number, pair in enumerate(zip(runs, far, strict=True))
+        for run in pair
+        if not run.verdict.passed
+    ]
     # Over four periods: one count of an encoder from one to the next is a high speed.
     speed = max(
         largest(run.motor_angle_measured[4:] - run.motor_angle_measured[:-4])
@@ -398,12 +411,14 @@ def _objection(
     torque = max(largest(run.torque_measured) for run in runs)
     times = [run.metrics.settling_time for run in runs]
     if failed:
-        return failed[0]
+        number, reason = failed[0]
+        # The first three are of the arm as it was measured.
+        return reason if number < 3 else f"{reason}, {_UNSEEN_LINK}"
     if speed > PLANNED * limits.speed or torque > PLANNED * limits.torque:
         return f"it takes more than {100 * PLANNED:g} % of the limits"
     # The first and the last twin with the same payload.
     if not all(map(agree, times[-3:], times[:3])):
-        return "its settling time depends on the link's mass, which was not seen"
+        return f"its settling time would be another {_UNSEEN_LINK}"
     return ""
 
 
