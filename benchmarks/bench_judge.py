@@ -414,7 +414,8 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
             for load in (rig.payloads.low, rig.payloads.nominal, rig.payloads.high):
                 loaded = with_payload(arm, load / rig.payloads.nominal)
                 for told in (0.0, load):
-                    moved = harness.move(study.law, loaded, told=told)
+                    # a study promises to settle within 4 s, where the last fifth begins
+                    moved = harness.move(study.law, loaded, duration=5.0, told=told)
                     if not moved.settled:
                         told_or_not = "told" if told else "untold"
                         failed.append(
