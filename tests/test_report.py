@@ -320,6 +320,16 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
 
 
 @pytest.mark.slow
+def test_the_margin_of_every_arm_stands_below_that_of_the_model() -> None:
+    """The design is of the model alone; the band of its figure goes lower."""
+    made = designed()
+    assert made.box is None
+    page = re.sub("<[^>]+>", " ", rendered(Study(rig=RIG, design=made)))
+    (least,) = re.findall(r"fit and rig leave open\s+at least ([\d.]+)°", page)
+    assert 0.0 < float(least) < 49.0 < math.degrees(made.phase_margin)
+
+
+@pytest.mark.slow
 def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() -> None:
     log = read_log(bundled_log("pulse_30g"))
     comparison = compare_structures(log, details=False)
@@ -327,7 +337,11 @@ def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() 
         Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"])
     )
     row = page[page.index("<td>D-FOM</td>") :].partition("</tr>")[0]
-    assert re.findall(r"<td[^>]*>(.*?)</td>", row)[1] == "–"
+    resonance, hertz, frequency = re.findall(r"<td[^>]*>(.*?)</td>", row)[1:4]
+    assert frequency == "–"
+    rate = abs(comparison.fits["D-FOM"].model.pole.imag)
+    assert float(resonance) == pytest.approx(rate, rel=1e-3)
+    assert float(hertz) == pytest.approx(rate / math.tau, rel=5e-3)
     assert "D-FOM ended at ω₀ = 0: it is UD-FOM with λ = 2 − α" in page
 
 

@@ -44,6 +44,7 @@ __all__ = [
     "bode_figure",
     "budget_figure",
     "map_figure",
+    "margin_band",
     "margin_curves_figure",
     "margins_figure",
 ]
@@ -190,7 +191,7 @@ def margins_figure(design: Design) -> Figure:
     )
     figure = margin_curves_figure(curves, design.payloads, design.phase_margin)
     (upper,) = figure.panels
-    fan = _fan(design, payloads)
+    fan = margin_band(design, payloads)
     band = [Band(1e3 * payloads, *fan, 1)] if fan is not None else []
     at = design.sampled_at if design.has_law else design.at
     rate = np.array([_or_nan(at(float(m)).gain_crossover) for m in payloads])
@@ -211,7 +212,7 @@ def margins_figure(design: Design) -> Figure:
     )
 
 
-def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
+def margin_band(design: Design, payloads: Real) -> tuple[Real, Real] | None:
     """Smallest and largest phase margin [°] over the corners of a parameter box, for
     each payload.
     """

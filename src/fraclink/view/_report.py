@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fraclink._design import Design
 from fraclink._design.assess import phase_budget
-from fraclink._display import Row, Table, source_name, state_of
+from fraclink._display import Row, Table, number, source_name, state_of
 from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._study import Study
@@ -86,7 +88,7 @@ def render_report(
         source=source,
         verdict=verdict,
         headline=study.sentence,
-        in_short=study.rows,
+        in_short=(*study.rows, *_margin_rows(design)),
         tables=_tables(study),
         sketch=_inline(arm_sketch(words.sketch_notes(study.rig, model)))
         if study.rig
@@ -108,6 +110,13 @@ def render_report(
         power_on=words.power_on(design) if design else [],
         files=_files(study),
     )
+
+
+def _margin_rows(design: Design | None) -> list[Row]:
+    """The least phase margin over the arms that are left open, below that of the model."""
+    band = design and loops.margin_band(design, np.array(design.payloads))
+    label = "Phase margin of every arm that fit and rig leave open"
+    return [Row("", label, f"at least {number(band[0].min(), 3)}°")] if band else []
 
 
 def _pointer(*, script: bool) -> Mapping[str, str] | None:

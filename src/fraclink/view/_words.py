@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
@@ -22,17 +24,18 @@ __all__ = [
 
 def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
     """The numbers of the arm in words."""
-    carried = grams_between(rig.payloads.low, rig.payloads.high)
-    sentences = [f"It carries {carried} on a link of {number(rig.link.length)} m."]
-    if model is not None:
-        sentences.append(f"With the motor held, the tip {model.sentence}.")
+    swings = (
+        [] if model is None else [f"With the motor held, the tip {model.sentence}."]
+    )
     # [ms] (1 + 4) e⁻⁴: a double pole is within 9 % after four time constants, a
     # customary figure.
     duration = number(4.0e3 / rig.motor_loop.pole, 2)
-    sentences.append(
-        f"The motor follows within {duration} ms; the law runs every {number(1e3 * rig.period)} ms."
-    )
-    return sentences
+    carried = grams_between(rig.payloads.low, rig.payloads.high)
+    return [
+        f"It carries {carried} on a link of {number(rig.link.length)} m.",
+        *swings,
+        f"The motor follows within {duration} ms; the law runs every {number(1e3 * rig.period)} ms.",
+    ]
 
 
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
@@ -45,21 +48,23 @@ def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
     )
 
 
-def nearest_command(study: Study) -> str:
-    """The command line for the nearest request; empty if none is known."""
-    if study.refused is None or study.rig is None:
-        return ""
-    # The log and the rig as they were read, which lie next to the report.
-    return "fraclink run --rig rig.toml --log log.npz " + options_text(
-        {**study.refused.asked, **study.refused.nearest}
-    )
+def nearest_command(request: Mapping[str, Any]) -> str:
+    """The command line for a request, with the log and the rig as they were read, which
+    lie next to the report.
+    """
+    return f"fraclink run --rig rig.toml --log log.npz {options_text(request)}"
 
 
 def steps(study: Study) -> list[tuple[str, str]]:
     """The next steps, each with its command in the folder of the report."""
     if study.design is None:
         return (
-            [("Request the nearest feasible design", nearest_command(study))]
+            [
+                (
+                    "Request the nearest feasible design",
+                    nearest_command({**study.refused.asked, **study.refused.nearest}),
+                )
+            ]
             if study.refused
             else []
         )
