@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1489,
     "_certify": 843,
     "_cli": 833,
-    "_design": 1471,
+    "_design": 1473,
     "_export": 429,
     "_files": 558,
     "_identify": 2553,

@@ -161,9 +161,8 @@ def request_of(
     that contradict the arm.
     """
     payload_model = with_payload(link, rig)
-    if box is None and not spec.keys() & {
-        *("gain_crossover", "settling_time", "phase_margin", "max_sensitivity")
-    }:
+    goals = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
+    if box is None and not goals & set(spec):
         box = True  # nothing requested: also cover the uncertainty of fit and rig
     arms = ParameterBox.of(payload_model, rig) if box is True else None
     if box and arms is None:
@@ -264,9 +263,8 @@ def _lost_by_law(made: Design) -> dict[str, float]:
             1.05 * abs(margin.slack / made.phase_margin) + RESERVE
         )
     if not modulus.passed and modulus.achieved > 0.0:
-        reserves["max_sensitivity"] = (
-            1.5 * math.log(modulus.wanted / modulus.achieved) + RESERVE
-        )
+        more = 1.5 * math.log(modulus.wanted / modulus.achieved)
+        reserves["max_sensitivity"] = more + RESERVE
     return reserves
 
 
