@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 705,
     "studio": 1056,
     "trials": 1282,
-    "view": 1352,
+    "view": 1350,
 }
 
 

@@ -8,7 +8,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,19 +33,14 @@ class Check:
     """One requirement on one run: what was measured, the limit it must not exceed, and
     whether it is met.
 
-    >>> Check.at_most("peak [rad]", 0.5, 0.4).passed
-    False
+    >>> Check("peak [rad]", 0.5, 0.4, passed=False).excess
+    1.25
     """
 
     name: str
     measured: float
     limit: float
     passed: bool
-
-    @staticmethod
-    def at_most(name: str, measured: float, limit: float) -> Check:
-        """A check that passes where ``measured <= limit``; NaN never does."""
-        return Check(name, float(measured), float(limit), bool(measured <= limit))
 
     @property
     def excess(self) -> float:
@@ -58,6 +53,12 @@ class Check:
 
     def __str__(self) -> str:
         return f"{self.name}: {self.measured:.5g} (limit {self.limit:.5g})"
+
+
+def at_most(name: str, measured: SupportsFloat, limit: SupportsFloat) -> Check:
+    """A check that passes where ``measured <= limit``; NaN never does."""
+    value, most = float(measured), float(limit)
+    return Check(name, value, most, value <= most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +125,16 @@ def only(e: Evidence, *modes: str) -> Check:
     first = np.argmax(e.flags("started"))
     allowed = [MODES.index(mode) for mode in modes]
     others = np.count_nonzero(~np.isin(e.faulty.mode[first:], allowed))
-    return Check.at_most(OTHER_MODE, int(others), 0)
+    return at_most(OTHER_MODE, others, 0)
 
 
 def flagged(e: Evidence, by: str) -> Check:
     """Every marked period carries a flag in the same period."""
-    missing = int(np.count_nonzero(e.marked & ~e.flags(by)))
-    # A fault that was never injected must not pass.
-    return Check.at_most(
-        f"bad periods without the {by} flag", missing if e.marked.any() else 1, 0
+    return at_most(
+        f"bad periods without the {by} flag",
+        # A fault that was never injected must not pass.
+        np.count_nonzero(e.marked & ~e.flags(by)) if e.marked.any() else 1,
+        0,
     )
 
 
@@ -157,12 +159,12 @@ def reacts(
     elif np.any(e.faulty.mode[first:] < target):
         remark = " (did not latch)"
     measured = np.inf if remark else e.reacted
-    reaction = Check.at_most(
+    reaction = at_most(
         f"periods until {mode}{remark}", measured, within or e.faulty.mode.size
     )
     if reaction.passed or not harmless:
         return reaction
-    return Check.at_most("peak tip error without reaction [rad]", e.peak, harmless)
+    return at_most("peak tip error without reaction [rad]", e.peak, harmless)
 
 
 def idle(e: Evidence, reason: str = "") -> Check:
@@ -172,14 +174,14 @@ def idle(e: Evidence, reason: str = "") -> Check:
     if reason:
         wrong |= e.faulty.reason != REASONS.index(reason)
     words = f"periods not idle{' for ' if reason else ''}{reason}"
-    return Check.at_most(words, int(np.count_nonzero(wrong[_judged(e)])), 0)
+    return at_most(words, np.count_nonzero(wrong[_judged(e)]), 0)
 
 
 def silent(e: Evidence) -> Check:
     """Voltage and motor reference of a law that must not have started."""
     outputs = np.abs([e.faulty.motor_reference, e.faulty.extras["voltage_asked"]])
     largest = outputs[:, _judged(e)].max()
-    return Check.at_most("output of a law that is not started", largest, 0.0)
+    return at_most("output of a law that is not started", largest, 0.0)
 
 
 def _judged(e: Evidence) -> Mask:
@@ -192,14 +194,14 @@ def held(e: Evidence) -> Check:
     first = e.trial.row + e.reacted - 1
     # Exactly equal: a held command is not recomputed.
     travel = np.ptp(e.faulty.motor_reference[first:]) if e.reacted > 0 else np.inf
-    return Check.at_most("change of the held motor reference [rad]", travel, 0.0)
+    return at_most("change of the held motor reference [rad]", travel, 0.0)
 
 
 def bumpless(e: Evidence) -> Check:
     """The first command after a restart is at most a step from the motor angle."""
     apart = np.abs(e.faulty.motor_reference - e.faulty.motor_angle_measured)[e.marked]
     name = "first command from the motor angle [rad]"
-    return Check.at_most(name, apart.max(), e.trial.law.limits.motor_step)
+    return at_most(name, apart.max(), e.trial.law.limits.motor_step)
 
 
 def wiring(e: Evidence, run: Literal["faulty", "clean"], answer: str) -> Check:
@@ -207,7 +209,7 @@ def wiring(e: Evidence, run: Literal["faulty", "clean"], answer: str) -> Check:
     test: Run = getattr(e, run)
     result = e.trial.law.check_wiring(test.motor_angle_measured, test.torque_measured)
     name = f"wiring test of the {run} run (it says: {result})"
-    return Check.at_most(name, result != answer, 0)
+    return at_most(name, result != answer, 0)
 
 
 # --- of the tip -----------------------------------------------------------------------
@@ -240,7 +242,7 @@ def peak(
     unseen = abs(motor) * e.marked[first] + 2 * speed * late
     error = e.peak if e.faulty.finished else np.inf
     known = ratio * max(e.clean_peak, best)
-    return Check.at_most("peak tip error [rad]", error, limit + known + unseen)
+    return at_most("peak tip error [rad]", error, limit + known + unseen)
 
 
 def travel(e: Evidence, limit: float) -> Check:
@@ -249,12 +251,12 @@ def travel(e: Evidence, limit: float) -> Check:
     """
     after = e.faulty.tip_angle[e.trial.row :]
     way = np.abs(after - after[0]).max()
-    return Check.at_most("tip travel after the fault [rad]", way, limit)
+    return at_most("tip travel after the fault [rad]", way, limit)
 
 
 def final(e: Evidence, limit: float) -> Check:
     """Mean tip error of the last second [rad]."""
-    return Check.at_most("final tip error [rad]", e.final, limit)
+    return at_most("final tip error [rad]", e.final, limit)
 
 
 def settled(e: Evidence, within: float) -> Check:
@@ -268,7 +270,7 @@ def settled(e: Evidence, within: float) -> Check:
     )
     outside = np.flatnonzero(apart[e.trial.row :] > 0.02)
     time = (int(outside[-1]) + 1) * e.trial.period if outside.size else 0.0
-    return Check.at_most("recovery [s]", time if e.faulty.finished else np.inf, within)
+    return at_most("recovery [s]", time if e.faulty.finished else np.inf, within)
 
 
 def settling(e: Evidence, ratio: float) -> Check:
@@ -285,13 +287,13 @@ def settling(e: Evidence, ratio: float) -> Check:
         np.flatnonzero(np.abs(run.error) > band)[-1] + 1 - begins
         for run in (e.faulty, e.best or e.clean)
     )
-    return Check.at_most("settling time over the best", faulty / best, ratio)
+    return at_most("settling time over the best", faulty / best, ratio)
 
 
 def overshoot(e: Evidence, limit: float) -> Check:
     """Tip beyond the last reference, which jumps upward at every severity [rad]."""
     beyond = max(0.0, float(e.faulty.tip_angle.max()) - float(e.faulty.reference[-1]))
-    return Check.at_most("overshoot over the jump [rad]", beyond, limit)
+    return at_most("overshoot over the jump [rad]", beyond, limit)
 
 
 def limit_cycle(e: Evidence, limit: float, friction: float = 1.0) -> Check:
@@ -305,7 +307,7 @@ def limit_cycle(e: Evidence, limit: float, friction: float = 1.0) -> Check:
     loop = e.trial.motor_loop
     band = (friction - 1.0) * loop.coulomb_voltage / loop.pid.stiffness
     size = 0.5 * np.ptp(e.faulty.tip_angle[e.last(2.0)])
-    return Check.at_most("limit cycle [rad]", size, max(limit, band))
+    return at_most("limit cycle [rad]", size, max(limit, band))
 
 
 def noise(e: Evidence, deviation: float) -> Check:
@@ -319,7 +321,7 @@ def noise(e: Evidence, deviation: float) -> Check:
     energy = math.sqrt(np.mean(np.abs(law.frequency_response(grid)) ** 2))
     bound = deviation / law.stiffness * energy / e.trial.bench.modulus_margin
     size = float(np.std(e.faulty.motor_reference[e.last(2.0)]))
-    return Check.at_most("rms of the command at rest [rad]", size, bound)
+    return at_most("rms of the command at rest [rad]", size, bound)
 
 
 # --- of a long rest -------------------------------------------------------------------
@@ -361,13 +363,13 @@ def denormals(e: Evidence, seconds: float) -> Check:
     count = np.count_nonzero(
         (reals != 0) & (np.abs(reals) < np.finfo(e.trial.real).tiny)
     )
-    return Check.at_most("denormal numbers left in the state", int(count), 0)
+    return at_most("denormal numbers left in the state", count, 0)
 
 
 def quiet_trips(e: Evidence, seconds: float) -> Check:
     """Periods of a long rest in another mode than run."""
     others = np.count_nonzero(_quiet(e, seconds)[0] != RUN)
-    return Check.at_most("quiet periods in another mode than run", int(others), 0)
+    return at_most("quiet periods in another mode than run", others, 0)
 
 
 CHECKS: dict[str, Callable[..., Check]] = {
@@ -401,14 +403,14 @@ def shared_checks(e: Evidence, *modes: str) -> tuple[Check, ...]:
     worst = float(step[counted].max(initial=0.0)) if np.isfinite(step).all() else np.inf
     most = 1 + slack
     return (
-        Check.at_most("G1: outputs that are not finite", int(infinite), 0),
-        Check.at_most(
+        at_most("G1: outputs that are not finite", infinite, 0),
+        at_most(
             "G2: |motor reference| [rad]",
             np.abs(command).max(),
             limits.motor_limit * most,
         ),
-        Check.at_most("G2: |voltage| [V]", np.abs(demand).max(), volts * most),
-        Check.at_most(
+        at_most("G2: |voltage| [V]", np.abs(demand).max(), volts * most),
+        at_most(
             "G3: motor reference step [rad]", worst, limits.motor_step * most + slack
         ),
         only(e, *modes),

@@ -16,6 +16,7 @@ from fraclink._identify.welch import segments, welch_response
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Band, Curve, Mark, Upright, record
+from fraclink.view._responses import decibels
 from fraclink.view._scales import POINTS, Scale
 from fracsys.checks import Complex, Real
 
@@ -166,7 +167,7 @@ def _over_frequency(fit: StructureFit) -> Figure:
             [Curve(fit.place, points, 0, weight="dots"), Curve(fit.place, line, 1)],
         )
         for label, (points, line) in (
-            ("gain [dB]", (_decibel(h), _decibel(model))),
+            ("gain [dB]", (decibels(h), decibels(model))),
             ("phase [°]", sheets),
         )
     ]
@@ -180,11 +181,6 @@ def _over_frequency(fit: StructureFit) -> Figure:
         "response",
         log=True,
     )
-
-
-def _decibel(response: Complex) -> Real:
-    with np.errstate(divide="ignore"):
-        return 20 * np.log10(np.abs(response))
 
 
 def _turned(response: Complex) -> Real:
@@ -322,7 +318,7 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     # At 0.95 the lower edge is 26 dB below the model; at 1 it would be −∞, off every
     # scale.
     spread = np.minimum(error, 0.95)
-    gain, level = _decibel(measured), _decibel(predicted)
+    gain, level = decibels(measured), decibels(predicted)
     at, turn = _same_sheet(_turned(predicted), _turned(measured))
     # A disk of relative radius e about the response subtends ± arcsin e as seen from 0.
     arc = np.degrees(np.arcsin(spread))
@@ -331,7 +327,7 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
         Panel(
             f"gain of {_SHORT[log.output_kind].split(' [')[0]} over θm [dB]",
             [
-                Band(w, level + _decibel(1 - spread), level + _decibel(1 + spread), 2),
+                Band(w, level + decibels(1 - spread), level + decibels(1 + spread), 2),
                 Curve(w, level, 1, "model"),
                 Curve(w, gain, 0, "log", "dots"),
             ],

@@ -79,8 +79,7 @@ class Response:
     @property
     def decibels(self) -> Real:
         """20 lg |L|."""
-        with np.errstate(divide="ignore"):
-            return 20 * np.log10(np.abs(self.values))
+        return decibels(self.values)
 
     @property
     def degrees(self) -> Real:
@@ -120,6 +119,12 @@ class Response:
         return degrees + 360.0 * round((own - degrees) / 360.0)
 
 
+def decibels(values: Complex | Real) -> Real:
+    """Return 20 lg of the size of some values, −∞ for 0."""
+    with np.errstate(divide="ignore"):
+        return 20 * np.log10(np.abs(values))
+
+
 def loop_response(
     design: Design,
     payload: float,
@@ -140,12 +145,12 @@ def decibel_range(response: Response) -> tuple[float, float]:
     usual = np.isfinite(response.decibels)
     if not usual.any():
         return -1.0, 1.0
-    x, decibels = np.log(response.frequency[usual]), response.decibels[usual]
+    x, level = np.log(response.frequency[usual]), response.decibels[usual]
     # By length along the axis instead of by points, which crowd at the resonance. Two
     # per cent of the axis belong to an undamped mode.
-    even = np.interp(np.linspace(x[0], x[-1], 400), x, decibels)
+    even = np.interp(np.linspace(x[0], x[-1], 400), x, level)
     low, high = np.percentile(even, [1, 99])
-    least, most = float(decibels.min()), float(decibels.max())
+    least, most = float(level.min()), float(level.max())
     return max(least, float(low) - _HIDDEN), min(most, float(high) + _HIDDEN)
 
 
