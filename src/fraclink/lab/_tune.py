@@ -348,11 +348,11 @@ class _Session:
         hints = self._causes(guard)
         move = built.move or (PLANNED * self.plan.limits.angle, 0.0)
         rest = self._unexplained(guard, link, BAND * move[0])
-        built = replace(built, reasons=built.reasons + rest)
-        if built.passed:
-            built = replace(built, assumptions=built.assumptions + hints)
+        # what is seen in the record explains what the model leaves
+        if built.reasons or rest:
+            built = replace(built, reasons=built.reasons + hints + rest)
         else:
-            built = replace(built, reasons=built.reasons + hints)
+            built = replace(built, assumptions=built.assumptions + hints)
         place = self.out
         built.rig.save(place / "rig.toml")
         link.fit.save(place / "model.json")
