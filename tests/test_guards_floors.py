@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 949,
     "_reading": 886,
     "_simulate": 1177,
-    "lab": 1930,
+    "lab": 1929,
     "logs": 705,
     "studio": 1056,
     "trials": 1282,
