@@ -480,7 +480,7 @@ def replayed_and_cut(page: Page) -> None:
         if number == 1:
             drawn = ElementTree.fromstring(page.run("window.file[1]"))  # noqa: S314
             texts = {node.text for node in drawn.iter() if node.tag.endswith("text")}
-            assert {"Motor angle [°]", "log"} <= texts
+            assert {"Motor angle [°] over time [s]", "log"} <= texts
     page.until(
         "document.querySelectorAll('#p-angle + .tablebox tbody tr').length === 14"
     )
