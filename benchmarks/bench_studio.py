@@ -26,7 +26,7 @@ from browser import Page, browser
 
 DRAGS = (
     ("#h-crossover", (10, 0)),
-    ("#h-margin-phase", (0, -10)),
+    ("#h-margin-phase", (0, 10)),
     ("#h-payload-0", (25, 0)),
 )
 # Frames in two seconds, halved.
