@@ -35,9 +35,11 @@ ModulusMargin = Annotated[float, above(0.0, 1.0)]
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Limit on the nodes for a claim: where a smaller one is tried next. Of the random boxes
-# of benchmarks/bench_box.py the hardest takes 30 000, and two seconds.
-_MOST = 80_000
+# Limit on the nodes for a claim: where a smaller one is tried next.
+_USUAL = 80_000
+# Limit on the nodes for the smallest claim that passes: half a gigabyte. A second mode
+# with a damping ratio of 0.05 % at ±0.1 % takes half of it, and seven seconds.
+_MOST = 1_000_000
 
 
 @checked
@@ -122,7 +124,7 @@ def certify(
         return _largest_claim(claim, distance, place)
     if distance <= claim.modulus:
         return _too_close(claim, distance, place)
-    return _certificate(claim, prove(BoxLoop(claim), most=_MOST), distance)
+    return _certificate(claim, prove(BoxLoop(claim), most=_USUAL), distance)
 
 
 def _largest_claim(
@@ -141,14 +143,15 @@ def _largest_claim(
             return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
         modulus = max(math.floor(1000.0 * (margin - step)) / 1000.0, LEAST_MODULUS)
         claim = replace(claim, modulus=modulus)
-        outcome = prove(BoxLoop(claim), most=_MOST)
+        last = modulus == LEAST_MODULUS
+        outcome = prove(BoxLoop(claim), most=_MOST if last else _USUAL)
         if isinstance(outcome, str):
             break
         # If the claim is refuted, the next one is the distance at that place. Otherwise
         # some bounds are too wide by an unknown amount: the step is doubled.
         if outcome.refuted:
             distance, place = outcome.distance, outcome.place
-        elif modulus == LEAST_MODULUS:
+        elif last:
             break
         else:
             step *= 2.0
