@@ -95,9 +95,7 @@ def intervals(design: Design, payloads: tuple[float, ...], seeds: int) -> None:
     with gains of the gauge that are off by 3 % (one standard deviation).
     """
     assert RIG.model is not None
-    bank = payload_estimator(
-        RIG.model, RIG, design.law(), design.payloads, gain_doubt=0.03
-    )
+    bank = payload_estimator(RIG.model, RIG, design.law(), design.payloads)
     random = np.random.default_rng(39)
     runs = []
     for payload in payloads:

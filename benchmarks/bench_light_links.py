@@ -52,7 +52,8 @@ def light_arm(seed: int) -> tuple[fl.Rig, LinkModel, fl.Twin, tuple[float, float
             float(frequencies[1]), float(shares[1] / shares[0]), ratio
         ),
     )
-    twin = fl.Twin.from_rig(rig, payload=payload, damping=law, gauge_gain=1.0)
+    twin = fl.Twin.from_rig(rig, payload=payload, damping=law)
+    twin = replace(twin, gauge_gain=1.0)
     return rig, model, twin, (max(0.02, 0.75 * payload), min(0.04, 1.333 * payload))
 
 

@@ -130,10 +130,9 @@ def draw(seed: int) -> Drawn:
         arm,
         payload=payload,
         damping=fl.extend.KelvinVoigt(*times.tolist()),
-        gauge_delay=delay,
-        gauge_gain=gain,
     )
-    twin = replace(twin, voltage_delay=int(random.integers(1, 3)))
+    late = int(random.integers(1, 3))
+    twin = replace(twin, gauge_delay=delay, gauge_gain=gain, voltage_delay=late)
     return Drawn(shape, twin, payload, (first, second), gain, delay, seed)
 
 

@@ -497,8 +497,6 @@ def test_what_cannot_be_estimated_is_refused() -> None:
     unknown = replace(GEARED.model, payload=None)
     with pytest.raises(FieldError, match="payload"):
         payload_estimator(unknown, GEARED, law, (0.02, 0.04))
-    with pytest.raises(FieldError, match="gain_doubt"):
-        payload_estimator(GEARED.model, GEARED, law, (0.02, 0.04), gain_doubt=0.0)
     with pytest.raises(FieldError, match="told"):
         fl.simulate(law, MOVE, arm=Twin.from_rig(GEARED), told="estimated")
     with pytest.raises(FieldError, match=r"told\.period"):

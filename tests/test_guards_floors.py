@@ -192,13 +192,13 @@ CEILINGS = {
     "_export": 429,
     "_files": 558,
     "_identify": 2553,
-    "_law": 949,
-    "_reading": 886,
-    "_simulate": 1177,
-    "lab": 1929,
+    "_law": 951,
+    "_reading": 885,
+    "_simulate": 1174,
+    "lab": 1917,
     "logs": 705,
     "studio": 1056,
-    "trials": 1282,
+    "trials": 1281,
     "view": 1350,
 }
 

@@ -28,7 +28,7 @@ def test_what_holds_no_samples_yields_no_column(tmp_path: Path) -> None:
         "cell": cell,
         "one": np.zeros(1),
         "cube": np.zeros((2, 2, 2)),
-        "picture": np.zeros((300, 257)),
+        "picture": np.zeros((1100, 1001)),
         "table": np.zeros((300, 256)),
     }
     savemat(tmp_path / "a.mat", arrays)

@@ -170,7 +170,8 @@ def planned_motion() -> float:
 
 
 def test_right_wiring_has_evidence() -> None:
-    made = arm(gauge_delay=0.012, gauge_gain=0.8)
+    twin = replace(fl.Twin.from_rig(RIG), gauge_delay=0.012, gauge_gain=0.8)
+    made = fl.lab.SimulatedArm(twin, PERIOD)
     found = check_wiring(guarded(made.callback), RIG)
     assert found.gain == pytest.approx(RIG.motor.gain, rel=0.3)
     assert found.gauge_delay == pytest.approx(0.012, abs=0.006)
@@ -183,7 +184,7 @@ def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> No
     """With friction ignored, K/J came out half as large, and a gauge reading 0.7 times
     the torque as one reading 0.39 times.
     """
-    twin = fl.Twin.from_rig(RIG, gauge_gain=0.7)
+    twin = replace(fl.Twin.from_rig(RIG), gauge_gain=0.7)
     motor = replace(twin.motor, coulomb_torque=coulomb * twin.motor.coulomb_torque)
     made = fl.lab.SimulatedArm(replace(twin, motor=motor), PERIOD)
     found = check_wiring(guarded(made.callback), RIG)
@@ -382,7 +383,7 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
         tried.append(law.digest)
         return (
             fl.lab.FirstMove(
-                0.3, 0.5, 0.6, 2.4, *(0.001,) * 4, 0.006, *(0.001,) * 2, payload=0.030
+                0.3, 0.5, 0.6, 2.4, *(0.001,) * 2, 0.006, *(0.001,) * 2, payload=0.030
             ),
         )
 
@@ -456,7 +457,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     # With the payload of the tuning, and within the limits from the arm's present
     # position.
     kept = fl.lab.FirstMove(
-        0.3, 0.5, 0.47, 0.48, *(0.001,) * 4, 0.006, *(0.001,) * 2, payload=0.03
+        0.3, 0.5, 0.47, 0.48, *(0.001,) * 2, 0.006, *(0.001,) * 2, payload=0.03
     )
     following = _following(replace(proved, moves=(kept,)), "udp:a:1", place)
     assert following.endswith("--payload 0.03 --amplitude -0.300 --move-time 0.500")
@@ -468,7 +469,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     late = replace(kept, duration=1.6, promised_settling=1.4, measured_settling=1.6)
     assert not replace(proved, moves=(late, kept)).passed
     assert replace(proved, moves=(replace(late, measured_settling=1.5), kept)).passed
-    slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 4, 0.006, *(0.001,) * 2)
+    slow = replace(kept, measured_settling=2.0)
     off = replace(proved, moves=(slow,))
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
 

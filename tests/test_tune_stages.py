@@ -516,7 +516,7 @@ def test_a_stiff_link_at_a_short_period_is_excited(tmp_path: Path) -> None:
     )
     frequency = math.sqrt(stiffness / (payload * length**2))
     model = fl.LinkModel(stiffness, frequency, order=1.98, payload=payload)
-    twin = fl.Twin.from_rig(rig, model=model, gauge_delay=0.001)
+    twin = replace(fl.Twin.from_rig(rig, model=model), gauge_delay=0.001)
     tuned = fl.tune(
         SimulatedArm(twin, period, seed=1).callback,
         fl.TuningPlan(replace(LIMITS, torque=4.0), payload=payload, period=period),
@@ -680,9 +680,9 @@ def test_the_link_is_found_below_a_second_mode_with_more_energy() -> None:
         heavy,
         payload=0.026,
         damping=fl.extend.KelvinVoigt(2 * 0.0014 / first, 2 * 0.0016 / second),
-        gauge_delay=0.008,
     )
-    *_, link = staged(SimulatedArm(replace(twin, voltage_delay=2), PERIOD, seed=20))
+    late = replace(twin, gauge_delay=0.008, voltage_delay=2)
+    *_, link = staged(SimulatedArm(late, PERIOD, seed=20))
     model = link.fit.model
     assert link.fit.passed
     assert abs(model.pole) == pytest.approx(first, rel=0.01)

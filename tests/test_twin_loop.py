@@ -332,7 +332,8 @@ def test_the_twins_gauge_reads_what_it_read_in_the_log(law):
     stiffness; the twin of the fit is the arm that was recorded.
     """
     fitted = replace(RIG.model, stiffness=1.2 * RIG.link.stiffness)
-    arm, twin = Twin.from_rig(RIG, gauge_gain=1.2), Twin.from_rig(RIG, model=fitted)
+    arm = replace(Twin.from_rig(RIG), gauge_gain=1.2)
+    twin = Twin.from_rig(RIG, model=fitted)
     runs = [
         fl.simulate(smooth(law), MOVE, arm=each, duration=1.0) for each in (arm, twin)
     ]

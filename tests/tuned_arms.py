@@ -23,9 +23,11 @@ LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
 Stages = tuple[fl.lab.SimulatedArm, Guard, Wiring, Any, Any]
 
 
-def arm(seed: int = 0, **changes: float) -> fl.lab.SimulatedArm:
-    """The paper's arm, or one with other parameters."""
-    return fl.lab.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
+def arm(seed: int = 0, payload: float | None = None) -> fl.lab.SimulatedArm:
+    """The paper's arm, or one with another payload."""
+    return fl.lab.SimulatedArm(
+        fl.Twin.from_rig(RIG, payload=payload), PERIOD, seed=seed
+    )
 
 
 def guarded(

@@ -181,7 +181,7 @@ nb::dict told(const realtime_outcome &o) {
 // estimator's parameters and first state.
 nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, double payload,
              nb::bytes estimator, nb::bytes estimate, Record record,
-             Marks marks, std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory,
+             Marks marks, std::int64_t period_ns, std::int64_t patience_ns, int priority, bool lock_memory,
              Clock &clock) {
     const std::size_t length = path.shape(1);
     require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
@@ -194,7 +194,7 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     const auto bank = words_of(estimator, estimated ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
     auto estimates = words_of(estimate, estimated ? law.sizes[PAYLOAD_STATE] : int(estimate.size()), "estimate");
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
-                                estimated ? bank.data() : nullptr, estimates.data(), patience_ns, relative, priority,
+                                estimated ? bank.data() : nullptr, estimates.data(), patience_ns, priority,
                                 lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
@@ -207,7 +207,7 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
 }
 
 nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
-    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, 0, 0, priority,
+    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, 0, priority,
                                 lock_memory, clock.clock};
     realtime_outcome outcome;
     {

@@ -103,7 +103,6 @@ typedef struct {
     const void *bank; /* payload_params in the law's precision, whose estimate is given to the law; null: `payload` */
     void *estimate;
     int64_t patience_ns; /* for the first sample */
-    int relative;        /* the reference is relative to the angle of the first sample */
     int priority;        /* of SCHED_FIFO; 0: not requested */
     int lock_memory;
     realtime_clock *clock;

@@ -141,7 +141,7 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, const law_po
     outcome->stop = await_sample(plan, io, &command, &sample);
     outcome->period_ns = sample.period_ns;
     if (outcome->stop == REALTIME_FINISHED) {
-        outcome->origin = plan->relative ? sample.value.motor_angle - plan->reference[0] : 0.0;
+        outcome->origin = sample.value.motor_angle - plan->reference[0];
         command.motor_reference = sample.value.motor_angle;
         run_periods(plan, io, law, state, params, &sample, record, marks, &command, outcome);
     }

@@ -351,7 +351,7 @@ def twin_runs() -> Iterator[tuple[str, Callable[[], Any]]]:
                 ),
             )
     arm = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS)
-    slow = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS, gauge_delay=0.004)
+    slow = replace(arm, gauge_delay=0.004)
     nan = float("nan")
     events: dict[str, list[Any]] = {
         "tip pulse": [TipPulse(time=1.5, force=0.5, duration=0.02)],

@@ -13,8 +13,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig_parts import Moves
 from fraclink._certify.numeric import motor_loop
 from fraclink._certify.statement import Statement
-from fraclink._law.block import LATE_GAUGE, MotorModel, inside_circle
-from fraclink._law.discretization import COULOMB_SPEED
+from fraclink._law.block import COULOMB_SPEED, LATE_GAUGE, MotorModel, inside_circle
 from fraclink._law.limits import CREDIBLE_SHARE, TRIP_SHARE, derive_limits
 from fraclink._law.tracking import Following, held_reference
 from fraclink.errors import FieldError

@@ -270,6 +270,11 @@ class Modes(NamedTuple):
     pair_gains: tuple[complex, ...] = ()
 
 
+# [rad/s]: with a wider band friction stops small corrections, with a sharp sign the
+# voltage chatters
+COULOMB_SPEED = 0.02
+
+
 @dataclass(frozen=True)
 class DiscreteMotorLoop:
     """The motor loop and what it needs to know of the motor; without it a law gives a
@@ -280,7 +285,8 @@ class DiscreteMotorLoop:
     voltage_limit: float  # [V]
     torque_voltage: float  # compensation of the coupling torque, 1/(K n) [V/(N·m)]
     coulomb_voltage: float  # compensation of Coulomb friction, Γc/K [V]
-    coulomb_speed: float  # reference speed below which it fades to zero [rad/s]
+    # reference speed below which it fades to zero [rad/s]
+    coulomb_speed: float = COULOMB_SPEED
 
 
 @dataclass(frozen=True)

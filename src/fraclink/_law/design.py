@@ -388,14 +388,12 @@ class Design(Saved):
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
         return discretize(self, order=order, precision=precision)
 
-    def estimator(self, *, gain_doubt: float | None = None) -> PayloadEstimator:
+    def estimator(self) -> PayloadEstimator:
         """Return the payload estimator of this arm, `fraclink.extend.payload_estimator` of
         this design.
         """
         link = with_payload(self.model, self.rig)
-        return payload_estimator(
-            link, self.rig, self.law(), self.payloads, gain_doubt=gain_doubt
-        )
+        return payload_estimator(link, self.rig, self.law(), self.payloads)
 
     def with_law(self) -> Design:
         """Return the design with the requirements on its law as it ships: the worst

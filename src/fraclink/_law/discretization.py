@@ -58,9 +58,6 @@ BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 LOWEST = 0.05
 # largest multiple of the Coulomb friction: a motor that sticks beyond it has a fault
 STICTION = 3.0
-# [rad/s]: with a wider band friction stops small corrections, with a sharp sign the
-# voltage chatters
-COULOMB_SPEED = 0.02
 # Weight of an error of C around the crossover, over |1 + Ĉ|/|Ĉ|: an error of 0.5° of C
 # changes the margin by 1.2° where |Ĉ| is 0.4; a third of 0.5° of Ĉ changes it by 0.2°.
 # The largest weight that keeps C within 0.1 dB is used.
@@ -319,7 +316,6 @@ def discrete_motor_loop(
         if helps
         else 0.0,
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
-        coulomb_speed=COULOMB_SPEED,
     )
 
 

@@ -19,7 +19,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,7 @@ from fraclink._law.block import Block, Precision, framed, real_type
 from fraclink._law.law import REASONS, Law
 from fraclink._law.tracking import masses_of
 from fraclink.errors import FieldError
-from fracsys.checks import Real, above, checked
+from fracsys.checks import Real, checked
 
 __all__ = [
     "COUNTS",
@@ -236,8 +236,6 @@ def payload_estimator(
     rig: Rig,
     law: Law,
     payloads: tuple[float, float],
-    *,
-    gain_doubt: Annotated[float, above(0.0, 1e3, remedy="0.03 is usual")] | None = None,
 ) -> PayloadEstimator:
     """Return the payload estimator for a law and the link that it was designed for.
 
@@ -245,7 +243,7 @@ def payload_estimator(
     ----------
     link
         with a known payload; its order, gauge delay, gauge gain and second mode are in
-        the tables.
+        the tables. The gain is as sure as its interval says, and no surer than 3 %.
     rig
         whose gauge noise and link mass are counted on.
     law
@@ -253,15 +251,11 @@ def payload_estimator(
     payloads
         that the design covers (low, high) [kg]. The bank reaches from a quarter of the
         first to the law's largest payload.
-    gain_doubt
-        standard deviation of the gauge's gain over its identified value, > 0; what its
-        identified interval says where it is left out, at least 0.03.
 
     Raises
     ------
     FieldError
-        a link whose payload is not known, a law that knows no payload, gain_doubt not
-        above 0.
+        a link whose payload is not known, a law that knows no payload.
 
     Examples
     --------
@@ -281,10 +275,9 @@ def payload_estimator(
             "> 0 kg",
             "fit or design with the payload at which the link's frequency was found",
         )
-    if gain_doubt is None:
-        # A 95 % interval is 3.92 standard deviations wide.
-        low, high = link.interval("gauge_gain") or (0.0, 0.0)
-        gain_doubt = max(GAIN_DOUBT, (high - low) / 3.92 / abs(link.gauge_gain))
+    # A 95 % interval is 3.92 standard deviations wide.
+    low, high = link.interval("gauge_gain") or (0.0, 0.0)
+    gain_doubt = max(GAIN_DOUBT, (high - low) / 3.92 / abs(link.gauge_gain))
     nominal, own = masses_of(link, rig)
     # Evenly spaced in ln m, since the frequency varies with m^(−1/2): the ratio between
     # neighbours is constant, and so is the relative error of the interpolation.

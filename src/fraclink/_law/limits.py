@@ -5,8 +5,8 @@ and the sensors.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fraclink._arm.link import LinkModel
@@ -40,6 +40,9 @@ CREDIBLE_SHARE = 0.975
 TRIP_SHARE = 0.9
 # [rad]: about 3°, a swing that a person next to the arm can see
 SWING = 0.05
+# Far above every angle, torque, speed and voltage of an arm, and within the range of a
+# block in single precision, which holds finite numbers.
+UNBOUNDED = 1e6
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,11 @@ class Limits:
     frozen_limit: int = 8
     block_limit: int = 100  # derived from the resonance
     stop_ringing: bool = False
+
+    def without(self, *thresholds: str) -> Limits:
+        """Return the limits in which the named thresholds never act."""
+        wide: dict[str, Any] = dict.fromkeys(thresholds, UNBOUNDED)
+        return replace(self, **wide)
 
 
 def derive_limits(

@@ -21,6 +21,7 @@ from fraclink._law.discretization import TOLERANCE_DEG, discretize_controller
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys._margins import Margins, margins
+from fracsys._precision import COINCIDENT
 from fracsys.checks import Complex, Real
 
 if TYPE_CHECKING:
@@ -36,10 +37,6 @@ __all__ = [
     "no_law",
     "no_law_rows",
 ]
-
-# relative tolerance: the equations are solved to 1e-15, and a requirement met with
-# equality must pass
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,8 @@ class Requirement:
     @property
     def passed(self) -> bool:
         """Whether the bound is kept, to rounding."""
-        return self.slack >= -_ROUNDING * max(1.0, abs(self.wanted))
+        # The equations are solved to 1e-15, and a requirement met with equality passes.
+        return self.slack >= -COINCIDENT * max(1.0, abs(self.wanted))
 
     @property
     def shown(self) -> tuple[str, str]:

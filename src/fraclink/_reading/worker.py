@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fraclink._files.containers import UNPACKED_LIMIT, write_archive
-from fraclink._reading.table import check_size
+from fraclink._reading.table import COLUMN_LIMIT, check_size
 from fraclink.errors import SizeError
 from fracsys.checks import Real
 
@@ -29,7 +29,6 @@ if sys.platform != "win32":
 # and the parser the rest.
 MEMORY_LIMIT = 1_000_000_000
 CPU_SECONDS = 10  # for one file
-_WIDEST = 256  # columns of one array: a wider one is a picture or a matrix, not a log
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,8 @@ def columns_of(
     # program wrote it.
     wide = table.shape[0] < table.shape[1]
     table = table.T if wide else table
-    if table.shape[1] > _WIDEST:
+    # a picture or a matrix, not a log
+    if table.shape[1] > COLUMN_LIMIT:
         return
     for place in range(table.shape[1]):
         label = (

@@ -149,8 +149,6 @@ class Twin:
         payload: float | None = None,
         link_mass: float | None = None,
         damping: Damping | None = None,
-        gauge_delay: Time | None = None,
-        gauge_gain: float | None = None,
         modes: int | None = None,
     ) -> Twin:
         """Return the twin of a rig.
@@ -162,9 +160,9 @@ class Twin:
             the link as it was identified; the rig's own where it is left out
         damping
             default the material of the model (`damping_of`)
-        gauge_delay, gauge_gain
-            of the strain amplifier [s], [1]; what was identified where they are left
-            out: a bend reads as much torque as in the log
+
+        Delay and gain of the gauge are those of the model: a bend reads as much torque
+        as in the log.
         """
         link = rig.model if model is None else model
         if damping is None:
@@ -194,8 +192,8 @@ class Twin:
             motor=rig.motor,
             encoder=rig.encoder,
             gauge=rig.gauge,
-            gauge_delay=late if gauge_delay is None else gauge_delay,
-            gauge_gain=gain if gauge_gain is None else gauge_gain,
+            gauge_delay=late,
+            gauge_gain=gain,
             voltage_delay=rig.motor_loop.delay_samples,
             modes=modes,
         )

@@ -27,6 +27,7 @@ from fraclink._files import document
 from fraclink._law import Law
 from fraclink._law.design import Design
 from fraclink._law.estimator import PayloadEstimator
+from fraclink._law.limits import UNBOUNDED
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import ESTIMATED
 from fraclink._simulate.metrics import growth_per_window
@@ -56,7 +57,6 @@ PAYLOAD_STEP = 0.2
 REST = 5.0
 # the same of the linear loop, in which a growth of a hundredth a period stands out
 LONGEST = 12.0
-UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
 # [rad] height of the step that a linear loop is run with: far below every guard of the
 # law, and far enough above the rounding of doubles
 STEP = 1e-3
@@ -183,10 +183,10 @@ class ArmSet:
         """
         drive = self.law.motor_loop
         assert drive is not None  # a design's law drives its motor  # noqa: S101
-        free = replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED)
+        free = replace(drive, coulomb_voltage=0.0, voltage_limit=UNBOUNDED)
         law = replace(self.law, motor_loop=free).in_precision("double")
         rig = self.rig
-        motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
+        motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=math.inf)
         gauge = replace(rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
         encoder = replace(rig.encoder, counts_per_revolution=None)
         ideal = replace(rig, motor=motor, gauge=gauge, encoder=encoder)

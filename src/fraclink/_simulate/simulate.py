@@ -52,7 +52,7 @@ from fracsys.checks import Between, Real, Seed, above, checked
 
 __all__ = ["link_at", "model_run", "simulate"]
 
-Part = TypeVar("Part", Twin, Gauge, MotorLoop, LinkModel)
+Part = TypeVar("Part", Twin, Gauge, MotorLoop)
 Drive = Literal["ideal", "sampled"]
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
@@ -77,8 +77,6 @@ def simulate(
     duration: Annotated[float, above(0.0, 1e300, "s")] | None = None,
     motor_loop: Drive | None = None,
     events: Iterable[Event] = (),
-    gauge_delay: Annotated[float, Between(0.0, 1e3, "s")] | None = None,
-    gauge_gain: Annotated[float, Between(-1e6, 1e6)] | None = None,
     gauge_offset: Torque | None = None,
     noise: Annotated[float, Between(0.0, 1e6, "N·m")] | None = None,
     seed: Seed = 0,
@@ -128,9 +126,6 @@ def simulate(
     events
         what happens: `SensorFault`, and to the twin also `PayloadChange`, `TipPulse`,
         `Obstacle`, `Restart`.
-    gauge_delay, gauge_gain
-        of the strain amplifier, 0 to 100 periods [s] and [1]; what was identified where
-        they are left out.
     gauge_offset, noise
         of the gauge [N·m]; the rig's where they are left out. The model's offset
         appears in the second period: a law that starts with it would not see it at all.
@@ -166,7 +161,6 @@ def simulate(
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, math.inf, "s").check("duration", length)
     own_gauge: dict[str, Any] = {"offset": gauge_offset, "noise": noise}
-    line: dict[str, Any] = {"gauge_delay": gauge_delay, "gauge_gain": gauge_gain}
     if arm is not None:
         if motor_loop == "ideal":
             raise _not_here(
@@ -176,7 +170,7 @@ def simulate(
             )
         twin = arm if payload is None else arm.with_payload(payload)
         gauge = _changed(twin.gauge, **own_gauge)
-        twin = _changed(twin, gauge=gauge, voltage_delay=delay_samples, **line)
+        twin = _changed(twin, gauge=gauge, voltage_delay=delay_samples)
         return on_twin(twin, law, reference, length, events, seed, told, estimator)
     # A massless model has neither modes to exchange nor a tip to push; only its sensors
     # can fail.
@@ -213,7 +207,6 @@ def simulate(
         gauge=_changed(own.gauge, **own_gauge),
         motor_loop=_changed(own.motor_loop, delay_samples=delay_samples),
     )
-    link = _changed(link, **line)
     about = {
         "arm": "model",
         "rig": own.name,

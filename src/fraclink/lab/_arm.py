@@ -14,6 +14,7 @@ from fraclink._arm.reference import LONGEST
 from fraclink._display import Overview, Row, displayed, rows_of, state_of
 from fraclink._files import document
 from fraclink._law import MODES
+from fraclink._law.limits import Limits
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
 from fraclink.errors import FieldError, SizeError
@@ -31,9 +32,6 @@ from fracsys.checks.equality import compared
 __all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
 
 
-# The law bridges 5 missed periods and trips at the 6th; a controller that is silent for
-# 10 will not return.
-WATCHDOG = 10
 _DRIVE_OFF = (MODES.index("idle"), MODES.index("off"))
 _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
@@ -106,7 +104,8 @@ def serve_arm(
     period: float,
     *,
     duration: Annotated[float, above(0.0, 1e300, "s")] = 600.0,
-    watchdog: Annotated[int, Between(1, 1000, "periods")] = WATCHDOG,
+    # Silence for twice as long as a law bridges: such a controller will not return.
+    watchdog: Annotated[int, Between(1, 1000, "periods")] = 2 * Limits.missed_limit,
     once: bool = False,
     seed: Seed = 0,
     priority: Priority = PRIORITY - 10,

@@ -36,8 +36,9 @@ __all__ = [
 ]
 
 _FORMS = "serial:PORT@BAUD or udp:HOST:PORT"
-_KEY_BYTES = 16  # a length that cannot be guessed
-_TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
+_SECRET_BYTES = (
+    16  # what nobody guesses: a key at least, a tag (MESSAGE_TAG, realtime.h)
+)
 _PTY = "pty"  # a pseudo-terminal on which an arm is served
 
 
@@ -88,7 +89,7 @@ class Udp:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
         whole_number(Between(1, 65535)).check("port", self.port)
         if self.key is not None and not (
-            isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES
+            isinstance(self.key, bytes) and len(self.key) >= _SECRET_BYTES
         ):
             # never show the key itself
             text = f"{len(self.key)} {type(self.key).__name__}"
@@ -96,7 +97,7 @@ class Udp:
                 "key",
                 text,
                 "not a key",
-                f"{_KEY_BYTES} bytes or more",
+                f"{_SECRET_BYTES} bytes or more",
                 "head -c 32 /dev/urandom > arm.key",
             )
 
@@ -245,7 +246,7 @@ def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
         return None
     # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, leave a
     # forger a chance of 2^-128 per message.
-    return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
+    return lambda message: hmac.digest(key, message, "sha256")[:_SECRET_BYTES]
 
 
 def silent(connection: Connection, patience: float) -> FieldError:

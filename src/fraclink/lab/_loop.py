@@ -52,7 +52,6 @@ def run_realtime(
     out: Path | None = None,
     payload: Annotated[float, Between(0.0, 1e9, "kg")] = 0.0,
     estimator: PayloadEstimator | None = None,
-    relative: bool = True,
     patience: Annotated[float, Between(0.0, 3600.0, "s")] = 5.0,
     priority: Priority = PRIORITY,
     lock_memory: bool = True,
@@ -77,7 +76,7 @@ def run_realtime(
         from `Design.law`, at the period of the arm, 50 µs to 1 s. With a motor loop it
         gives a voltage.
     reference
-        of the tip, e.g. `smooth_step`.
+        of the tip, from where the arm stands, e.g. `smooth_step`.
     connection
         how the arm is reached.
     duration
@@ -91,10 +90,6 @@ def run_realtime(
     estimator
         from `Design.estimator`: the law is given what it finds while the arm moves, and
         not `payload`.
-    relative
-        whether the reference counts from where the arm stands; else it is the absolute
-        angle, and an arm that stands elsewhere goes there first, at the law's largest
-        speed.
     patience
         time to wait for the first sample [s].
     priority
@@ -173,7 +168,6 @@ def run_realtime(
                 marks,
                 nanoseconds,
                 round(1e9 * patience),
-                relative,
                 priority,
                 lock_memory,
                 clock or _kernels.RealtimeClock(0),

@@ -19,11 +19,13 @@ from scipy.signal import lfilter
 from fraclink.lab._tune_guard import Record, largest
 from fracsys.checks import Real
 
-__all__ = ["LATEST", "edges_of", "motor_of_doublets"]
+__all__ = ["PULSE", "edges_of", "motor_of_doublets"]
 
 
-# [s] from a voltage to the motion, or from the motion to the gauge, at most
-LATEST = 0.0401
+# [s] of each half of a doublet: shorter than a quarter of the vibration period of any
+# laboratory arm. No delay is longer, from a voltage to the motion or from the motion to
+# the gauge.
+PULSE = 0.04
 # B [1/s]: a doublet of 80 ms cannot separate it from friction. Geared laboratory motors
 # have 5 to 20, which changes A by a tenth; with 0 the delay comes out half a period
 # short.
@@ -49,7 +51,7 @@ def motor_of_doublets(
     torque = torque - np.mean(torque)
     best = (np.inf, 0.0, np.inf, 0.0)
     # Half periods, since hold and amplifier do not add up to a whole number of periods.
-    for halves in range(round(2 * LATEST / period) + 1):
+    for halves in range(round(2 * PULSE / period) + 1):
         length = 2 * half + halves // 2
         begins = edges[edges + length <= record.angle.size]
         if not begins.size:

@@ -31,7 +31,7 @@ PLANNED = 0.6
 # old: from the first share of the speed limit on, no voltage drives the motor further
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
 _RECOVERY = 5.0  # [s] at most until a swing beyond a limit has decayed
-_QUIET = 0.6  # [s]: a vibration period of a slow arm
+SLOW_PERIOD = 0.6  # [s]: a vibration period of a slow arm
 # shares of the planned motion, tried if it reaches a limit: torque falls with size and
 # speed
 _SIZES = (1.0, 0.5, 0.25)
@@ -232,16 +232,16 @@ class Guard:
         """Keep the drive at 0 V until the link rings less than the gauge's noise [N·m],
         or `longest` [s].
         """
-        window = math.ceil(_QUIET / self.period)
+        window = math.ceil(SLOW_PERIOD / self.period)
         last = self.count + math.ceil(longest / self.period)
-        self.rest(_QUIET)
+        self.rest(SLOW_PERIOD)
         # A tenth above the noise, since the standard deviation of 150 samples scatters
         # by a twentieth.
         while (
             self.count < last
             and np.std([row[2] for row in self._rows[-window:]]) > 1.1 * noise
         ):
-            self.rest(_QUIET / 4)
+            self.rest(SLOW_PERIOD / 4)
 
     def sized(
         self,

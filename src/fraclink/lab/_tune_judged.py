@@ -10,18 +10,18 @@ import numpy as np
 
 from fraclink._design import Design
 from fraclink._simulate.metrics import BAND
+from fraclink.lab._tune_guard import SLOW_PERIOD
 from fracsys.checks import Real
 
 __all__ = ["Judged", "judged", "settling_band"]
 
-# Settling time [s], residual vibration [rad], and half of the peak-to-peak motor angle
-# in the last two seconds [rad].
-Judged = tuple[float, float, float]
+# Settling time [s], and half of the peak-to-peak motor angle in the last two seconds
+# [rad].
+Judged = tuple[float, float]
 
 # multiple of the gauge's white noise, as shaped by the loop: noise alone would leave a
 # narrower band
 _ABOVE = 6.0
-_LAST = 0.6  # [s] at the end of a record that give the noise and the final angle
 
 
 def settling_band(amplitude: float, design: Design) -> float:
@@ -45,9 +45,9 @@ def _width(design: Design) -> int:
 def judged(
     angle: Real, torque: Real, band: float, ends: float, design: Design
 ) -> Judged:
-    """Time from which the tip estimate stays within the band, its residual vibration
-    after `ends` [s], and the remaining motion of the motor, each smoothed over a quarter
-    of a vibration.
+    """Time from which the tip estimate stays within the band, and the motion of the
+    motor from half a second after `ends` [s] on, each smoothed over a quarter of a
+    vibration.
     """
     model, period, width = design.model, design.rig.period, _width(design)
     # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
@@ -60,14 +60,12 @@ def judged(
         np.convolve(x, np.full(width, 1 / width), "valid") for x in (tip, angle)
     )
     # About its final position and not the reference, since friction of the motor leaves
-    # a small offset.
-    final = float(np.mean(tip[-round(_LAST / period) :]))
+    # a small offset; over a vibration, whose mean it is.
+    final = float(np.mean(tip[-round(SLOW_PERIOD / period) :]))
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     middle = width // 2
-    begin, rest = (round(time / period) for time in (ends, ends + 0.5))
-    ringing = smooth[begin - middle : rest - middle]
+    rest = round((ends + 0.5) / period) - middle
     return (
         period * float(outside[-1] + 1 + middle) if outside.size else 0.0,
-        0.5 * float(np.ptp(ringing)),
-        0.5 * float(np.ptp(motor[rest - middle :])),
+        0.5 * float(np.ptp(motor[rest:])),
     )

@@ -16,7 +16,6 @@ from fraclink._arm.reference import hold, prbs, smooth_step
 from fraclink._arm.rig_parts import Moves
 from fraclink._law import MODES, REASONS, Law, LawInputs
 from fraclink._law.block import DiscreteMotorLoop, Modes
-from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._law.limits import derive_limits
 from fraclink._law.tracking import following
 from fraclink.errors import FieldError, FraclinkError
@@ -42,8 +41,6 @@ _CALM, _LOOK = 0.5, 25
 # k and ζ of the filter that damps the link: for k = ζ/2, both pole pairs of s² + 1 in
 # series with s² + 2ζs + 1 coincide, with damping ζ/2.
 _FILTER = 0.6
-_DAMPING = 0.5 * _FILTER
-_FREE = 1e6  # used where the guard supervises instead of the law
 # Triple poles are computed to the cube root of the precision of a double, 1e-5.
 _SPLIT = 1.0 + 1e-3
 
@@ -97,16 +94,9 @@ def motor_law(
     derived = derive_limits(link, period, moves, loop=follows)
     # A threshold derived from an unknown stiffness could end the experiment that is to
     # measure it.
-    free = replace(
-        derived,
-        torque_limit=_FREE,
-        torque_step=_FREE,
-        torque_trip=_FREE,
-        torque_block=_FREE,
-        stuck_torque=_FREE,
-        residual_angle=_FREE,
-        frozen_angle=_FREE,
-        swing_angle=_FREE,
+    free = derived.without(
+        *("torque_limit", "torque_step", "torque_trip", "torque_block"),
+        *("stuck_torque", "residual_angle", "frozen_angle", "swing_angle"),
     )
     return Law(
         period=period,
@@ -125,7 +115,6 @@ def motor_law(
             voltage_limit=limits.voltage,
             torque_voltage=0.0,
             coulomb_voltage=friction,
-            coulomb_speed=COULOMB_SPEED,
         ),
     )
 
@@ -332,7 +321,7 @@ def calm(
     zero, swing = (float(np.mean(last)), float(np.ptp(last))) if last.size else (0, 0)
     # Within the limits, however much the link swings: k times its own deflection.
     reach = 0.5 * PLANNED * guard.limits.angle
-    damping = min(_DAMPING, reach * stiffness / max(0.5 * swing, 1e-12))
+    damping = min(0.5 * _FILTER, reach * stiffness / max(0.5 * swing, 1e-12))
     part, speed = 0.0, 0.0
     window, vibration = (
         math.ceil(span / guard.period) for span in (_CALM, math.tau / resonance)

@@ -39,15 +39,9 @@ _UNSURE, _ROBUST = (0.4, 0.7, 1.0, 1.5), 0.35
 _SURE, _MARGIN = (0.85, 1.0, 1.15), 0.45
 # [rad/s] at most: a faster loop takes more voltage for the same noise
 _SLOW, _FAST = (25.0, 60.0)
-# Standard error of K/J: three of them lie within the range for which the loop is
-# placed; the motor is identified again later with all motion of the link experiments.
-_ENOUGH = (max(_SURE) - 1.0) / 3.0
 # Share of the identified friction: along a gear and after a rest it differs by a fifth,
 # and an overcompensation would drive the motor by itself.
 _COMPENSATED = 0.8
-# Largest share of the voltage limit for one count of the encoder, whose noise is 1/√12
-# of a count: it takes no more voltage than the noise of the gauge may.
-_COUNT = NOISE_SHARE * math.sqrt(12.0)
 FIRST = 0.12  # [rad], 7°
 _ROUNDS = 4
 # [s] at most: the fit of the motor includes the torque, and the first fit of the link
@@ -125,7 +119,11 @@ def tune_motor(
             # longer one leads to the slower loop.
             fit = replace(fit, delay=max(fit.delay, wiring.delay))
         if fit is not None:
-            if fit.passed and fit.standard_errors["gain"] < _ENOUGH * fit.gain:
+            # Three standard errors of K/J within the range for which the loop is placed;
+            # the motor is identified again later with all motion of the link
+            # experiments.
+            range_left = (max(_SURE) - 1.0) * fit.gain
+            if fit.passed and 3.0 * fit.standard_errors["gain"] < range_left:
                 break
             guess = MotorGain(fit.gain, max(fit.decay, 0.0))
             loop = fastest_loop(
@@ -201,7 +199,12 @@ def closed_motor(fit: MotorFit, guard: Guard, wiring: Wiring) -> MotorResult:
         ratios=_SURE,
         margin=_MARGIN,
         most=_FAST,
-        kick=_COUNT * guard.limits.voltage / max(wiring.count, 1e-12),
+        # The encoder's noise is 1/√12 of a count, and takes no more voltage than the
+        # noise of the gauge may.
+        kick=math.sqrt(12.0)
+        * NOISE_SHARE
+        * guard.limits.voltage
+        / max(wiring.count, 1e-12),
     )
     return MotorResult(fit, loop)
 

@@ -22,7 +22,7 @@ from fraclink.lab._tune_motor import MotorResult
 
 __all__ = ["FirstMove", "first_moves"]
 
-_AFTER = 2.5  # [s] observed after a reference has come to rest
+AFTER = 2.5  # [s] observed after a reference has come to rest
 # the first move: a tenth of the speed, two fifths of the distance
 _SLOW, _PART = 10.0, 0.4
 _FIRST = 5  # periods in which a bump of the transfer would show
@@ -41,9 +41,6 @@ class FirstMove:
     promised_settling, measured_settling
         time from which the tip stays within 2 % of the move, or within the noise where
         that is more [s].
-    promised_residual, measured_residual
-        half the peak-to-peak angle of the tip in the half second after the reference
-        came to rest [rad].
     promised_unrest, measured_unrest
         half the peak-to-peak motor angle in the last two seconds [rad].
     band
@@ -54,21 +51,19 @@ class FirstMove:
     peak_voltage
         [V].
     payload
-        that the arm carried [kg]; 0 of a tuning that did not write it.
+        that the arm carried [kg].
     """
 
     amplitude: float
     duration: float
     promised_settling: float
     measured_settling: float
-    promised_residual: float
-    measured_residual: float
     promised_unrest: float
     measured_unrest: float
     band: float
     jump: float
     peak_voltage: float
-    payload: float = 0.0
+    payload: float
 
     @property
     def rows(self) -> tuple[Row, ...]:
@@ -80,8 +75,6 @@ class FirstMove:
             ("duration", "in", "s", 3),
             Row.time("promised_settling", "settles, promised", self.promised_settling),
             Row.time("measured_settling", "measured", self.measured_settling),
-            ("promised_residual", "residual, promised", "mrad"),
-            ("measured_residual", "measured", "mrad"),
             ("jump", "hand-over", "mrad"),
             ("peak_voltage", "peak", "V", 3),
         )
@@ -107,9 +100,9 @@ class FirstMove:
         return 2.0 * (self.measured_unrest - self.promised_unrest) > 0.5 * self.band
 
     def __str__(self) -> str:
-        mass = f" with {1e3 * self.payload:.3g} g" if self.payload else ""
         return (
-            f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s{mass}: promised "
+            f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s with "
+            f"{1e3 * self.payload:.3g} g: promised "
             f"{self.promised_settling:.2f} s, measured {self.measured_settling:.2f} s"
             + ("" if self.kept else _HUNTS if self.hunts else ": not kept")
         )
@@ -136,7 +129,7 @@ def first_moves(
     moves = ((_PART * amplitude, _SLOW * _PART * duration), move, move)
     twin, promises = twins_of(design, motor)[0], []
     for size, length in moves:
-        path, ends = smooth_step(size, length), length + _AFTER
+        path, ends = smooth_step(size, length), length + AFTER
         run = simulate(law, path, arm=twin, payload=payload, told=True, duration=ends)
         read = run.motor_angle_measured, run.torque_measured
         promises.append(judged(*read, band, length, design))
@@ -163,7 +156,7 @@ def first_moves(
     # one, each towards the first position of the arm.
     for size, length in moves:
         far = math.copysign(size, -at)
-        rows = sampled(smooth_step(far, length), period, length + _AFTER)[[0, 2]]
+        rows = sampled(smooth_step(far, length), period, length + AFTER)[[0, 2]]
         # The reference starts where the last one ended, not where friction has left the
         # arm.
         record = follow(guard, law, rows, follower=runs, origin=guard.origin + at)
@@ -183,10 +176,8 @@ def first_moves(
                 duration=length,
                 promised_settling=promise[0],
                 measured_settling=measured[0],
-                promised_residual=promise[1],
-                measured_residual=measured[1],
-                promised_unrest=promise[2],
-                measured_unrest=measured[2],
+                promised_unrest=promise[1],
+                measured_unrest=measured[1],
                 band=band,
                 jump=jump,
                 peak_voltage=largest(record.voltage),

@@ -21,7 +21,7 @@ from fraclink._arm.rig import Rig
 from fraclink._files import document
 from fraclink._identify import identify
 from fraclink.errors import FraclinkError
-from fraclink.lab._tune_doublets import LATEST, edges_of, motor_of_doublets
+from fraclink.lab._tune_doublets import PULSE, edges_of, motor_of_doublets
 from fraclink.lab._tune_guard import Guard, Record, largest
 from fracsys.checks import Real
 
@@ -35,9 +35,6 @@ _REST = 0.4
 # just released
 _LOOKS = 8
 _STILL = 0.004  # [rad]
-# [s] of each half of a doublet: shorter than a quarter of the vibration period of any
-# laboratory arm
-_PULSE = 0.04
 _PAUSE = 0.16  # [s] after a doublet
 # share of the voltage limit; growth: a motion that has just begun must not reach 5° at
 # the next doublet
@@ -126,7 +123,7 @@ def check_wiring(
     and stiffness. `tell` as in `tune_motor`.
     """
     # Samples of a mean: half of a doublet's half, which leaves its motion.
-    width = max(1, round(0.5 * _PULSE / guard.period))
+    width = max(1, round(0.5 * PULSE / guard.period))
     for _ in range(_LOOKS):
         start = guard.count
         guard.rest(_REST)
@@ -200,7 +197,7 @@ class _Doublets:
         # An answer must exceed the noise of a mean.
         self.shake, self.clear = shake, _SURE * shake / math.sqrt(width)
         self._swing = float(np.var(still.torque))
-        self._longest = max(2, round(_PULSE / guard.period))
+        self._longest = max(2, round(PULSE / guard.period))
         self.voltage, self.half, self._sign = 0.0, self._longest, 1
         self.travel, self._apart, self._seen = 0.0, 0.0, False
 
@@ -487,6 +484,6 @@ def _link(
         fit.delay,
         fit.delay + math.pi / abs(fit.model.pole),
     )
-    if delay < -record.period and opposite < LATEST:
+    if delay < -record.period and opposite <= PULSE:
         gain, delay = -gain, opposite
     return gain, error, fit.model.natural_frequency, delay, fit.nmse

@@ -13,10 +13,10 @@ from fraclink._identify.fit import SYMBOLS
 from fraclink.errors import FieldError
 from fraclink.findings import Scope, Verdict
 from fraclink.lab._tune_causes import domain
-from fraclink.lab._tune_guard import PLANNED, MotionLimits
+from fraclink.lab._tune_guard import PLANNED, SLOW_PERIOD, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_motor import MotorResult
-from fraclink.lab._tune_moves import FirstMove
+from fraclink.lab._tune_moves import AFTER, FirstMove
 from fraclink.lab._tune_wiring import MOST, STRONGEST, Wiring
 from fracsys.checks import Between, Payload, checked, checked_noun
 
@@ -26,9 +26,6 @@ __all__ = ["FILES", "Tuning", "TuningPlan"]
 LAW_FILES = ("design.json", "law.json", "certificate.json")
 FILES = ("tuning.json", "rig.toml", "model.json", *LAW_FILES, "log.npz")
 
-# [s] after the end of the reference: four vibrations of the paper's arm (12 rad/s); a
-# longer vibration was not damped by the law
-_LATEST = 2.0
 # [rad] at the transfer: 1.1°, which is visible; with a bumpless transfer the law moves
 # the motor by its noise alone
 _JUMP = 0.02
@@ -207,12 +204,13 @@ class Tuning:
                 Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
-        # Compared with the promise instead of the arm: this scope is that of the model.
+        # Compared with the promise instead of the arm: this scope is that of the model,
+        # which has settled before the vibration that gives the final angle.
         last = {move.payload: move for move in self.moves}
         model = (
             Scope("passed")
             if all(
-                move.promised_settling <= move.duration + _LATEST
+                move.promised_settling <= move.duration + AFTER - SLOW_PERIOD
                 for move in last.values()
             )
             else Scope("failed", ("the model's move does not settle",))

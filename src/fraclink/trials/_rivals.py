@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,9 +32,6 @@ __all__ = ["FRACLINK", "Rival", "Shaped", "builders", "motor_alone"]
 
 
 FRACLINK = "fraclink"
-# Far above every angle, torque and speed of an arm, and within the range of a block in
-# single precision.
-UNBOUNDED = 1e6
 # [s] of the rivals' filtered derivative: 100 rad/s, above a usual motor loop (otherwise
 # the filter would be the slowest lag of the loop), and below the Nyquist frequency
 # (otherwise it would not filter).
@@ -113,12 +109,12 @@ def open_guards(law: Law) -> Law:
     """
     # All thresholds except the fade, which is not a threshold: the values are angles,
     # torques and speeds.
-    wide: dict[str, Any] = {
-        name: UNBOUNDED
+    thresholds = (
+        name
         for name, value in asdict(law.limits).items()
         if isinstance(value, float) and name != "fade_step"
-    }
-    return replace(law, limits=replace(law.limits, **wide))
+    )
+    return replace(law, limits=law.limits.without(*thresholds))
 
 
 def motor_alone(law: Law) -> Law:

@@ -21,7 +21,7 @@ from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import SETTLE, simulate
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.trials._rivals import FRACLINK, Rival, builders
-from fracsys.checks import Between, Payload, Seed, checked, length
+from fracsys.checks import Payload, checked, length
 
 __all__ = ["Standing", "Tournament", "compare"]
 
@@ -170,11 +170,9 @@ class Tournament:
 def compare(
     design: Design,
     *,
-    link_mass: Annotated[float, Between(0.0, 1e4, "kg")] | None = None,
     payloads: Annotated[Sequence[Payload], length(1)] | None = None,
     reference: Reference | None = None,
     names: Sequence[str] | None = None,
-    seed: Seed = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Tournament:
     """Run a design and its rivals on one arm, each tuned by its rule.
@@ -182,10 +180,8 @@ def compare(
     Parameters
     ----------
     design
-        whose rig, model and Ms all are tuned for
-    link_mass
-        of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm)
-        where that is 0
+        whose rig, model and Ms all are tuned for; the twin's link has the rig's mass,
+        or 7.35 g (a carbon rod of 3 mm) where that is 0
     payloads
         at which the worst is looked for [kg], all > 0; default the ends of the design's
         range and the rig's nominal payload
@@ -194,8 +190,6 @@ def compare(
     names
         run only the rivals whose names contain one of these words; the design always
         runs
-    seed
-        of the gauge's noise, the same for all
 
     Raises
     ------
@@ -212,7 +206,7 @@ def compare(
     """
     move = smooth_step(1.0, duration=1.0) if reference is None else reference
     rig = design.rig
-    mass = (rig.link.mass or DEFAULT_MASS) if link_mass is None else link_mass
+    mass = rig.link.mass or DEFAULT_MASS
     # The twin judges the arm, while the rivals are tuned with the model: none of them
     # uses the twin before its run.
     twin = Twin.from_rig(rig, model=design.model, link_mass=mass)
@@ -231,7 +225,7 @@ def compare(
             # tournament
             notes.append(f"{name} left out: {error}")
             continue
-        standings.append(_standing(design, twin, name, rival, move, tried, seed))
+        standings.append(_standing(design, twin, name, rival, move, tried))
     return Tournament(tuple(standings), tuple(notes))
 
 
@@ -263,7 +257,6 @@ def _standing(
     rival: Rival,
     move: Reference,
     payloads: Sequence[float],
-    seed: int,
 ) -> Standing:
     followed = rival.shaped(move)
     # After the start: the law would take an offset present from the first sample as the
@@ -277,7 +270,6 @@ def _standing(
             arm=twin,
             payload=payload,
             events=events,
-            seed=seed,
         )
 
     usual = design.rig.payloads.nominal
