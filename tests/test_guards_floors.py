@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1473,
     "_export": 429,
     "_files": 558,
-    "_identify": 2553,
+    "_identify": 2545,
     "_law": 951,
     "_reading": 885,
     "_simulate": 1174,

@@ -97,7 +97,7 @@ struct Problem {
         return owned(std::move(values), {count});
     }
 
-    // Returns status, shape, gain, offset and cost of the best of several starts.
+    // Returns status, shape, gain, offset and cost of the best of several starts, with the Gram matrix there.
     nb::tuple solve(input_table starts, unsigned mask, input_array lower, input_array upper, double gain,
                     double offset, int iterations) {
         std::unique_ptr<fit_table> table(new fit_table);
@@ -124,8 +124,11 @@ struct Problem {
                 std::memcpy(best_shape, shape, sizeof shape);
             }
         }
+        size_t side = 3;
+        for (unsigned bit = 0; bit < FIT_SHAPE; bit++) side += mask >> bit & 1;
         return nb::make_tuple(best_status, owned(std::vector<double>(best_shape, best_shape + FIT_SHAPE), {FIT_SHAPE}),
-                              best.gain, best.offset, best.cost);
+                              best.gain, best.offset, best.cost,
+                              owned(std::vector<double>(best.gram, best.gram + side * side), {side, side}));
     }
 
     // A linear parameter that is NaN is free.

@@ -126,7 +126,7 @@ static int negligible(const double *step, double period_seconds) {
 }
 
 int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_table *work) {
-    double gram[SIDE_MAX * SIDE_MAX], trial[FIT_SHAPE], step[FIT_SHAPE], cost, trial_cost, damping = 1e-3;
+    double *gram = r->gram, trial[FIT_SHAPE], step[FIT_SHAPE], cost, trial_cost, damping = 1e-3;
     project(shape, r);
     if (evaluate(problem, shape, r->mask, r, work, gram, &cost)) return FIT_FAILED;
     int side = 2 + work->outputs, status = FIT_ITERATIONS;
@@ -154,7 +154,7 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
             damping = trial_cost < cost - 0.25 * predicted ? damping * 0.1 : damping * 0.5;
             if (damping < 1e-12) damping = 1e-12;
             memcpy(shape, trial, sizeof trial);
-            memcpy(gram, next, sizeof gram);
+            memcpy(gram, next, sizeof next);
             cost = trial_cost;
             continue;
         }

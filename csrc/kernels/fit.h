@@ -65,6 +65,7 @@ typedef struct {
     double gain, offset;       /* values where they are fixed, results where they are free */
     int iterations_max;
     double cost;               /* sum of squares */
+    double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX]; /* at the end, as of fit_pass */
 } fit_request;
 
 /* Sum of squares of one shape at its best gain and offset; infinite if it has no pole. */

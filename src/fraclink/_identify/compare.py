@@ -355,7 +355,7 @@ def vetoed_structures(
     for.
     """
     count, near = search.window.samples, _near(criteria)
-    undamped = [name for name in near if len(structure_row(name).free) == 1]
+    undamped = [name for name in near if len(STRUCTURES[name].free) == 1]
     damped = [name for name in near if name not in undamped]
     if not undamped or count == log.output.size:
         return ()
@@ -381,7 +381,7 @@ def preferred_structure(criteria: Criteria, vetoed: Sequence[str] = ()) -> str:
     """
     return min(
         (name for name in _near(criteria) if name not in vetoed),
-        key=lambda name: (len(structure_row(name).free), criteria[name]),
+        key=lambda name: (len(STRUCTURES[name].free), criteria[name]),
     )
 
 

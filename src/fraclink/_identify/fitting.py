@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.link import structure as structure_row
+from fraclink._arm.link import STRUCTURES, LinkModel, SecondMode
 from fraclink._identify.findings import findings_of
 from fraclink._identify.fit import Fit, aic
 from fraclink._identify.problem import QUANTILE, Interval
@@ -308,15 +307,16 @@ def _figures(
     """Errors and criteria over the fitted part and over the held-out part."""
     # Parameters of the structure, as counted in the paper: gain, offset and delay occur
     # in every structure and shift all criteria equally.
-    parameters = len(structure_row(solution.structure).free)
+    parameters = len(STRUCTURES[solution.structure].free)
     # Powers about the offset, so that a constant error of the gauge explains nothing.
-    squares, powers = residual**2, (log.output - solution.offset) ** 2
+    swing = log.output - solution.offset
+    squares, powers = residual**2, swing**2
     mse = float(np.mean(squares[:count]))
     # After the last sample at which the prediction exceeds the error of the fitted
     # part, a ring-down is lost in noise, and an error there says nothing about the
     # model.
-    motion = (log.output - residual - solution.offset) ** 2
-    end = int(np.flatnonzero(motion >= mse).max(initial=-1)) + 1
+    motion = (swing - residual)[count:] ** 2
+    end = count + 1 + int(np.flatnonzero(motion >= mse).max(initial=-1))
     heldout, held_power = (
         (float(np.mean(squares[count:end])), float(np.mean(powers[count:end])))
         if end > count

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fraclink._arm.link import structure
+from fraclink._arm.link import STRUCTURES
 from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -117,7 +117,7 @@ class LinkProblem(Problem):
     @property
     def names(self) -> tuple[str, ...]:
         """The link's parameters, including the delay, that depend on these coordinates."""
-        own = (*structure(self.solution.structure).free, "delay")
+        own = (*STRUCTURES[self.solution.structure].free, "delay")
         edge = self.turned and 3 not in self.free
         return tuple(
             name
@@ -179,39 +179,30 @@ class LinkProblem(Problem):
         return values[:, rows], slopes[:, rows] @ chain
 
     @cached_property
-    def _signals(self) -> tuple[list[int], Real]:
-        """The coordinates of the shape that change, and the weights (q, k + 2) of the
-        derivatives along these, the response and a constant in ∂(output)/∂(coordinates,
-        then gain and offset if free).
+    def _weights(self) -> Real:
+        """Weights (q, 2 + k) of the response, a constant and the derivatives along the
+        structure's coordinates in ∂(output)/∂(coordinates, then gain and offset if free).
         """
-        chain = self.expanded(self.place[None, :])[1][0]
-        moving = np.flatnonzero(chain.any(axis=1)).tolist()
-        weights = np.zeros((len(self.free) + 2, len(moving) + 2))
-        weights[:-2, :-2] = self.solution.gain * chain[moving].T
-        weights[-2:, -2:] = np.eye(2)
+        chain = self.expanded(self.place[None, :])[1][0, list(self.solution.free)]
+        weights = np.zeros((len(self.free) + 2, 2 + len(chain)))
+        weights[:-2, 2:] = self.solution.gain * chain.T
+        weights[-2:, :2] = np.eye(2)
         kept = [name in self.linear for name in ("gain", "offset")]
-        return moving, weights[[True] * len(self.free) + kept]
+        return weights[[True] * len(self.free) + kept]
 
     @property
     def normal(self) -> Real:
         """The normal matrix (q, q) of the coordinates, then gain and offset if free."""
-        moving, weights = self._signals
-        shape = self.solution.shape[None, :]
-        gram = self.search.kernel.grams(shape, mask_of(moving))[0]
-        # Its rows: measured, response, constant, derivatives.
-        rows = [*range(3, len(gram)), 1, 2]
-        return weights @ gram[np.ix_(rows, rows)] @ weights.T
+        return self._weights @ self.solution.gram[1:, 1:] @ self._weights.T
 
     def linearised(self) -> tuple[Real, Real]:
         """∂(output)/∂(coordinates, then gain and offset if free), shape (q, n), and the
         residual (n,).
         """
         own, at = self.search, self.solution
-        moving, weights = self._signals
-        raw = columns_of(own.kernel, at.shape, mask_of(moving))
+        raw = columns_of(own.kernel, at.shape, mask_of(at.free))
         residual = own.window.output - at.gain * raw[0] - at.offset
-        rows = np.vstack([raw[1:], raw[0], np.ones(residual.size)])
-        return weights @ rows, residual
+        return self._weights @ np.insert(raw, 1, 1.0, axis=0), residual
 
     @property
     def linear(self) -> tuple[str, ...]:

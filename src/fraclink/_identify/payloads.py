@@ -326,7 +326,7 @@ def _of_one(
     search = joint.searches[i]
     shapes, _ = joint.shapes(theta[None, :], i)
     held = shapes[0]
-    _, _, gain, offset, cost = search.kernel.solve(
+    _, _, gain, offset, cost, _ = search.kernel.solve(
         shapes, 0, held, held, search.gain, search.offset, 0
     )
     # The damping as it is in θ: its conversion by the resonance of each log rounds.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink._arm.link import FRACTIONAL, STRUCTURES, structure
+from fraclink._arm.link import FRACTIONAL, STRUCTURES
 from fraclink._identify.problem import CLEARLY_LESS, FIRST_STEPS
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -48,7 +48,8 @@ _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
 class Solution:
     """The least-squares solution of one structure: coordinates and linear parameters.
 
-    `rivals` are the ends of descents in other valleys, best first.
+    `gram` is the Gram matrix of [measured, response, constant, derivatives along the
+    free coordinates]; `rivals` are the ends of descents in other valleys, best first.
     """
 
     structure: str
@@ -60,6 +61,7 @@ class Solution:
     lower: Real
     upper: Real
     status: int
+    gram: Real
     rivals: tuple[Solution, ...] = ()
 
     @property
@@ -166,40 +168,39 @@ class Search:
 
     # --- starts
 
-    def _links(self, places: Real, order: float, part: float) -> Real:
+    def _links(self, places: Real, order: float, parts: Real | float = 0.0) -> Real:
         """Undamped links (K, 5) at given ln Ω, each with a fraction of its period as
         delay.
         """
         order = self.fixed.get("order", order)
-        delays = self.fixed.get("delay", part * 2 * math.pi * np.exp(-places))
+        delays = self.fixed.get("delay", parts * math.tau * np.exp(-places))
         coordinates = np.broadcast_arrays(order, places, 0.0, 1.0, delays)
         return np.stack(coordinates, axis=1)
 
     @cached_property
     def _scanned(self) -> list[Real]:
-        """Undamped links as starts: every valley of a scan over frequencies with each
-        delay, the guess, and the vibrations after a cut.
+        """Undamped links as starts (K, 5): every valley of a scan over frequencies with
+        each delay, the guess, and the vibrations after a cut.
         """
         low, high = self._range
         # 2ζ: the width of a resonance at half its power.
         step = -2 * math.cos(math.pi / _SCAN_ORDER)
         grid = np.linspace(low, high, max(int((high - low) / step), 8))
-        links = self._links(grid, _SCAN_ORDER, 0.0)
-        valleys = grid[lowest_valleys(self._shares(links), _VALLEYS)]
+        shares = self._shares(self._links(grid, _SCAN_ORDER))
         # A delay of a quarter of the vibration period turns the torque into a velocity:
         # λ and the delay compensate each other on a smooth move. A descent covers an
         # eighth of a period to either side, which is half of the range of the delay.
-        delays = np.linspace(*_DELAY_LIMITS, 5)[1::2]
-        delays = delays[:1] if "delay" in self.fixed else delays
+        parts = np.linspace(*_DELAY_LIMITS, 5)[1::2]
         starts = [
-            row for part in delays for row in self._links(valleys, _SCAN_ORDER, part)
+            self._links(grid[[valley]], _SCAN_ORDER, parts)
+            for valley in lowest_valleys(shares, _VALLEYS)
         ]
         if self.start is not None:
             order, place, *_, delay = self.start
             # Not at 2: on the limit the slope in λ may point outwards, and the descent
             # would never leave it.
             order = self.fixed.get("order", min(order, 1.95))
-            starts.append(np.array([order, place, 0.0, 1.0, delay]))
+            starts.append(np.array([[order, place, 0.0, 1.0, delay]]))
         if self.window.angle.size > self.window.samples:
             starts += self._sharp()
         return starts
@@ -215,8 +216,8 @@ class Search:
             order = math.pi / math.acos(-ratio)
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
-            rows = self._links(places[apart <= width], order, 0.0)
-            starts.extend(rows[lowest_valleys(self._shares(rows), _SHARP_VALLEYS)])
+            rows = self._links(places[apart <= width], order)
+            starts += [*rows[lowest_valleys(self._shares(rows), _SHARP_VALLEYS), None]]
         return starts
 
     def _ringing(self) -> tuple[Real, float]:
@@ -248,7 +249,7 @@ class Search:
 
     def free(self, name: str) -> tuple[int, ...]:
         """Free coordinates of a structure, the delay included unless it is fixed."""
-        own = {*structure(name).free, "delay"} - {*self.fixed}
+        own = {*STRUCTURES[name].free, "delay"} - {*self.fixed}
         return tuple(sorted(COORDINATE[parameter] for parameter in own))
 
     def _delays(self, row: Real) -> tuple[float, float]:
@@ -261,7 +262,7 @@ class Search:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
             ends = [
-                self._descended(name, row, first=True) for row in self._starts(name)
+                self._descended(name, rows, first=True) for rows in self._starts(name)
             ]
             if not math.isfinite(min(end.cost for end in ends)):
                 raise NotConvergedError(
@@ -270,7 +271,9 @@ class Search:
                     wanted=0.0,
                     remedy="examine the log with diagnose",
                 )
-            ends = [self._descended(name, end.shape) for end in self._valleys(ends)]
+            ends = [
+                self._descended(name, end.shape[None]) for end in self._valleys(ends)
+            ]
             solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
@@ -295,32 +298,32 @@ class Search:
     def _descended(
         self,
         name: str,
-        row: Real,
+        rows: Real,
         delays: tuple[float, float] | None = None,
         *,
         first: bool = False,
     ) -> Solution:
-        """The end of the kernel's descent from a row, with the delay in a range, or
-        after its `first` steps, on averages of samples; with infinite cost if there is
-        no response.
+        """The best end of the kernel's descents from rows (K, 5) of one resonance, with
+        the delay in a range, or after their `first` steps, on averages of samples; with
+        infinite cost if there is no response.
         """
         # Room for a descent to twice the resonance that it begins at.
-        width = int(self.window.widths(2 * np.exp(row[1]))) if first else 1
-        shortest, longest = delays or self._delays(row)
+        width = int(self.window.widths(2 * np.exp(rows[0, 1]))) if first else 1
+        shortest, longest = delays or self._delays(rows[0])
         low, high = self._range
         lower = np.array([ORDER_LIMITS[0], low, 0.0, ALPHA_LIMITS[0], shortest])
         # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
         upper = np.array([ORDER_LIMITS[1], high, 0.9, ALPHA_LIMITS[1], longest])
-        if "damping_order" in structure(name).free:
+        if "damping_order" in STRUCTURES[name].free:
             # An undamped link with λ near 1 vibrates far below the modulus of its
             # poles, and hardly at all.
             lower[1], upper[2] = lower[1] - 3.0, 50.0
         free = list(self.free(name))
-        start = row.copy()
-        start[4] = self.fixed.get("delay", row[4])
-        start[free] = np.clip(start[free], lower[free], upper[free])
-        status, shape, gain, offset, cost = self.averages(width)[0].solve(
-            start[None],
+        starts = rows.copy()
+        starts[:, 4] = self.fixed.get("delay", rows[:, 4])
+        starts[:, free] = np.clip(starts[:, free], lower[free], upper[free])
+        status, shape, gain, offset, cost, gram = self.averages(width)[0].solve(
+            starts,
             mask_of(free),
             lower,
             upper,
@@ -342,6 +345,7 @@ class Search:
             lower,
             upper,
             status,
+            gram,
         )
 
     def _between_samples(self, found: Solution) -> Solution:
@@ -366,11 +370,11 @@ class Search:
             low = max((k - 1 + 1e-6) * period, shortest)
             high = min(k * period, longest)
             if low <= high:
-                ends.append(self._descended(name, row, (low, high)))
+                ends.append(self._descended(name, row[None], (low, high)))
         best = min(ends, key=lambda each: each.cost)
         if not held and -1.5 * period < best.shape[4] < 0:
             row[4] = 0.5 * period
-            return self._descended(name, row, (0.0, longest))
+            return self._descended(name, row[None], (0.0, longest))
         return best
 
     def reconcile(self) -> None:
@@ -387,17 +391,17 @@ class Search:
         ):
             inner, outer = self.solve(special), self.solve(name)
             if outer.cost > inner.cost * (1 + 1e-9):
-                again = self._descended(name, embedded(inner.shape, name))
+                again = self._descended(name, embedded(inner.shape, name)[None])
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
     def _starts(self, name: str) -> Iterator[Real]:
-        """Starts; only the undamped fractional link, which fits any ring-down,
-        needs a scan, and the others start in its valleys.
+        """Starts (K, 5) of one resonance each; only the undamped fractional link, which
+        fits any ring-down, needs a scan, and the others start in its valleys.
         """
         if name == FRACTIONAL:
             yield from self._scanned
             return
-        free = {*structure(name).free} - {*self.fixed}
+        free = {*STRUCTURES[name].free} - {*self.fixed}
         vibrations = (self.solve(FRACTIONAL), *self.solve(FRACTIONAL).rivals)
         if free == {"natural_frequency"}:
             for vibration in vibrations:
@@ -408,8 +412,8 @@ class Search:
         # `reconcile`.
         if not {"order", "damping_order"} & {*self.fixed}:
             for special in special_cases(name):
-                if {"order", "damping"} & {*structure(special).free}:
-                    yield embedded(self.solve(special).shape, name)
+                if {"order", "damping"} & {*STRUCTURES[special].free}:
+                    yield embedded(self.solve(special).shape, name)[None]
         if "order" in free:
             return
         others = (0.4, 1.5) if "damping_order" in free else (1.0,)
@@ -419,9 +423,12 @@ class Search:
             # The pole of s^λ + ω₀² has the argument π/λ: the undamped link of order λ
             # decays like one with ζ = −cos(π/λ).
             ratio = max(-math.cos(math.pi / order), 1e-3)
-            for other in others:
-                damped = min(ratio, 0.9 * largest_ratio(other))
-                yield np.array([2.0, place, damped, other, delay])
+            yield np.array(
+                [
+                    [2.0, place, min(ratio, 0.9 * largest_ratio(other)), other, delay]
+                    for other in others
+                ]
+            )
 
     def _undamped(self, near: Real) -> Iterator[Real]:
         # Without damping the phase must fit over the whole log: the cost has a minimum
@@ -435,4 +442,4 @@ class Search:
         rows = np.array(
             [[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}]
         )
-        yield from rows[np.argsort(self._shares(rows))[:3]]
+        yield from rows[np.argsort(self._shares(rows))[:3], None]

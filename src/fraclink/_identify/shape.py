@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, STRUCTURES, LinkModel, structure
+from fraclink._arm.link import FRACTIONAL, STRUCTURES, LinkModel
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
@@ -72,7 +72,7 @@ def special_cases(name: str) -> list[str]:
     The undamped link of order λ is a special case of every link with a free α: see
     `embedded`.
     """
-    free = set(structure(name).free)
+    free = set(STRUCTURES[name].free)
     return [
         row.name
         for row in STRUCTURES.values()
@@ -87,7 +87,7 @@ def embedded(shape: Real, name: str) -> Real:
     its inertia divided by s^α: ω₀ = 0, μ is the old ω₀² and α = 2 − λ.
     """
     order, place, *_, delay = shape.tolist()
-    if order >= 2 or "order" in structure(name).free:
+    if order >= 2 or "order" in STRUCTURES[name].free:
         return shape
     other = min(max(2 - order, ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
     place += math.log(math.cos(other * math.pi / 2)) / order

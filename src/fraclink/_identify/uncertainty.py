@@ -12,7 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.linalg import lstsq
 
-from fraclink._arm.link import STRUCTURES, structure
+from fraclink._arm.link import STRUCTURES
 from fraclink._identify.link_problem import LinkProblem
 from fraclink._identify.problem import (
     QUANTILE,
@@ -259,7 +259,7 @@ def structure_criteria(
     solutions = {name: search.solve(name) for name in STRUCTURES}
     # If the residual of any structure is noise, it is that of the richest one; with a
     # poorer one, its misfit would be whitened away.
-    richest = max(STRUCTURES, key=lambda name: len(structure(name).free))
+    richest = max(STRUCTURES, key=lambda name: len(STRUCTURES[name].free))
     filtered = autoregression(
         LinkProblem.of(search, solutions[richest], inside=True).linearised()[1]
     )[0]
@@ -284,7 +284,7 @@ def structure_criteria(
             series[name][1].size
             * math.log(max(float(np.mean(series[name][1] ** 2)), 1e-300))
             / inflation
-            + 2.0 * len(structure(name).free),
+            + 2.0 * len(STRUCTURES[name].free),
         )
         for name, solution in solutions.items()
     }
