@@ -64,7 +64,7 @@ def accuracy() -> None:
             filter_order=2,
             link=RIG.model,
         )
-        made = discretize_controller(controller, RIG.period, band=(0.05, 600.0))
+        made = discretize_controller(controller, RIG.period)
         db, deg = made.correction_error
         line(
             f"order of Ĉ, δ = {delta} s, to 600 rad/s", str(made.order), f"<= {wanted}",

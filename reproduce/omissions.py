@@ -113,9 +113,9 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
             payload,
             *(
                 math.degrees(
-                    designed.sampled_at(payload, realisation=which).phase_margin
+                    designed.sampled_at(payload, correction=which).phase_margin
                 )
-                for which in ("exact", "law", _sums(designed))
+                for which in (designed.controller.response, None, _sums(designed))
             ),
         )
         for payload in (0.040, 0.030, 0.020, 0.016, 0.008)

@@ -150,7 +150,7 @@ def test_single_precision_law_and_default_claim(law: Law):
     assert exact.passed and found.passed
     loop, filtered = plan_for("sampled"), single.frequency_response
     truth = min(
-        loop.sampled_at(payload, realisation=filtered).modulus_margin
+        loop.sampled_at(payload, correction=filtered).modulus_margin
         for payload in (0.020, 0.040)
     )
     assert truth - 0.02 < exact.statement.modulus < truth

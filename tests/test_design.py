@@ -132,15 +132,16 @@ def test_grunwald_law_has_the_known_sampled_margins():
         (0.016, 43.3),
         (0.008, 23.9),
     ):
-        found = design.sampled_at(payload, realisation=sums)
+        found = design.sampled_at(payload, correction=sums)
         assert math.degrees(found.phase_margin) == pytest.approx(margin, abs=0.1)
 
 
 def test_exact_law_keeps_the_promised_margin_when_sampled():
     # The continuous-time approximation of hold and delay, e^{-1.5 Ts s}, is accurate to
     # a hundredth of a degree here.
-    found = default_plan().sampled_at(0.020, realisation="exact")
-    kept = math.degrees(default_plan().at(0.020).phase_margin)
+    design = default_plan()
+    found = design.sampled_at(0.020, correction=design.controller.response)
+    kept = math.degrees(design.at(0.020).phase_margin)
     assert math.degrees(found.phase_margin) == pytest.approx(kept, abs=0.01)
 
 

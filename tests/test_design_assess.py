@@ -106,7 +106,9 @@ def test_design_on_the_sampled_motor_loop_keeps_its_margin_exactly():
         for payload in (0.020, 0.040):
             gap = (
                 made.at(payload).phase_margin
-                - made.sampled_at(payload, realisation="exact").phase_margin
+                - made.sampled_at(
+                    payload, correction=made.controller.response
+                ).phase_margin
             )
             assert abs(math.degrees(gap)) < 1e-6
         assert made.sampled_at(0.020).stable

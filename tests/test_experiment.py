@@ -10,6 +10,8 @@ import pytest
 from fraclink import Experiment, read_log
 from fraclink.errors import FieldError, LogError
 
+STATED = {"time": "t [s]", "motor_angle": "theta [rad]", "torque": "gamma [Nm]"}
+
 
 def test_arrays_are_copies_that_cannot_be_written() -> None:
     mine = np.arange(5.0)
@@ -73,7 +75,8 @@ def test_values_that_make_no_sense_are_refused(
 def test_stamps_of_another_length_are_refused() -> None:
     samples = np.sin(np.arange(9.0))
     with pytest.raises(LogError, match="8 stamps"):
-        Experiment.from_arrays(0.004 * np.arange(8), samples, samples)
+        frame = {"t": 0.004 * np.arange(8), "theta": samples, "gamma": samples}
+        Experiment.from_frame(frame, STATED)
 
 
 def test_b18_lengths_differ() -> None:
@@ -154,21 +157,18 @@ ANGLE, TORQUE = np.sin(TIME), 0.3 * np.cos(3 * TIME)
 
 
 def test_arrays_in_other_units_are_the_same_experiment() -> None:
-    log = Experiment.from_arrays(TIME, ANGLE, TORQUE, payload=0.03)
+    frame = {"t": TIME, "theta": ANGLE, "gamma": TORQUE, "u": ANGLE}
+    log = Experiment.from_frame(frame, STATED, payload=0.03)
     assert (log.period, log.payload, log.output_kind) == (0.004, 0.03, "torque")
-    units = {"time": "ms", "motor_angle": "deg", "torque": "mNm"}
-    other = Experiment.from_arrays(
-        1e3 * TIME, np.degrees(ANGLE), 1e3 * TORQUE, units=units, voltage=ANGLE
-    )
-    short = Experiment.from_arrays(
-        TIME, ANGLE, 1e3 * TORQUE, units="mNm", voltage=ANGLE
-    )
-    np.testing.assert_allclose(short.output, TORQUE, rtol=1e-12)
+    frame |= {"t": 1e3 * TIME, "theta": np.degrees(ANGLE), "gamma": 1e3 * TORQUE}
+    units = {"time": "t [ms]", "motor_angle": "theta [deg]", "torque": "gamma [mNm]"}
+    other = Experiment.from_frame(frame, units | {"voltage": "u [V]"})
     assert other.period == 0.004
     assert np.allclose(other.motor_angle, log.motor_angle, rtol=1e-14, atol=1e-15)
     assert np.allclose(other.output, log.output, rtol=1e-14, atol=1e-15)
     assert np.array_equal(other.voltage, ANGLE)  # type: ignore[arg-type]
-    bent = Experiment.from_arrays(TIME, ANGLE, 0.1 * ANGLE, output_kind="deflection")
+    kinds = {"time": "t [ms]", "motor_angle": "theta [deg]", "deflection": "u [rad]"}
+    bent = Experiment.from_frame(frame, kinds)
     assert bent.output_unit == "rad"
 
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fraclink._arm.log_columns import (
-    UNITS_OF,
     Channel,
     LogColumns,
     OutputKind,
@@ -119,45 +116,6 @@ class Experiment:
                 )
 
     @classmethod
-    def from_arrays(
-        cls,
-        time: ArrayLike,
-        motor_angle: ArrayLike,
-        output: ArrayLike,
-        *,
-        output_kind: OutputKind = "torque",
-        units: Mapping[str, str] | str = MappingProxyType({}),
-        voltage: ArrayLike | None = None,
-        payload: float | None = None,
-        source: str = "",
-    ) -> Experiment:
-        """Return the experiment that arrays of shape (N,) hold, in SI units and radians
-        or in `units`.
-
-        `time` are the stamps of the samples [s], steps below 1 s; `units` states others
-        by role, such as ``{"time": "ms", "motor_angle": "deg", "torque": "mNm"}``; a
-        text is the output's. Raises LogError for stamps with gaps, repeats or strong
-        jitter, and for an unknown unit.
-
-        >>> log = Experiment.from_arrays([0, 4, 8], [0, 5.0, 9.0], [0, 10, 30], units={"time": "ms"})
-        >>> log.period, log.duration
-        (0.004, 0.008)
-        """
-        # A single string can only be the unit of the output: the other signals are in
-        # SI or are stated by name.
-        symbols: Mapping[str, str] = (
-            {output_kind: units} if isinstance(units, str) else units
-        )
-        arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
-        arrays |= {} if voltage is None else {"voltage": voltage}
-        usual = {role: next(iter(UNITS_OF[role])) for role in arrays}
-        channels = {
-            role: Channel(role, symbols.get(role, unit)) for role, unit in usual.items()
-        }
-        columns = LogColumns(**channels)
-        return cls.from_frame(arrays, columns, payload=payload, source=source)
-
-    @classmethod
     def from_frame(
         cls,
         frame: Any,
@@ -170,7 +128,8 @@ class Experiment:
         dict of arrays.
 
         `columns` states which column is what, in which unit and with which sign, as a
-        rig's ``[log]`` table does, or in words. Raises LogError as `from_arrays`, and
+        rig's ``[log]`` table does, or in words. The stamps have steps below 1 s; raises
+        LogError where they have gaps, repeats or strong jitter, for an unknown unit, and
         for a column that is not there.
 
         >>> frame = {"t": [0.0, 0.01, 0.02], "pot": [0.0, 5.0, 9.0], "gauge": [0.0, 0.1, 0.3]}

@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
 
-import numpy as np
-
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
@@ -49,7 +47,6 @@ from fracsys.checks import (
     Real,
     above,
     ascending,
-    checked_choice,
 )
 
 if TYPE_CHECKING:
@@ -356,7 +353,10 @@ class Design(Saved):
         return sampled_plant(link, self.motor_loop, self.rig.motor, self.rig.period)
 
     def sampled_at(
-        self, payload: float, *, realisation: Callable[[Real], Complex] | str = "law"
+        self,
+        payload: float,
+        *,
+        correction: Callable[[Real], Complex] | None = None,
     ) -> Margins:
         """Return every margin of the true sampled loop at `payload` [kg] > 0.
 
@@ -364,25 +364,16 @@ class Design(Saved):
         ----------
         payload
             mass at the tip [kg].
-        realisation
-            "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no
-            computer runs), or Ĉ on the unit circle as a function of ω [rad/s].
+        correction
+            Ĉ on the unit circle as a function of ω [rad/s], such as the exact
+            `controller.response`, which no computer runs; the coefficients that are
+            shipped where it is left out.
         """
-        if callable(realisation):
-            _check_response(realisation)
-            response = realisation
-        else:
-            checked_choice(
-                "realisation",
-                realisation,
-                ("law", "exact"),
-                remedy="say 'law' for what is shipped",
-            )
-            response = self.controller.response
-            if realisation == "law":
-                law = discretize_controller(self.controller, self.rig.period)
-                response = law.frequency_response
-        return margins_of(response, self.sampled_plant(self.natural_frequency(payload)))
+        if correction is None:
+            law = discretize_controller(self.controller, self.rig.period)
+            correction = law.frequency_response
+        plant = self.sampled_plant(self.natural_frequency(payload))
+        return margins_of(correction, plant)
 
     def law(self, *, order: int | None = None, precision: Precision = "single") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
@@ -417,24 +408,6 @@ class Design(Saved):
         names = {row.name for row in rows}
         others = (item for item in self.requirements if item.name not in names)
         return replace(self, requirements=(*others, *rows), findings=findings)
-
-
-def _check_response(response: Callable[[Real], Complex]) -> None:
-    """Raise FieldError if `response` does not return one complex value per frequency."""
-    try:
-        # Tested with two frequencies: a function of a single number would fail deep
-        # inside the margin search.
-        shape = np.asarray(response(np.array([1.0, 2.0])), np.complex128).shape
-    except (TypeError, ValueError):
-        shape = ()
-    if shape != (2,):
-        raise FieldError(
-            "realisation",
-            repr(response),
-            "not a response",
-            "Ĉ as a function of ω [rad/s], shape kept",
-            "say 'law' for what is shipped",
-        )
 
 
 def _checked_frequency(value: object) -> float:

@@ -31,7 +31,6 @@ from fraclink.errors import FieldError, required
 from fracsys._discrete import (
     DiscreteRational,
     Order,
-    checked_band,
     fit_discrete,
 )
 from fracsys.checks import Payload, Real, above, checked
@@ -81,17 +80,16 @@ def discretize_controller(
     precision: Precision = "single",
     link: LinkModel | None = None,
     rig: Rig | None = None,
-    band: tuple[float, float] | None = None,
 ) -> Law:
     """Return the law that runs the controller at `period` [s].
 
     Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C =
-    1 + Ĉ on `band` [rad/s], closest about the gain crossover (`fit_correction`), and
+    1 + Ĉ on a band of frequencies, closest about the gain crossover (`fit_correction`), and
     the feed-forward s^λ θt*/ω₀² becomes a fit of s^(λ−2)/ω₀² that works on the
     reference's known acceleration.
 
     Without a filter Ĉ is improper: no sampled controller can follow it to the Nyquist
-    frequency, and the default band ends at 300 rad/s (600 with a filter). The errors
+    frequency, and the band ends at 300 rad/s (600 with a filter). The errors
     reached stand in `Law.correction_error`.
 
     Parameters
@@ -110,7 +108,7 @@ def discretize_controller(
     Raises
     ------
     FieldError
-        a period, order or band out of range, and a missing link.
+        a period or order out of range, and a missing link.
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel
@@ -127,7 +125,7 @@ def discretize_controller(
         "give the nominal link model: tip estimate and feed-forward need it",
     )
     _check_period(controller, period)
-    reach = _band(controller, period) if band is None else checked_band(band, period)
+    reach = _band(controller, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = forward_fit(model, period)
     # A controller without a motor loop gets the paper's, with one period of

@@ -206,7 +206,7 @@ def sensitivity_peak(tuned_for: Design, response: Callable[[Real], Complex]) -> 
     """Return Ms = max |1/(1 + L)| of a correction at the nominal payload on the model,
     infinite where the loop is unstable.
     """
-    margins = tuned_for.sampled_at(tuned_for.rig.payloads.nominal, realisation=response)
+    margins = tuned_for.sampled_at(tuned_for.rig.payloads.nominal, correction=response)
     return 1.0 / margins.modulus_margin if margins.stable else math.inf
 
 
