@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 951,
     "_reading": 885,
     "_simulate": 1174,
-    "lab": 1917,
+    "lab": 1914,
     "logs": 705,
     "studio": 1056,
     "trials": 1281,

@@ -43,7 +43,7 @@ PRIORITY = 80
 Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priority")]
 # A desktop computer cannot run a loop faster than this; a slower loop does not need
 # real time.
-_PERIOD = Between(
+PERIOD = Between(
     5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
 )
 # Longest time between two wake-ups [s]: their lateness hardly depends on the time
@@ -139,7 +139,7 @@ def measure_wake_ups(
     period: float,
     *,
     duration: Annotated[float, Between(0.01, 3600.0, "s")] = 0.5,
-    step: Annotated[float, Between(5e-5, 1.0, "s")] | None = None,
+    step: Annotated[float, PERIOD] | None = None,
     priority: Priority = PRIORITY,
     lock_memory: bool = True,
     clock: Any = None,
@@ -202,7 +202,7 @@ def period_ns(period: float) -> int:
     >>> period_ns(0.004)
     4000000
     """
-    return round(1e9 * _PERIOD.check("period", period))
+    return round(1e9 * PERIOD.check("period", period))
 
 
 @contextlib.contextmanager

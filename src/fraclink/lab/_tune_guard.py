@@ -30,7 +30,7 @@ PLANNED = 0.6
 # a voltage takes effect one or two periods later, and measured speeds are some periods
 # old: from the first share of the speed limit on, no voltage drives the motor further
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
-_RECOVERY = 5.0  # [s] at most until a swing beyond a limit has decayed
+RECOVERY = 5.0  # [s] at most until a swing has decayed, and the arm is at rest
 SLOW_PERIOD = 0.6  # [s]: a vibration period of a slow arm
 # shares of the planned motion, tried if it reaches a limit: torque falls with size and
 # speed
@@ -260,7 +260,7 @@ class Guard:
                 # Unguarded until the arm rests, since nothing is driven.
                 self.release()
                 self._driven = False
-                self.quiet(noise, _RECOVERY)
+                self.quiet(noise, RECOVERY)
                 self.release()
         return motion(_SIZES[-1]), _SIZES[-1]
 

@@ -22,7 +22,7 @@ from fraclink._files import document
 from fraclink._identify import identify
 from fraclink.errors import FraclinkError
 from fraclink.lab._tune_doublets import PULSE, edges_of, motor_of_doublets
-from fraclink.lab._tune_guard import Guard, Record, largest
+from fraclink.lab._tune_guard import RECOVERY, Guard, Record, largest
 from fracsys.checks import Real
 
 __all__ = ["FAR", "Wiring", "WiringFault", "check_wiring"]
@@ -31,9 +31,6 @@ __all__ = ["FAR", "Wiring", "WiringFault", "check_wiring"]
 # [s] in which the noise of the sensors is measured: the standard deviation of a hundred
 # samples (4 ms) is accurate to 7 %.
 _REST = 0.4
-# checks for which an arm may take to come to rest: three seconds, for an arm that was
-# just released
-_LOOKS = 8
 _STILL = 0.004  # [rad]
 _PAUSE = 0.16  # [s] after a doublet
 # share of the voltage limit; growth: a motion that has just begun must not reach 5° at
@@ -58,7 +55,7 @@ _PULLED = (
 )
 # Standard errors required of a sign: a wrong sign closes a loop that runs away; the
 # probability of chance is one in two million.
-_SURE = 5.0
+SURE = 5.0
 # Six of each sign: drift or drag to one side cancels.
 _DOUBLETS = 12
 # multiple of a stated or an earlier value: the fit to small motions is accurate to a
@@ -124,7 +121,7 @@ def check_wiring(
     """
     # Samples of a mean: half of a doublet's half, which leaves its motion.
     width = max(1, round(0.5 * PULSE / guard.period))
-    for _ in range(_LOOKS):
+    for _ in range(math.ceil(RECOVERY / _REST)):
         start = guard.count
         guard.rest(_REST)
         still = guard.record(start)
@@ -135,7 +132,7 @@ def check_wiring(
             for x in (still.angle, still.torque)
         )
         angle = np.ptp(_smoothed(still.angle, width))
-        if angle <= _STILL + _SURE * shake / math.sqrt(width):
+        if angle <= _STILL + SURE * shake / math.sqrt(width):
             break
     else:
         raise WiringFault(
@@ -195,7 +192,7 @@ class _Doublets:
         self._guard, self._strongest, self._width = guard, strongest, width
         self._start, self._first = guard.count, float(np.mean(still.angle))
         # An answer must exceed the noise of a mean.
-        self.shake, self.clear = shake, _SURE * shake / math.sqrt(width)
+        self.shake, self.clear = shake, SURE * shake / math.sqrt(width)
         self._swing = float(np.var(still.torque))
         self._longest = max(2, round(PULSE / guard.period))
         self.voltage, self.half, self._sign = 0.0, self._longest, 1
@@ -236,7 +233,7 @@ class _Doublets:
             return True
         # The mean square of n samples scatters by √(2/n).
         torque = self._guard.record(self._start).torque
-        noise = self._swing * (1.0 + _SURE * math.sqrt(2.0 / torque.size))
+        noise = self._swing * (1.0 + SURE * math.sqrt(2.0 / torque.size))
         if np.var(torque) <= noise:
             limits = self._guard.limits
             beyond = (
@@ -326,13 +323,13 @@ def _concluded(
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
     # fit a link either, and would be blamed.
-    if stated is not None and gain > FAR * stated.motor.gain and gain > _SURE * error:
+    if stated is not None and gain > FAR * stated.motor.gain and gain > SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     # Either channel may be the motor's, which stays where the doublets have moved it, and
     # the other one the link's response to it: the more likely way round has the smaller
     # product of what remains of both.
     other = _link(record, earlier, swapped=True)
-    if other is not None and other[0] > _SURE * other[1]:
+    if other is not None and other[0] > SURE * other[1]:
         half, left = doublets.half, 1.0 if link is None else link[4]
         straight = left * _unplaced(record, half, record.angle)
         swapped = other[4] * _unplaced(record, half, record.torque)
@@ -342,7 +339,7 @@ def _concluded(
                 f"is read as the angle: {100 * swapped:.0f} % of both remain unexplained, the other way round "
                 f"{100 * straight:.0f} %"
             )
-    if link is None or abs(link[0]) < _SURE * link[1]:
+    if link is None or abs(link[0]) < SURE * link[1]:
         share = "nothing" if link is None else f"{100 * (1 - link[4]):.0f} %"
         return _Unsure(
             f"gauge dead: of its signal the motor's motion of {degrees} explains {share}; its noise is "
@@ -350,7 +347,7 @@ def _concluded(
         )
     stiffness, spread, frequency, gauge_delay, nmse = link
     voltage = f"{doublets.voltage:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
-    if abs(gain) < _SURE * error:
+    if abs(gain) < SURE * error:
         # A train that ended for want of room is too short for its signs.
         return _Unsure(
             f"signs not sure: {voltage}, at {math.degrees(_step(record.angle)):.2g}° a count; a finer or quieter "

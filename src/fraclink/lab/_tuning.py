@@ -12,13 +12,14 @@ from fraclink._files import document
 from fraclink._identify.fit import SYMBOLS
 from fraclink.errors import FieldError
 from fraclink.findings import Scope, Verdict
+from fraclink.lab._machine import PERIOD
 from fraclink.lab._tune_causes import domain
 from fraclink.lab._tune_guard import PLANNED, SLOW_PERIOD, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_motor import MotorResult
 from fraclink.lab._tune_moves import AFTER, FirstMove
 from fraclink.lab._tune_wiring import MOST, STRONGEST, Wiring
-from fracsys.checks import Between, Payload, checked, checked_noun
+from fracsys.checks import Payload, checked, checked_noun
 
 __all__ = ["FILES", "Tuning", "TuningPlan"]
 
@@ -65,7 +66,7 @@ class TuningPlan:
     limits: MotionLimits
     payload: Payload
     payloads: tuple[float, float] | None = None
-    period: Annotated[float, Between(5e-5, 1.0, "s")] | None = None
+    period: Annotated[float, PERIOD] | None = None
     rig: Rig | None = None
 
     def __post_init__(self) -> None:

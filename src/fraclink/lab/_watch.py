@@ -14,8 +14,10 @@ from fraclink._arm.experiment import Experiment
 from fraclink._display import Overview, Row, Table, displayed, number, rows_of, state_of
 from fraclink._files import document
 from fraclink._identify import Fit, identify, identify_motor, simulated_torque
+from fraclink._law.block import COULOMB_SPEED
 from fraclink.errors import FieldError, LogError
 from fraclink.lab._tune_causes import sensor_noise
+from fraclink.lab._tune_wiring import SURE
 from fraclink.lab._tuning import Tuning
 from fracsys.checks import checked
 
@@ -39,12 +41,8 @@ _LINK = {
     "gauge_delay": "delay",
     "order": "model.order",
 }
-# Standard errors required in addition, since those of a short record exceed the limits
-# above.
-_SURE = 4.0
 # Vibrations of the link in motion: frequency and decay are those of several.
 _LEAST_VIBRATIONS = 5.0
-_MOVING = 0.02  # [rad/s]
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
 
     The link's ω₀ and gain are fitted anew, with the delay or with λ, whichever explains
     the record better, and the friction with the motor's K/J; each is named where it is
-    off by more than half of what is worth a retune and by four standard errors, friction
+    off by more than half of what is worth a retune and by five standard errors, friction
     only where it has grown. Where the halves of the record differ by as much, that is
     named, and the second half is what is compared with the tuning.
 
@@ -299,11 +297,11 @@ def _link_changes(was: Fit, now: Fit) -> tuple[Change, ...]:
 
 
 def _moving_time(log: Experiment) -> float:
-    # Over 50 ms: from one sample to the next, one count of an encoder is a speed above
-    # the threshold.
+    # Faster than where the compensation of friction fades; over 50 ms, since from one
+    # sample to the next one count of an encoder is a higher speed.
     lag = max(1, round(0.05 / log.period))
     speed = np.abs(log.motor_angle[lag:] - log.motor_angle[:-lag]) / (lag * log.period)
-    return float(np.count_nonzero(speed > _MOVING)) * log.period
+    return float(np.count_nonzero(speed > COULOMB_SPEED)) * log.period
 
 
 def _change(name: str, was: float, now: float, spread: float) -> Change:
@@ -311,7 +309,8 @@ def _change(name: str, was: float, now: float, spread: float) -> Change:
     # delay.
     worth = _WORTH[name] * (1.0 if name in _ABSOLUTE else abs(was))
     off = abs(now - was)
-    return Change(name, was, now, spread, off > worth and off > _SURE * spread)
+    # In addition, since the errors of a short record exceed what is worth reporting.
+    return Change(name, was, now, spread, off > worth and off > SURE * spread)
 
 
 def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
