@@ -264,17 +264,16 @@ class Search:
             ends = [
                 self._descended(name, rows, first=True) for rows in self._starts(name)
             ]
-            if not math.isfinite(min(end.cost for end in ends)):
+            rows = [*(end.shape for end in self._valleys(ends)), *self._special(name)]
+            ends = [self._descended(name, row[None]) for row in rows]
+            solution, *rivals = self._valleys(ends)
+            if not math.isfinite(solution.cost):
                 raise NotConvergedError(
                     f"the fit of {name}",
                     reached=math.inf,
                     wanted=0.0,
                     remedy="examine the log with diagnose",
                 )
-            ends = [
-                self._descended(name, end.shape[None]) for end in self._valleys(ends)
-            ]
-            solution, *rivals = self._valleys(ends)
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
             self.solutions[name] = replace(solution, rivals=tuple(rivals))
@@ -377,6 +376,16 @@ class Search:
             return self._descended(name, row[None], (0.0, longest))
         return best
 
+    def _special(self, name: str) -> Iterator[Real]:
+        """The fits of a structure's special cases: a step never raises the cost, so
+        that its own fit is never worse. The undamped one, whose search takes longest, is
+        left to `reconcile`.
+        """
+        if not {"order", "damping_order"} & {*self.fixed}:
+            for special in special_cases(name):
+                if {"order", "damping"} & {*STRUCTURES[special].free}:
+                    yield embedded(self.solve(special).shape, name)
+
     def reconcile(self) -> None:
         """Fit a structure again from a special case of it with a lower cost.
 
@@ -401,34 +410,18 @@ class Search:
         if name == FRACTIONAL:
             yield from self._scanned
             return
-        free = {*STRUCTURES[name].free} - {*self.fixed}
         vibrations = (self.solve(FRACTIONAL), *self.solve(FRACTIONAL).rivals)
-        if free == {"natural_frequency"}:
+        if STRUCTURES[name].free == ("natural_frequency",):
             for vibration in vibrations:
                 yield from self._undamped(vibration.shape)
             return
-        # A step never raises the cost, so that the fit is never worse than any of its
-        # special cases. The undamped one, whose search takes longest, is left to
-        # `reconcile`.
-        if not {"order", "damping_order"} & {*self.fixed}:
-            for special in special_cases(name):
-                if {"order", "damping"} & {*STRUCTURES[special].free}:
-                    yield embedded(self.solve(special).shape, name)[None]
-        if "order" in free:
-            return
-        others = (0.4, 1.5) if "damping_order" in free else (1.0,)
-        if "damping_order" in self.fixed:
-            others = (self.fixed["damping_order"],)
+        other = self.fixed.get("damping_order", 1.0)
         for order, place, *_, delay in (vibration.shape for vibration in vibrations):
             # The pole of s^λ + ω₀² has the argument π/λ: the undamped link of order λ
             # decays like one with ζ = −cos(π/λ).
             ratio = max(-math.cos(math.pi / order), 1e-3)
-            yield np.array(
-                [
-                    [2.0, place, min(ratio, 0.9 * largest_ratio(other)), other, delay]
-                    for other in others
-                ]
-            )
+            damped = min(ratio, 0.9 * largest_ratio(other))
+            yield np.array([[2.0, place, damped, other, delay]])
 
     def _undamped(self, near: Real) -> Iterator[Real]:
         # Without damping the phase must fit over the whole log: the cost has a minimum
