@@ -169,17 +169,32 @@ def test_a_loop_that_controls_nothing_is_no_answer_where_nothing_is_asked() -> N
     assert made.gain_crossover > 10.0
 
 
-def test_a_law_that_a_further_reserve_made_unstable_is_not_what_is_named() -> None:
-    """The loop keeps every row, its law a margin of 41° of 44.5°, and none with more
-    reserve a margin at all.
+@pytest.mark.slow
+@pytest.mark.parametrize(("crossover", "margin"), [(14.0, 45), (12.0, 80)])
+def test_no_margin_is_named_of_a_law_whose_loop_is_unstable(crossover, margin) -> None:
+    """The loops keep every row, a law of the first a margin of 41° of 44.5°, and none
+    with more reserve, or of the second, a margin at all.
     """
     rig = fl.Rig.named("paper-2023-geared")
-    asked = {"gain_crossover": 14.0, "phase_margin": fl.deg(45), "nearest": False}
+    asked = {"gain_crossover": crossover, "phase_margin": fl.deg(margin)}
     with pytest.raises(InfeasibleError) as refused:
-        fl.design(rig.model, rig, payloads=RANGE, **asked)
+        fl.design(rig.model, rig, payloads=RANGE, **asked, nearest=False)
     if "shipped law" in refused.value.condition:
         assert "−" not in refused.value.explanation
+        assert "of 0 " not in refused.value.explanation
         assert "at most 0 " not in refused.value.explanation
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bound", [{}, {"mode_gain": 0.3}])
+def test_no_offer_eases_the_gain_at_a_mode(bound: dict[str, float]) -> None:
+    rig = fl.Rig.named("paper-2023-geared")
+    asked = {"gain_crossover": 30.0, "phase_margin": fl.deg(60), **bound}
+    with pytest.raises(InfeasibleError) as refused:
+        fl.design(rig.model, rig, payloads=RANGE, **asked)
+    offer = refused.value.nearest
+    assert offer and set(offer) <= {"gain_crossover", "phase_margin"}
+    assert fl.design(rig.model, rig, payloads=RANGE, **(asked | offer)).passed
 
 
 def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:

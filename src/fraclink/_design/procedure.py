@@ -107,7 +107,8 @@ def design(
         a value is out of its range.
     InfeasibleError
         no controller of this form meets the request; names the requirement that is in
-        the way, and the nearest request that passes.
+        the way, and the nearest request that passes, if neither model nor payloads are
+        in doubt.
 
     Examples
     --------
@@ -130,24 +131,23 @@ def design(
         remedy="leave it out for a design that keeps every row",
     )
     link = link_of(model, rig)
+    # Nothing passes with a doubt, so no request is searched for that would: payloads in
+    # grams, or the model of another arm, are refused for reasons that hide the cause.
+    doubts = doubts_of(rig, link, spec.get("payloads", ()))
     try:
         if procedure == "published":
             result = published(link, rig, spec, box)
             result = result.with_law() if law else result
         else:
             request = request_of(link, rig, spec, box)
-            speed = request.speed is not None
-            result = _solved(
-                request, goal or ("noise" if speed else "settling"), law, nearest
-            )
+            default: Goal = "noise" if request.speed is not None else "settling"
+            result = _solved(request, goal or default, law, nearest and not doubts)
     except InfeasibleError as error:
-        # Check this first: payloads in grams, or the model of another arm, would
-        # otherwise be rejected for reasons that hide the cause.
-        doubts = [one.message for one in doubts_of(rig, link, spec.get("payloads", ()))]
         if not doubts:
             raise
-        sentence = f"{'; '.join(doubts)}; and so {error.explanation}"
-        raise InfeasibleError(error.condition, sentence, error.nearest) from error
+        causes = "; ".join(f"{one.message} ({one.remedy})" for one in doubts)
+        sentence = f"{causes}; and so {error.explanation}"
+        raise InfeasibleError(error.condition, sentence) from error
     return result.doubted(getattr(model, "findings", ()))
 
 
@@ -271,7 +271,6 @@ def _lost_by_law(made: Design) -> dict[str, float]:
 def _design_of(solution: Solution) -> Design:
     """The design of a solution, with every row."""
     request, controller = solution.search.request, solution.controller
-    low, high = request.natural_frequencies
     lowest, upper = solution.crossovers
     crossover = request.speed or _floored(lowest)
     return Design(
@@ -281,7 +280,7 @@ def _design_of(solution: Solution) -> Design:
         requirements=tuple(item for _, item in solution.measured),
         margins_kind="loop",
         payloads=request.payloads,
-        natural_frequencies=(low, high),
+        natural_frequencies=request.natural_frequencies,
         gain_crossover=crossover,
         phase_margin=request.phase_margin,
         chi=controller.derivative_gain * crossover**controller.derivative_order,
@@ -306,14 +305,20 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
         ("more", "at most") if worst.bound == "at least" else ("less", "at least")
     )
     sentence = f"{most} {achieved}"
-    if worst.name == "gain crossover" and not worst.achieved:
+    # A law whose loop is unstable has neither a margin nor a distance from -1; its rows
+    # are none of the search.
+    searched = [item for _, item in solution.measured]
+    unstable = [x for x in missed if x not in searched and x.achieved <= 0.0]
+    if worst in unstable:
+        sentence = "the loop is unstable with the law that ships,"
+    elif worst.name == "gain crossover" and not worst.achieved:
         sentence = f"no loop was found that crosses beyond the resonance ({resonance:.3g} rad/s at the heaviest)"
     elif solution.missed:
         sentence = f"no controller was found with {more} than {achieved}"
     others = [
         f"{item.name} of {item.shown[1]} instead of {item.shown[0]}"
         for item in missed
-        if item is not worst and not solution.missed
+        if item is not worst and item not in unstable and not solution.missed
     ]
     even = f", even with a {' and a '.join(others)}" if others else ""
     late, crossing = made.model.gauge_delay, made.gain_crossover_upper or resonance
@@ -342,6 +347,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
     """The nearest request in the user's own quantities, rounded inwards to three
     digits; empty if no such request passes when followed, with the law as it ships.
     """
+    # The gain at a mode is not eased: beyond one, its phase has to keep it from -1.
+    request = replace(request, soft=request.soft - {"mode_gain"})
     values: dict[str, float] = {}
     for share in _LOOSER:
         for row, item in solution.measured:
@@ -349,15 +356,13 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
             near = not item.passed or item.slack < share * item.wanted
             known = 0.0 < item.achieved < math.inf
             if row.key in request.soft and near and known and not implied:
-                value = _eased(item, share)
-                most = min if item.bound == "at least" else max
-                values[row.key] = most(value, values.get(row.key, value))
+                values[row.key] = _eased(item, share)
         if not values:
             continue
         request = replace(
             request.asking(**values),
             # what passes with a phase-stabilised mode needs no search with a quiet one
-            loud=solution.search.request.loud and "mode_gain" not in values,
+            loud=solution.search.request.loud,
         )
         trial, ended = _best(request, goal, law=True)
         if not trial.missed:
@@ -371,13 +376,10 @@ def _eased(item: Requirement, share: float) -> float:
     """The achieved or the wanted value, whichever demands less, reduced by a share and
     rounded to three digits, an angle in degrees.
     """
-    least = item.bound == "at least"
-    edge = (min if least else max)(item.achieved, item.wanted)
-    if not least:
-        return -_floored(-edge * (1.0 + share))
-    if item.unit == "rad":
-        return math.radians(_floored(math.degrees(edge * (1.0 - share))))
-    return _floored(edge * (1.0 - share))
+    sign, less = (1.0, min) if item.bound == "at least" else (-1.0, max)
+    unit = math.radians(1.0) if item.unit == "rad" else 1.0
+    edge = less(item.achieved, item.wanted) / unit
+    return unit * sign * _floored(sign * edge * (1.0 - sign * share))
 
 
 def _floored(value: float) -> float:
