@@ -189,7 +189,7 @@ CEILINGS = {
     "_certify": 845,
     "_cli": 833,
     "_design": 1473,
-    "_export": 429,
+    "_export": 425,
     "_files": 558,
     "_identify": 2543,
     "_law": 941,

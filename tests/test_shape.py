@@ -395,7 +395,7 @@ def _stepped(law: fl.Law, reference: fl.Reference, count: int) -> NDArray[np.flo
     return np.array(rows)
 
 
-@pytest.mark.parametrize("name", ["move.txt", "int.h", "law_move.h"])
+@pytest.mark.parametrize("name", ["move.txt", "int.h"])
 def test_a_table_needs_a_name_that_c_or_csv_takes(tmp_path: Path, name: str) -> None:
     with pytest.raises(FieldError, match="out"):
         fl.extend.export_reference(

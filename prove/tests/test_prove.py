@@ -58,7 +58,7 @@ SEEDED = (
 def claim_of(name: str, folder: Path) -> step.Claim:
     made = law("single")
     if name == "outputs":
-        return eva.commands_claim(made, folder, name="law_data", data="law_data.h")
+        return eva.commands_claim(made, folder)
     return {"slew": step.slew_claim, "finite": step.finite_claim}[name](made, folder)
 
 
@@ -1173,7 +1173,7 @@ def test_eva_is_asked_about_both_builds(
     precision: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = law(precision)
-    count = eva.driver(name="law_data", data="law_data.h").count("/*@ assert")
+    count = eva.driver().count("/*@ assert")
     good = EVA_LOG.format(valid=count, unknown=0, invalid=0)
     for answers, status in (
         ((good,), "proved"),
@@ -1181,7 +1181,7 @@ def test_eva_is_asked_about_both_builds(
     ):
         asked = Canned(*answers)
         monkeypatch.setattr(eva, "FRAMA_C", asked)
-        claim = eva.commands_claim(made, tmp_path, name="law_data", data="law_data.h")
+        claim = eva.commands_claim(made, tmp_path)
         assert claim.status == status and claim.tools == ("canned 1",)
         assert [log for log, _ in claim.logs] == [
             "proof/eva_general.log",
@@ -1197,16 +1197,8 @@ def test_eva_is_asked_about_both_builds(
             assert claim.reason.startswith("exact build: ")
     limit = tools.at_most(made.limits.motor_limit)
     assert f"|motor_reference| ≤ {limit} rad and |voltage| ≤ " in claim.statement
-    without = eva.commands_claim(
-        law(precision, equipped=False), tmp_path, name="law_data", data="law_data.h"
-    )
+    without = eva.commands_claim(law(precision, equipped=False), tmp_path)
     assert "voltage" not in without.statement
-    text = eva.driver(name="mine", data="my_law.h")
-    assert (
-        '#include "my_law.h"' in text
-        and "law_data" not in text
-        and "law_step(&state, &mine," in text
-    )
 
 
 @pytest.mark.parametrize(

@@ -27,12 +27,10 @@ def prove(
     law: Law,
     folder: Path,
     *,
-    name: str,
-    data: str,
     certificate: Certificate | None = None,
 ) -> Proof:
-    """Prove what can be proved about law.h, law.c and the header `data` in `folder`;
-    logs go to proof/ there.
+    """Prove what can be proved about law.h, law.c and law_data.h in `folder`; logs go to
+    proof/ there.
 
     (1) commands finite and in their limits, no undefined behaviour: Frama-C Eva. (2)
     the other outputs finite, (3) the slew: law_step as an SMT problem in IEEE
@@ -42,13 +40,15 @@ def prove(
     with its Debian package.
     """
     claims = (
-        commands_claim(law, folder, name=name, data=data),
+        commands_claim(law, folder),
         finite_claim(law, folder),
         slew_claim(law, folder),
         rounding_claim(law, folder),
         *((loop_claim(law, folder, certificate),) if law.has_gauge else ()),
     )
-    sources = {file: sha256_of(folder / file) for file in ("law.h", "law.c", data)}
+    sources = {
+        file: sha256_of(folder / file) for file in ("law.h", "law.c", "law_data.h")
+    }
     return Proof(law.digest, sources, claims)
 
 

@@ -16,19 +16,12 @@ from fraclink_prove.tools import FRAMA_C, at_most, sha256_of_text
 __all__ = ["commands_claim", "driver"]
 
 
-def driver(*, name: str, data: str) -> str:
-    """Return eva_main.c for the block `name` in the header `data`: all inputs, all
-    memory, for ever.
-    """
-    text = (Path(__file__).parent / "eva_main.c").read_text(encoding="utf-8")
-    return (
-        text.replace('"law_data.h"', f'"{data}"')
-        .replace("law_data", name)
-        .replace(f'"{name}.h"', f'"{data}"')
-    )
+def driver() -> str:
+    """Return eva_main.c: all inputs, all memory, for ever."""
+    return (Path(__file__).parent / "eva_main.c").read_text(encoding="utf-8")
 
 
-def commands_claim(law: Law, folder: Path, *, name: str, data: str) -> Claim:
+def commands_claim(law: Law, folder: Path) -> Claim:
     """Run Eva in `folder`, for the general build and for the one made for this design
     alone.
 
@@ -51,7 +44,7 @@ def commands_claim(law: Law, folder: Path, *, name: str, data: str) -> Claim:
     if FRAMA_C.path is None:
         return replace(claim, reason=FRAMA_C.missing)
     (folder / "proof").mkdir(exist_ok=True)
-    harness = driver(name=name, data=data)
+    harness = driver()
     (folder / "proof" / "eva_main.c").write_text(harness, encoding="utf-8")
     # The build for a single design has loops of fixed length and other paths: a result
     # for one build does not apply to the other.

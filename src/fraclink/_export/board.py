@@ -134,7 +134,7 @@ def _rows(values: Real, period: float) -> str:
 
 
 def _arrays(values: Real, period: float, stem: str) -> str:
-    name = identifier("out", stem)
+    name = identifier(stem)
 
     def listed(row: Real) -> str:
         # In double precision with a cast: one table serves both builds of law.c, and

@@ -18,7 +18,6 @@ from fraclink._export.data import (
     data_header,
     exact_flags,
     exact_sizes,
-    identifier,
     law_source,
 )
 from fraclink._export.payload import payload_files, payload_readme
@@ -40,7 +39,6 @@ def export_c(
     folder: Path | str,
     *,
     precision: Precision | None = None,
-    name: str = "law_data",
     prove: bool = False,
     certificate: Certificate | None = None,
     estimator: PayloadEstimator | None = None,
@@ -62,8 +60,6 @@ def export_c(
         Made where it is missing; an existing one that is not empty needs `force`.
     precision
         The law's own where it is left out.
-    name
-        C identifier of the block, and of its header's guard.
     prove
         Prove what can be proved about these very files with the provers that are
         installed (Debian's frama-c-base, z3 or cvc5, gappa; python-flint): README.md
@@ -83,7 +79,7 @@ def export_c(
     Raises
     ------
     FieldError
-        an existing folder, an illegal name.
+        an existing folder.
     MissingExtraError
         `prove` without fraclink-prove.
 
@@ -97,7 +93,6 @@ def export_c(
     ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md', 'law.json']
     """
     law = law.law() if isinstance(law, Design) else law
-    identifier("name", name)
     place = Path(folder)
     if place.is_file() or (place.is_dir() and any(place.iterdir()) and not force):
         raise FieldError(
@@ -113,17 +108,14 @@ def export_c(
     # coefficients are rounded once, here, and self-test, bounds and proof use the
     # rounded numbers.
     shipped = law if precision is None else law.in_precision(precision)
-    data = f"{name}.h"
     files: dict[str, bytes] = {
         "law.h": law_source("law.h"),
         "law.c": law_source("law.c"),
-        data: data_header(shipped, name=name).encode(),
-        "law_selftest.c": selftest_source(shipped, name=name, data=data).encode(),
+        "law_data.h": data_header(shipped).encode(),
+        "law_selftest.c": selftest_source(shipped).encode(),
     }
-    proof, logs = (
-        _proved(shipped, files, name, data, certificate) if prove else (None, {})
-    )
-    page = readme(shipped, name=name, data=data, proof=proof)
+    proof, logs = _proved(shipped, files, certificate) if prove else (None, {})
+    page = readme(shipped, proof=proof)
     # The estimator in the law's precision: both include the same law.h, with one
     # law_real.
     bank = None if estimator is None else estimator_for(shipped, estimator)
@@ -157,8 +149,6 @@ def export_c(
 def _proved(
     law: Law,
     files: Mapping[str, bytes],
-    name: str,
-    data: str,
     certificate: Certificate | None,
 ) -> tuple[Proof, dict[str, bytes]]:
     """Prove in a temporary folder, so that a failure leaves nothing behind."""
@@ -170,7 +160,7 @@ def _proved(
         folder = Path(scratch)
         for file, content in files.items():
             (folder / file).write_bytes(content)
-        proof = prove_folder(law, folder, name=name, data=data, certificate=certificate)
+        proof = prove_folder(law, folder, certificate=certificate)
         logs = {
             f"proof/{path.name}": path.read_bytes()
             for path in sorted((folder / "proof").glob("*"))
@@ -250,7 +240,7 @@ def _forward_row(law: Law) -> str:
     )
 
 
-def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str:
+def readme(law: Law, *, proof: Proof | None = None) -> str:
     """Return the text of the exported README.md; with `proof`, its claims are about
     this folder.
     """
@@ -260,9 +250,7 @@ def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 
 Law `{law.digest}`.
-`law.h` and `law.c` are the files that were simulated; `{
-        data
-    }` holds this design's numbers. Order
+`law.h` and `law.c` are the files that were simulated; `law_data.h` holds this design's numbers. Order
 {law.order}; {_connected(law)}.
 
 ## Build and check
@@ -283,11 +271,11 @@ proved and simulated.
 ## Call
 ```c
 #include "law.h"
-#include "{data}"
+#include "law_data.h"
 static law_state state;
-if (law_init(&state, &{name}) != LAW_OK) {{ /* keep the drive off */ }}
+if (law_init(&state, &law_data) != LAW_OK) {{ /* keep the drive off */ }}
 /* every period, from the timer that counts `input.tick`: */
-law_step(&state, &{name}, &input, &output);
+law_step(&state, &law_data, &input, &output);
 if (output.mode == LAW_OFF) {{ /* switch the drive off */ }}
 ```
 {_called(law)}

@@ -88,7 +88,7 @@ def export_fmu(
             ".fmu",
             "end the name in .fmu",
         )
-    name = identifier("out", place.stem)
+    name = identifier(place.stem)
     shipped = law if precision is None else law.in_precision(precision)
     # The token is a hash of the C sources: if a library is combined with the
     # description of another law, the FMU itself refuses to start.
@@ -123,7 +123,7 @@ def export_fmu(
 
 def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
     """Return the FMU's C files and its token."""
-    sources = {"law_data.h": data_header(law, name="law_data")}
+    sources = {"law_data.h": data_header(law)}
     for file in (
         "law.h",
         "law.c",

@@ -105,17 +105,15 @@ def expected(law: Law) -> int:
     return hash_of(rows, f"5{real_type(law.precision)}3I")
 
 
-def selftest_source(law: Law, *, name: str, data: str) -> str:
-    """Return the text of law_selftest.c for `law`, whose block `name` is in the header
-    `data`.
-    """
+def selftest_source(law: Law) -> str:
+    """Return the text of law_selftest.c for `law`, whose block is in law_data.h."""
     inputs = (
         _OF_ARM
         if law.has_gauge
         else _OF_PID.replace("@SCALE@", hex_float(_scale(law), law.precision))
     )
-    source = _SOURCE.replace("@INPUTS@", inputs).replace("@DATA@", data)
-    return with_tools(source.replace("@BLOCK@", name), "law_selftest", expected(law))
+    source = _SOURCE.replace("@INPUTS@", inputs)
+    return with_tools(source, "law_selftest", expected(law))
 
 
 def with_tools(source: str, name: str, digest: int) -> str:
@@ -207,7 +205,7 @@ _SOURCE = """\
  * registers).
  * law_selftest() returns 0 where everything agrees; -DLAW_SELFTEST_NO_MAIN leaves main and printf out. */
 #include "law.h"
-#include "@DATA@"
+#include "law_data.h"
 
 @TOOLS@static uint32_t tick = 0U;
 
@@ -246,12 +244,12 @@ uint32_t law_selftest_hash(void)
     law_real command = (law_real)0;
     seed = 1U;
     tick = 0U;
-    if (law_init(&state, &@BLOCK@) != LAW_OK) {
+    if (law_init(&state, &law_data) != LAW_OK) {
         return 0U;
     }
     for (k = 0U; k < PERIODS; k++) {
         next_input(k, command, &in);
-        law_step(&state, &@BLOCK@, &in, &out);
+        law_step(&state, &law_data, &in, &out);
         command = out.motor_reference;
         hash = mixed(hash, &out.motor_reference, sizeof(law_real));
         hash = mixed(hash, &out.voltage, sizeof(law_real));
