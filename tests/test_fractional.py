@@ -50,23 +50,6 @@ def test_repr_is_python_that_makes_an_equal_function(
         assert eval(repr(function), {"s": s}) == function  # noqa: S307
 
 
-def test_arrays_give_arrays_of_functions() -> None:
-    made: Any
-    for made in (np.array([1.0, 2.0]) * s, s * np.array([1.0, 2.0])):
-        assert made.dtype == object
-        assert made.tolist() == [s, 2 * s]
-    two, four = np.array([2.0]), np.array([4.0])
-    several: list[tuple[Any, list[Any]]] = [
-        (np.eye(2) + s, [[s + 1, s], [s, s + 1]]),
-        (1 - np.array([s, 2 * s]), [1 - s, 1 - 2 * s]),
-        (two / s, [2 / s]),
-        (s - two, [s - 2]),
-        (s / four, [s / 4]),
-    ]
-    for array, wanted in several:
-        assert array.tolist() == wanted
-
-
 def test_normal_form_makes_equal_functions_equal() -> None:
     assert 2 * s / (4 * s**2 + 2 * s) == 0.5 / (s + 0.5)
     assert (0 * s + 0.1) + 0.2 - 0.3 != 0  # numbers are not rounded silently

@@ -184,7 +184,7 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2623,
+    "fracsys": 2617,
     "_arm": 1481,
     "_certify": 845,
     "_cli": 833,
@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 941,
     "_reading": 885,
     "_simulate": 1174,
-    "lab": 1914,
+    "lab": 1906,
     "logs": 705,
     "studio": 1056,
     "trials": 1281,

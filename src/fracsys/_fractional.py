@@ -75,8 +75,7 @@ class FractionalTransferFunction:
 
     __made_by__ = "fracsys.s, such as 100 / (s**1.92 + 100)"
 
-    # numpy must leave `array * G` to this class, so that both orders give an array of
-    # functions.
+    # numpy must not multiply an array by G entry by entry: an array is no operand.
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
@@ -440,20 +439,9 @@ def _applied(
     function: FractionalTransferFunction,
     other: object,
 ) -> FractionalTransferFunction:
-    """The operation with a function, a number, or each entry of an array; NotImplemented
-    for anything else.
-
-    The declared type is that of the usual operands; for an array the result is an
-    array.
-    """
-    right: Any = _operand(other)
-    if right is not NotImplemented:
-        return operation(function, right)
-    if isinstance(other, np.ndarray):
-        right = np.empty(other.shape, object)
-        for place, one in np.ndenumerate(other):
-            right[place] = _applied(operation, function, one)
-    return cast("FractionalTransferFunction", right)
+    """The operation with a function or a number; NotImplemented for anything else."""
+    right = _operand(other)
+    return right if right is NotImplemented else operation(function, right)
 
 
 def _operand(value: object) -> Any:

@@ -99,31 +99,40 @@ def tune(
         for name in FILES:
             output_path(out / name, force=force)
     out.mkdir(parents=True, exist_ok=True)
-    guard: Guard | None = None
-    session = _Session(connection, plan, out, moves, begin, clock, before)
+    line = partial(open_line, connection, plan.period, clock=clock)
     # Until the record is saved, not only while the arm moves: closing a terminal sends
     # a second signal, and a signal during a computation ends the tuning at the next
     # motion, or after the last one.
     with signals_held() as obeyed:
+        # Before there is a session there is no state to save: an error goes to the
+        # caller.
+        guard = Guard(line, plan.limits)
+        if clock is None:
+            # After the first sample, which states the period of the arm, and before
+            # anything moves: a machine that misses periods would lose the arm in
+            # mid-motion.
+            guard.release()
+            awake = measure_wake_ups(guard.period)
+            begin(f"  {awake}")
+            awake.check()
+        state = before or Tuning(
+            plan.limits, plan.payload, plan.range, guard.period, rig=plan.rig
+        )
+        # The limits may be changed on resuming: they belong to the present user of the
+        # arm.
+        state = replace(state, stopped="", folder=str(out), limits=plan.limits)
+        session = _Session(guard, plan, out, moves, begin, before, state)
         try:
-            guard = session.open()
-            session.go(guard)
-        # Every failure within a stage ends with a saved state. Before the guard exists
-        # there is none to save: the error goes to the caller.
+            session.go()
+        # Every failure within a stage ends with a saved state.
         except (FraclinkError, OSError, KeyboardInterrupt) as error:
-            if guard is None:
-                raise
             if isinstance(error, Stopped):
                 obeyed.set()
-            session.end(
-                guard,
-                (str(error) or "stopped by Ctrl-C; the drive is off")
-                + _lateness(guard),
-            )
+            reason = str(error) or "stopped by Ctrl-C; the drive is off"
+            session.end(reason + _lateness(guard))
         finally:
-            if guard is not None:
-                guard.release()
-                session.keep(guard)
+            guard.release()
+            session.keep()
     return session.state
 
 
@@ -148,94 +157,64 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
 class _Session:
     """The state of a running tuning. Internal, mutable."""
 
-    connection: Connection
+    guard: Guard
     plan: TuningPlan
     out: Path
     moves: bool
     begin: Callable[[str], None]
-    clock: Any
     before: Tuning | None
-    state: Tuning = field(init=False)
+    state: Tuning
     _began: float = field(default_factory=time.process_time)
 
-    def open(self) -> Guard:
-        connect = partial(
-            open_line, self.connection, self.plan.period, clock=self.clock
-        )
-        guard = Guard(connect, self.plan.limits)
-        plan = self.plan
-        if self.clock is None:
-            # After the first sample, which states the period of the arm, and before
-            # anything moves: a machine that misses periods would lose the arm in
-            # mid-motion.
-            guard.release()
-            awake = measure_wake_ups(guard.period)
-            self._tell(str(awake))
-            awake.check()
-        self.state = self.before or Tuning(
-            plan.limits,
-            plan.payload,
-            plan.range,
-            guard.period,
-            folder=str(self.out),
-            rig=plan.rig,
-        )
-        # The limits may be changed on resuming: they belong to the present user of the
-        # arm.
-        self.state = replace(
-            self.state, stopped="", folder=str(self.out), limits=plan.limits
-        )
-        return guard
-
-    def go(self, guard: Guard) -> None:
+    def go(self) -> None:
         """Run all stages that are not complete yet."""
         self.begin("wiring")
-        wiring = check_wiring(guard, self.plan.rig, self._tell)
+        wiring = check_wiring(self.guard, self.plan.rig, self._tell)
         if self.before is not None:
             self._same_arm(self.before, wiring)
         # From the first guess on, so that moves of the motor cannot exceed the speed
         # limit.
-        guard.learn(wiring.gain, wiring.delay)
+        self.guard.learn(wiring.gain, wiring.delay)
         self._tell(*wiring.evidence)
         if self.before is not None:
-            self._carry(guard)
+            self._carry()
             return
-        self._write(guard, wiring=wiring)
+        self._write(wiring=wiring)
         self.begin("motor")
-        motor = tune_motor(guard, wiring, self._tell)
+        motor = tune_motor(self.guard, wiring, self._tell)
         self._tell(str(motor))
-        self._write(guard, motor=motor)
-        guard.learn(motor.fit.gain, motor.fit.delay)
-        link, first, laws = self._link(guard, wiring)
+        self._write(motor=motor)
+        self.guard.learn(motor.fit.gain, motor.fit.delay)
+        link, first, laws = self._link(wiring)
         if first.passed and self.moves:
-            self._move(guard, link, itertools.chain((first,), laws))
+            self._move(link, itertools.chain((first,), laws))
 
-    def _carry(self, guard: Guard) -> None:
+    def _carry(self) -> None:
         """Try the existing law with the present payload of the arm."""
         design = load(self.out / LAW_FILES[0], Design)
         law = load(self.out / LAW_FILES[1], Law)
         assert self.state.motor is not None  # a law exists  # noqa: S101
-        guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
+        self.guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
         move, why = planned_move(design, law, self.plan.limits, self.state.motor)
         built = Built(design.rig, design, law, None, (), move=move)
-        if why := why or self._refusal(guard, built):
-            self._withhold(guard, why)
+        if why := why or self._refusal(built):
+            self._withhold(why)
             self._tell(*self.state.reasons)
 
-    def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
+    def _move(self, link: LinkResult, laws: Iterator[Built]) -> None:
         """First moves under the law; a law that fails on the arm is withdrawn, and the
         next one is tried.
         """
         for number, candidate in enumerate(laws):
             if number:
                 self.begin("the arm refused that law, which is withheld; the next one")
-                self._wrote(guard, candidate, link)
-            why = self._refusal(guard, candidate)
+                self._wrote(candidate, link)
+            why = self._refusal(candidate)
             if not why:
                 return
-            self._withhold(guard, why)
+            self._withhold(why)
 
-    def _refusal(self, guard: Guard, built: Built) -> str:
+    def _refusal(self, built: Built) -> str:
         """Make the first moves, and return the reason why the law fails on the arm, ""
         if it does not.
         """
@@ -244,7 +223,7 @@ class _Session:
         self.begin("first moves")
         try:
             moves = first_moves(
-                guard,
+                self.guard,
                 built.design,
                 built.law,
                 self.state.motor,
@@ -252,22 +231,22 @@ class _Session:
                 built.move,
             )
         except LimitReached as error:
-            self._withhold(guard, str(error))
+            self._withhold(str(error))
             raise
         except LawTripped as error:
             return str(error)
         finally:
-            guard.release()
+            self.guard.release()
         self._tell(*map(str, moves))
         # Moves with other payloads are kept, so that the verdict covers the whole range
         # that was tried.
         others = tuple(
             move for move in self.state.moves if move.payload != self.plan.payload
         )
-        self._write(guard, moves=others + moves)
+        self._write(moves=others + moves)
         return "; ".join(self.state.verdict.arm.reasons)
 
-    def _withhold(self, guard: Guard, why: str) -> None:
+    def _withhold(self, why: str) -> None:
         """Withdraw the law that failed on the arm: delete its files and its verdict."""
         for name in LAW_FILES:
             # Also delete the files, because `run-realtime` would take the design.json
@@ -275,35 +254,32 @@ class _Session:
             (self.out / name).unlink(missing_ok=True)
         assert self.state.link is not None  # it has a law  # noqa: S101
         fit, payload = self.state.link.fit, self.plan.payload
-        reasons = self._causes(guard) + self._unexplained(guard, self.state.link, 0.0)
+        reasons = self._causes() + self._unexplained(self.state.link, 0.0)
         # With the payload that it was measured with, an arm that has changed fails for
         # that reason, whatever else is visible; a move that was stopped at once shows too
         # little to tell.
         if fit.model.payload == payload:
             with suppress(FraclinkError):
-                moves = experiment_of(guard.record(guard.starts[-1]), payload)
+                moves = experiment_of(self.guard.record(self.guard.starts[-1]), payload)
                 reasons = changed_link(moves, fit) or reasons
         self._write(
-            guard,
             certified="",
             design_passed=False,
             reasons=(f"the arm's own moves fail: {why}", *reasons),
         )
 
-    def _link(
-        self, guard: Guard, wiring: Wiring
-    ) -> tuple[LinkResult, Built, Iterator[Built]]:
+    def _link(self, wiring: Wiring) -> tuple[LinkResult, Built, Iterator[Built]]:
         """The experiments on the link, and the law."""
         plan = self.plan
         self.begin("link")
         assert self.state.motor is not None  # measured  # noqa: S101
-        link = tune_link(guard, wiring, self.state.motor, plan.payload, self._tell)
+        link = tune_link(self.guard, wiring, self.state.motor, plan.payload, self._tell)
         motor = link.motor
         self._tell(
             *str(link.fit).splitlines(), f"motor, with the link's torque: {motor}"
         )
-        self._write(guard, link=link, motor=motor)
-        guard.learn(motor.fit.gain, motor.fit.delay)
+        self._write(link=link, motor=motor)
+        self.guard.learn(motor.fit.gain, motor.fit.delay)
         self.begin("design, proof and law")
         rig = measured_rig(
             wiring,
@@ -311,23 +287,23 @@ class _Session:
             plan.limits,
             plan.range,
             plan.payload,
-            guard.period,
-            centre=guard.origin,
-            rest_torque=guard.offset,
+            self.guard.period,
+            centre=self.guard.origin,
+            rest_torque=self.guard.offset,
             stated=plan.rig,
             name=self.out.name[:100] or "arm",
         )
         laws = built_laws(rig, link, plan.limits)
         first = next(laws)
-        self._wrote(guard, first, link)
+        self._wrote(first, link)
         return link, first, laws
 
-    def _causes(self, guard: Guard) -> tuple[str, ...]:
+    def _causes(self) -> tuple[str, ...]:
         """Causes found in the record that prevent a law."""
         state = self.state
         assert state.wiring is not None  # checked first  # noqa: S101
         return causes(
-            guard.record(),
+            self.guard.record(),
             state.wiring,
             state.motor,
             None if state.link is None else state.link.fit,
@@ -335,19 +311,17 @@ class _Session:
             any(move.hunts for move in state.moves),
         )
 
-    def _unexplained(
-        self, guard: Guard, link: LinkResult, least: float
-    ) -> tuple[str, ...]:
+    def _unexplained(self, link: LinkResult, least: float) -> tuple[str, ...]:
         assert self.state.wiring is not None  # checked first  # noqa: S101
         return unexplained(
-            link.residual, link.fit.model, guard.record(), self.state.wiring, least
+            link.residual, link.fit.model, self.guard.record(), self.state.wiring, least
         )
 
-    def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
+    def _wrote(self, built: Built, link: LinkResult) -> None:
         """Save the results based on the model, each part to its own file."""
-        hints = self._causes(guard)
+        hints = self._causes()
         move = built.move or (PLANNED * self.plan.limits.angle, 0.0)
-        rest = self._unexplained(guard, link, BAND * move[0])
+        rest = self._unexplained(link, BAND * move[0])
         # what is seen in the record explains what the model leaves
         if built.reasons or rest:
             built = replace(built, reasons=built.reasons + hints + rest)
@@ -364,7 +338,6 @@ class _Session:
                 (place / name).unlink(missing_ok=True)
         proof = built.certificate
         self._write(
-            guard,
             certified=proof.verdict if proof is not None and proof.passed else "",
             design_passed=built.design is not None and built.passed,
             reasons=built.reasons,
@@ -385,28 +358,28 @@ class _Session:
                     "tune anew"
                 )
 
-    def _write(self, guard: Guard, **parts: Any) -> None:
+    def _write(self, **parts: Any) -> None:
         self.state = replace(
             self.state,
             **parts,
-            arm_time=guard.count * guard.period,
+            arm_time=self.guard.count * self.guard.period,
             computing=time.process_time() - self._began,
         )
         save(self.state, self.out / FILES[0], force=True)
 
-    def end(self, guard: Guard, reason: str) -> None:
+    def end(self, reason: str) -> None:
         """Save the reason of the end, and the findings in the record."""
-        hints = () if self.state.wiring is None else self._causes(guard)
+        hints = () if self.state.wiring is None else self._causes()
         if self.state.link is not None:
             least = BAND * PLANNED * self.plan.limits.angle
-            hints += self._unexplained(guard, self.state.link, least)
+            hints += self._unexplained(self.state.link, least)
         self.state = replace(self.state, stopped="; ".join((reason, *hints)))
         self._tell(reason, *hints)
 
-    def keep(self, guard: Guard) -> None:
+    def keep(self) -> None:
         """Save the state and the whole record."""
-        self._write(guard)
-        record = guard.record()
+        self._write()
+        record = self.guard.record()
         # A single sample has no period and makes no log.
         if record.angle.size > 1:
             payload = self.plan.payload
