@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1473,
     "_export": 425,
     "_files": 558,
-    "_identify": 2543,
+    "_identify": 2536,
     "_law": 941,
     "_reading": 885,
     "_simulate": 1174,

@@ -118,7 +118,7 @@ def make_search(
             f">= {LEAST_SAMPLES}",
             "record a longer log",
         )
-    check_motion(motor_angle=window.angle, output=window.output)
+    check_motion(motor_angle=window.input, output=window.output)
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))

@@ -340,7 +340,7 @@ def find_second_mode(
     )
     if high - low < 0.5 or not np.any(residual):
         return None, None
-    rest = Window(window.angle, residual, window.period, window.hold)
+    rest = Window(window.input, residual, window.period, window.hold)
     kernel = search.kernel_of(rest)
 
     def row(log_frequency: float, ratio: float) -> Real:

@@ -122,7 +122,7 @@ class Search:
         """The offset if fixed, NaN if free."""
         return self.fixed.get("offset", math.nan)
 
-    @property
+    @cached_property
     def _range(self) -> tuple[float, float]:
         """Smallest and largest ln Ω, slightly beyond what the log can show, so that a
         resonance at the end is not at a limit.
@@ -182,7 +182,7 @@ class Search:
         """Undamped links as starts (K, 5): every valley of a scan over frequencies with
         each delay, the guess, and the vibrations after a cut.
         """
-        low, high = self._range
+        low, high = (math.log(x) for x in self.window.frequency_limits)
         # 2ζ: the width of a resonance at half its power.
         step = -2 * math.cos(math.pi / _SCAN_ORDER)
         grid = np.linspace(low, high, max(int((high - low) / step), 8))
@@ -201,7 +201,7 @@ class Search:
             # would never leave it.
             order = self.fixed.get("order", min(order, 1.95))
             starts.append(np.array([[order, place, 0.0, 1.0, delay]]))
-        if self.window.angle.size > self.window.samples:
+        if self.window.input.size > self.window.samples:
             starts += self._sharp()
         return starts
 
@@ -225,7 +225,7 @@ class Search:
         those that explain the log with any state of the link at the cut.
         """
         own = self.window
-        inside = replace(own, angle=own.angle[-own.samples :])
+        inside = replace(own, input=own.input[-own.samples :])
         low, high = own.frequency_limits
         # Within the log, two vibrations can be separated if they differ by half a turn.
         spacing = math.pi / (2 * own.samples * own.period)
@@ -285,7 +285,7 @@ class Search:
         """
         # Two vibrations can be separated if they differ by half a turn over all the
         # motion of the link.
-        turn = math.pi / (2 * self.window.angle.size * self.window.period)
+        turn = math.pi / (2 * self.window.input.size * self.window.period)
         lowest, *others = sorted(ends, key=lambda each: each.cost)
         distinct = [lowest]
         for end in others:

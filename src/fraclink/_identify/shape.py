@@ -225,14 +225,14 @@ def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:
 class Window:
     """A stretch of a log from its start, in the kernel's terms.
 
-    Of `angle` (H + N,) the last N samples are those of `output` (N,). The H samples
+    Of `input` (H + N,) the last N samples are those of `output` (N,). The H samples
     before them move the link, but are not compared: without them a log cut in
     mid-motion begins with a vibration that no link at rest has, and the fit takes it
     for delay and damping (8 ms on the bundled log, see
     ``benchmarks/bench_identify.py``).
     """
 
-    angle: Real
+    input: Real
     output: Real
     period: float
     hold: Literal["zero", "first"]
@@ -248,19 +248,19 @@ class Window:
         the motion known before it, and six samples per period.
         """
         # Motion from before a cut continues after it, and shows slower resonances.
-        return 3 * math.pi / (self.angle.size * self.period), math.pi / (
+        return 3 * math.pi / (self.input.size * self.period), math.pi / (
             3 * self.period
         )
 
     @property
     def is_rough(self) -> bool:
-        """Whether noise (such as an encoder's steps) shows in the angle's increments.
+        """Whether noise (such as an encoder's steps) shows in the input's increments.
 
         Sample noise makes neighbouring increments opposed, so that their correlation is
         lower than that of the second neighbours; the correlation of a motion falls with
         every sample.
         """
-        steps = np.diff(self.angle)
+        steps = np.diff(self.input)
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
 
     def widths(self, highest: Real) -> NDArray[np.int_]:
@@ -275,10 +275,10 @@ class Window:
     @cached_property
     def halved(self) -> Window:
         """Averages of pairs of samples: that of the output is the response to that of the
-        angle, since the link is linear, and is linear between samples.
+        input, since the link is linear, and is linear between samples.
         """
-        earlier, count = self.angle.size - self.samples, self.samples // 2 * 2
-        angle = self.angle[earlier % 2 : earlier + count]
+        earlier, count = self.input.size - self.samples, self.samples // 2 * 2
+        angle = self.input[earlier % 2 : earlier + count]
         angle, output = (
             0.5 * (signal[::2] + signal[1::2])
             for signal in (angle, self.output[:count])
@@ -286,12 +286,12 @@ class Window:
         return Window(angle, output, 2 * self.period, "first")
 
     def increments(self) -> Real:
-        """Jump at each sample of `angle` (held input) or slope after it; the link rests
+        """Jump at each sample of `input` (held input) or slope after it; the link rests
         before the first.
         """
         if self.hold == "zero":
-            return np.ediff1d(self.angle, to_begin=0.0)
-        return np.ediff1d(self.angle, to_end=0.0) / self.period
+            return np.ediff1d(self.input, to_begin=0.0)
+        return np.ediff1d(self.input, to_end=0.0) / self.period
 
     def kernel(self, resonance: float, *, longest_delay: float) -> FitProblem:
         """The kernel with a grid of rates for resonances from `resonance` [rad/s]

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from fraclink._arm.recording import Recording
 from fraclink._identify.expression import Expression
-from fraclink._identify.shape import Hold, chosen_hold
+from fraclink._identify.shape import Hold, Window, chosen_hold
 from fraclink._identify.welch import EXCITED
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
@@ -91,44 +91,33 @@ _BLOCKS = 500
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
-    """The first samples of a recording, and the response of a candidate to them.
-
-    `earlier` (H,) is the input just before them, for a log that was cut: it moves the
-    output, but is not compared with it.
-    """
-
-    input: Real
-    measured: Real
-    period: float
-    hold: Literal["zero", "first"]
-    earlier: Real = field(default_factory=lambda: np.zeros(0))
+class Signals(Window):
+    """The first samples of a recording, and the response of a candidate to them."""
 
     @classmethod
-    def of(cls, record: Recording, hold: Hold, count: int, earlier: Real) -> Signals:
+    def of(cls, record: Recording, hold: Hold, count: int, whole: Real) -> Signals:
         """The first `count` samples; the input is relative to rest, at the beginning of
-        `earlier`.
+        the `whole` of it, which may begin before the recording.
         """
+        earlier = whole.size - record.input.size
         # Not from the beginning of a longer history: the input would jump from there to
         # here, which no motor did. From here on the output differs at most by a
         # constant, and `offset` refers to a rest here.
-        rest = float(earlier[0]) if earlier.size else record.input_at_rest
-        whole = np.concatenate([earlier, record.input])
+        rest = float(whole[0]) if earlier else record.input_at_rest
         # A constant input is a step at the first sample, which the next samples do not
         # distinguish from a straight line.
         steps = hold == "auto" and np.ptp(whole) == 0
         return cls(
-            record.input[:count] - rest,
+            whole[: earlier + count] - rest,
             record.output[:count],
             record.period,
             "zero" if steps else chosen_hold(whole, hold),
-            earlier - rest,
         )
 
-    @cached_property
-    def whole_input(self) -> Real:
-        """The input from before the cut on, shape (H + N,)."""
-        return np.concatenate([self.earlier, self.input])
+    @property
+    def measured(self) -> Real:
+        """See `Lines`."""
+        return self.output
 
     @cached_property
     def constant(self) -> Real:
@@ -153,12 +142,12 @@ class Signals:
             try:
                 function = structure.function(dict(zip(names, row, strict=True)))
                 exact = time_response(
-                    function, self.whole_input, self.period, hold=self.hold
+                    function, self.input, self.period, hold=self.hold
                 ).output
             # Improper, a negative delay, or a response beyond the range of doubles.
             except (FieldError, NotConvergedError):
-                exact = np.full(self.whole_input.size, np.nan)
-            rows.append(exact[self.earlier.size :])
+                exact = np.full(self.input.size, np.nan)
+            rows.append(exact[-self.samples :])
         return np.array(rows)
 
     @property
@@ -166,7 +155,7 @@ class Signals:
         """Lowest and highest frequency [rad/s] at which the input has power."""
         # Of the differences: a step excites all frequencies equally, but would appear
         # to excite only the lowest.
-        signal = self.whole_input
+        signal = self.input
         power = np.abs(np.fft.rfft(np.diff(signal, prepend=0.0)))[1:] ** 2
         frequency = (
             math.tau * np.arange(1, power.size + 1) / (signal.size * self.period)
@@ -207,7 +196,7 @@ class Blocks:
         """Points s, the transform of the held input there, referred to the middle of
         the first block, and the size of the inverse transform.
         """
-        own, signal = self.data, self.data.whole_input
+        own, signal = self.data, self.data.input
         span, period = signal.size, own.period
         # Twice the samples, so that the response beyond the end does not wrap around to
         # the beginning.
@@ -225,7 +214,7 @@ class Blocks:
     @property
     def _middle(self) -> float:
         """The middle of the first block, in samples, to which its mean belongs."""
-        return self.data.earlier.size + 0.5 * (self.width - 1)
+        return self.data.input.size - self.data.samples + 0.5 * (self.width - 1)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """See `Lines`."""
@@ -234,7 +223,7 @@ class Blocks:
             output = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
         # Undo the damping that made the transform converge.
         times = self._middle + self.width * np.arange(self.measured.size)
-        growth = np.exp(_BACK / self.data.whole_input.size * times)
+        growth = np.exp(_BACK / self.data.input.size * times)
         return output[:, : self.measured.size] * (growth / math.sqrt(self.width))
 
 

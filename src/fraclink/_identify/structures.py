@@ -126,21 +126,19 @@ def identify_structure(
         whole, fitted = samples, data.frequency.size
     else:
         if isinstance(data, Recording):
-            record, earlier = data, np.zeros(0)
+            record, moved = data, data.input
         else:
-            record = Recording.of(data)
-            earlier = moving_angle(data)[: -record.input.size]
+            record, moved = Recording.of(data), moving_angle(data)
         # A single step: its end cannot be predicted from its beginning.
         share = 0.0 if heldout is None and np.ptp(record.input) == 0 else heldout
         fitted = fitted_samples(record.input, record.output, share)
         samples, whole = (
-            Signals.of(record, hold, count, earlier)
+            Signals.of(record, hold, count, moved)
             for count in (fitted, record.input.size)
         )
         longest = _LONGEST_DELAY * record.period * fitted
         # From rest on: a step at the first sample excites everything.
-        moved = np.append(0.0, samples.whole_input)
-        check_motion(input=moved, output=samples.measured)
+        check_motion(input=np.append(0.0, samples.input), output=samples.measured)
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)
     places = [
