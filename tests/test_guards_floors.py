@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1481,
     "_certify": 845,
     "_cli": 833,
-    "_design": 1473,
+    "_design": 1486,
     "_export": 425,
     "_files": 558,
     "_identify": 2536,
@@ -197,7 +197,7 @@ CEILINGS = {
     "_simulate": 1174,
     "lab": 1906,
     "logs": 705,
-    "studio": 1056,
+    "studio": 1061,
     "trials": 1281,
     "view": 1350,
 }

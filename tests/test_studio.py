@@ -98,7 +98,7 @@ def answered(session: Session, verb: str, **given) -> tuple[dict, dict]:
 
 @pytest.mark.slow
 def test_a_preview_has_the_figures_of_design(subject):
-    head, curves = unpacked(preview(subject, ASKED).packed(3, "preview"))
+    head, curves = unpacked(preview(subject, ASKED)[0].packed(3, "preview"))
     made = fl.design(
         subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50)
     )
@@ -143,7 +143,7 @@ SANE = st.fixed_dictionaries(
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(state=st.one_of(WILD, SANE, VALUES))
 def test_every_state_is_answered_in_numbers_or_refused_in_words(subject, state):
-    head, _ = unpacked(preview(subject, state).packed(0, "preview"))
+    head, _ = unpacked(preview(subject, state)[0].packed(0, "preview"))
     assert head["ok"] or len(head["error"]) > 10
 
 
@@ -169,7 +169,7 @@ def test_the_command_line_refuses_the_same_in_the_same_words(
     asked = {option: state} | (
         {"gain_crossover": 40.0} if len(words) == 4 and option != "payloads" else {}
     )
-    head, _ = unpacked(preview(subject, asked).packed(0, "preview"))
+    head, _ = unpacked(preview(subject, asked)[0].packed(0, "preview"))
     out = str(tmp_path / "design.json")
     assert main(["design", "--rig", "paper-2023", *words, "--out", out]) in (1, 2)
     printed = " ".join(capsys.readouterr().err.split())
@@ -188,12 +188,12 @@ def test_the_options_are_keywords_of_design():
 
 @pytest.mark.slow
 def test_a_refusal_names_the_nearest_that_is_feasible(subject, tmp_path):
-    refused = preview(subject, {**ASKED, "gain_crossover": 30.0})
+    refused, _ = preview(subject, {**ASKED, "gain_crossover": 30.0})
     assert refused.head["condition"] == "gain crossover"
     state = {**ASKED, "gain_crossover": 30.0}
     head, _ = answered(opened(None, out=tmp_path), "exact", state=state)
     found = state | head["nearest"]
-    assert preview(subject, found).head["ok"]
+    assert preview(subject, found)[0].head["ok"]
     assert 10 < found["gain_crossover"] < 30
 
 
@@ -201,7 +201,7 @@ def test_a_refusal_names_the_nearest_that_is_feasible(subject, tmp_path):
 def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject):
     found = map_of(subject, ASKED)
     assert np.any(found["noise"] > 0)
-    head, curves = unpacked(preview(subject, ASKED, fan=True).packed(0, "preview"))
+    head, curves = unpacked(preview(subject, ASKED, fan=True)[0].packed(0, "preview"))
     assert (
         head["ok"]
         and len(curves["fan_gain"]) > 8
@@ -407,8 +407,8 @@ def test_a_defect_of_an_answer_ends_nothing(client, studio, monkeypatch, capsys)
     """Neither the page nor the task for the next request of the same kind is ended."""
     broken = iter(
         (
-            Reply({"ok": True}, {"gain": np.array([np.nan])}),
-            Reply({"ok": True, "x": math.inf}),
+            (Reply({"ok": True}, {"gain": np.array([np.nan])}), None),
+            (Reply({"ok": True, "x": math.inf}), None),
         )
     )
     own = conversation.preview

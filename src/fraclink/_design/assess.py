@@ -17,10 +17,11 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
+from fraclink._design.outer import Outer
 from fraclink._design.procedure import link_of, request_of
 from fraclink._design.rows import specification
 from fraclink._design.search import solved
-from fraclink._design.table import Outer, Table, Trial, tabulated
+from fraclink._design.table import Table, Trial, tabulated
 from fraclink._display import displayed
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
@@ -177,16 +178,7 @@ class Links:
         """Return the smallest phase margin [rad] of each, π without a crossing, negative
         where the loop is unstable.
         """
-        c, notch = controller, controller.notch
-        lag = max(c.filter_time, np.finfo(float).tiny)
-        level = math.log(c.derivative_gain) - 0.5 * c.filter_order * math.log1p(lag**2)
-        x = [level, c.derivative_order, math.log(lag)]
-        if notch is not None:
-            x += map(
-                math.log, (notch.frequency, notch.poles, notch.zeros / notch.poles)
-            )
-        outer = Outer(np.array(x), 1.0, c.filter_order)
-        figure = Trial(self._table, outer, ()).margin
+        figure = Trial(self._table, Outer.of(controller, 1.0), ()).margin
         margins = np.full(self.payloads.size, math.pi)
         np.minimum.at(margins, figure.link, figure.value)
         return margins

@@ -16,13 +16,14 @@ from scipy.optimize import minimize
 
 from fraclink._arm.box import Arm
 from fraclink._arm.controller import Controller
+from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.table import Figure, Outer, Table, Trial
+from fraclink._design.table import Figure, Table, Trial
 from fraclink._law.requirement import Requirement
 from fracsys.checks import Mask, Real
 
-__all__ = ["Search", "Solution", "solved"]
+__all__ = ["Search", "Solution", "beside", "solved"]
 
 
 # Where searches start within the span of β: at its quarters, from a steep Ĉ with a long
@@ -40,7 +41,7 @@ _REACH = 1.0
 
 
 class _Stalled(Exception):
-    """A descent that gains nothing any more."""
+    """A descent that gains nothing any more, or enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,10 @@ class Bounded:
         """The largest cost."""
         return float(np.max(self.cost))
 
+    def within(self, limit: float) -> bool:
+        """Whether nothing is missed, and no cost is above a limit."""
+        return not self.missed and self.largest <= limit
+
     def better(self, other: Bounded) -> bool:
         """Whether less is missed than elsewhere, or the cost is smaller."""
         if other.missed - self.missed > (_KEPT if self.missed else 0.0):
@@ -72,10 +77,15 @@ class Bounded:
 
 
 def lowest(
-    bounded_at: Callable[[Real], Bounded], start: Real, low: Real, high: Real
+    bounded_at: Callable[[Real], Bounded],
+    start: Real,
+    low: Real,
+    high: Real,
+    *,
+    enough: float = -math.inf,
 ) -> tuple[Real, Bounded]:
     """Return the best parameters that sequential quadratic programming tries, and what
-    is bounded there.
+    is bounded there; the first with no cost above `enough` and nothing missed.
 
     A descent is given up after twice as many points as it has unknowns without a gain:
     at a kink, its line search makes no headway. Another one begins where it gained. All
@@ -92,7 +102,7 @@ def lowest(
             idle, left = idle + 1, left - 1
             if last[1].better(best[1]):
                 best, idle = last, 0
-            if idle >= 2 * z.size or not left:
+            if idle >= 2 * z.size or not left or best[1].within(enough):
                 raise _Stalled
         return last[1]
 
@@ -109,7 +119,7 @@ def lowest(
 
     direction = np.append(np.zeros(start.size), 1.0)
     gains = True
-    while gains and left:
+    while gains and left and not best[1].within(enough):
         (x, bounded), idle, ended = best, 0, False
         near = np.maximum(low, x - _REACH), np.minimum(high, x + _REACH)
         with np.errstate(all="ignore"), suppress(_Stalled):
@@ -283,7 +293,7 @@ class Search:
 
     def descended(self, start: Real) -> Solution:
         """Return where the rows are eased least, and the noise is least if none is."""
-        x, end = lowest(self.easing, start, *self.bounds)
+        x, end = lowest(self.easing, start, *self.bounds, enough=0.0)
         if end.missed > 0.0 or end.largest > _KEPT:
             return Solution(self, x, end.missed, end.largest)
         return Solution(self, lowest(self.noise, x, *self.bounds)[0], 0.0, 0.0)
@@ -450,10 +460,20 @@ class Solution:
         return search.over_links(self.x)
 
 
+def beside(request: Request, controller: Controller) -> Solution:
+    """Return the solution of a request that a search has, if it begins from a
+    controller.
+    """
+    notch = None if controller.notch is None else request.notches[-1]
+    search = Search(request, request.first_links, controller.filter_order, notch)
+    x = Outer.of(controller, request.reference).x[: search.bounds[0].size]
+    return Solution(search, x.clip(*search.bounds), 0.0, 0.0)
+
+
 def solved(request: Request, near: Solution | None = None) -> Solution:
     """Return the controller of a request, or the one nearest to it: from a solution that
-    keeps it, if one is known; or else with every n without a notch, then with one, from
-    each start until one keeps every row, or two ease them equally.
+    keeps it, or nearly, if one is known; or else with every n without a notch, then with
+    one, from each start until one keeps every row, or two ease them equally.
     """
     if near is not None:
         solution = replace(near.search, request=request).over_links(near.x)

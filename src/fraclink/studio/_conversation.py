@@ -14,6 +14,7 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from fraclink._arm.controller import Controller
 from fraclink.errors import FieldError, FraclinkError, required
 from fraclink.studio._logs import LOG_VERBS
 from fraclink.studio._messages import Message, Reply, checked_request, parsed, refusal
@@ -67,7 +68,7 @@ _VERBS: dict[str, Verb] = {
     "hello": _hello,
     "note": _note,
     "go": _go,
-    "look": lambda session, given: preview(_subject(session), given.get("state")),
+    "look": lambda session, given: preview(_subject(session), given.get("state"))[0],
     "keep": lambda session, given: session.keep(force=given.get("force") is True),
     **LOG_VERBS,
     **OUTPUT_VERBS,
@@ -94,6 +95,8 @@ class Conversation:
         self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
         self._sending = asyncio.Lock()
         self._job: Job | None = None
+        # where the last preview ended
+        self._near: Controller | None = None
 
     async def run(self) -> None:
         """Answer until the page disconnects; its unfinished work is stopped."""
@@ -170,8 +173,10 @@ class Conversation:
             )
 
     def _preview(self, message: Message) -> Reply:
-        fan = message.given.get("fan") is True
-        return preview(_subject(self.session), message.given.get("state"), fan=fan)
+        fan, state = message.given.get("fan") is True, message.given.get("state")
+        subject = _subject(self.session)
+        answer, self._near = preview(subject, state, fan=fan, near=self._near)
+        return answer
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:

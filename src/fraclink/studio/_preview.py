@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from fraclink._arm.box import ParameterBox, arms_of
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
@@ -96,9 +97,15 @@ class Subject:
         }
 
 
-def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
+def preview(
+    subject: Subject,
+    state: object,
+    *,
+    fan: bool = False,
+    near: Controller | None = None,
+) -> tuple[Reply, Controller | None]:
     """Return design, loop and margins of `state`, or the refusal that `fraclink design`
-    would print.
+    would print; and the controller from which the next preview of a drag goes on.
 
     A pure function of its arguments: no file is read or written, nothing is stored. The
     law of the answer, if there is one, is `refitted`, and its figures are a preview of
@@ -109,12 +116,15 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
         # The law, and the nearest feasible request, are searched for when the handle is
         # released.
         options = wanted_of(request) | {"law": False, "nearest": False}
-        design, assumptions = design_for(subject.rig, subject.model, **options)
+        design, assumptions = design_for(
+            subject.rig, subject.model, near=near, **options
+        )
         reply = _shown(subject, design, assumptions)
         curves = fan_of(design, subject.frequencies) if fan else {}
-        return Reply({**reply.head, "of": subject.key}, {**reply.curves, **curves})
+        head = {**reply.head, "of": subject.key}
+        return Reply(head, {**reply.curves, **curves}), design.controller
     except FraclinkError as error:
-        return refusal(error)
+        return refusal(error), near
 
 
 def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
@@ -205,7 +215,7 @@ def map_of(
     """Return the feasible pairs of crossover and margin: the noise gain of each cell,
     −1 if infeasible.
 
-    It takes seconds: `going` is called before each crossover, and may wait or raise.
+    It takes seconds: `going` is called before each cell, and may wait or raise.
     """
     request = checked_request(state)
     # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the corresponding frequency [rad/s].
@@ -225,20 +235,21 @@ def map_of(
     noise = np.full((margins.size, crossovers.size), -1.0)
     feasible = margins.size
     for column, crossover in enumerate(crossovers):
-        going()
-        result = feasibility_map(
-            subject.model,
-            subject.rig,
-            gain_crossovers=[crossover],
-            phase_margins=np.radians(margins[:feasible]),
-            filter_order=request["filter_order"] or 1,
-            **options,
-        )
-        # what is infeasible remains so for every faster loop
-        feasible = int(np.count_nonzero(result.feasible))
-        if not feasible:
-            break
-        noise[:feasible, column] = result.noise_gain[:feasible, 0]
+        for row, margin in enumerate(margins[:feasible]):
+            going()
+            cell = feasibility_map(
+                subject.model,
+                subject.rig,
+                gain_crossovers=[crossover],
+                phase_margins=[math.radians(margin)],
+                filter_order=request["filter_order"] or 1,
+                **options,
+            )
+            if not cell.feasible.all():
+                # what is infeasible remains so for every faster loop
+                feasible = row
+                break
+            noise[row, column] = cell.noise_gain[0, 0]
     return {"crossovers": crossovers, "margins": margins, "noise": noise}
 
 
