@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -147,12 +147,3 @@ class Controller:
     def transfer(self) -> FractionalTransferFunction:
         """Return ``C(s) = 1 + Ĉ(s)`` as a fractional transfer function (eq. (57))."""
         return 1.0 + self.correction()
-
-    def without_filter(self) -> Controller:
-        """Return the same controller with δ = 0 (eq. (56)).
-
-        >>> from fraclink._arm.controller import Controller
-        >>> Controller(derivative_gain=1.0, derivative_order=0.5, filter_time=0.1).without_filter().filter_time
-        0.0
-        """
-        return replace(self, filter_time=0.0)

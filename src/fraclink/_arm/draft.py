@@ -216,11 +216,10 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
 def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     if model.payload is None:  # ω₀ is then taken from the rig
         return
-    moving = model.payload + rig.link.tip_mass
-    own = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
+    own = rig.natural_frequency(model.payload + rig.link.tip_mass)
     # Eq. (5) gives ω₀ in s^(−λ/2), while a vibration has |p| in rad/s: either may be
     # meant.
-    frequencies = (model.natural_frequency, abs(model.pole))
+    frequencies = (model.natural_frequency, model.resonance)
     ratios = [
         max(value / own, own / value) if value > 0 else math.inf
         for value in frequencies

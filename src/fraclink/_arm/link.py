@@ -335,6 +335,25 @@ class LinkModel:
         )
 
     @property
+    def resonance(self) -> float:
+        """|p| of the vibration pole [rad/s]."""
+        return abs(self.pole)
+
+    @property
+    def vibration_period(self) -> float:
+        """Period of the vibration [s]; the decay time of a link that decays faster than
+        it turns.
+        """
+        return math.tau / max(self.pole.imag, -self.pole.real)
+
+    @property
+    def gauge_lag(self) -> float:
+        """The delay of the gauge itself [s]: 0 where the model has a leading gauge, which
+        no arm has; there the motor angle is late.
+        """
+        return max(self.gauge_delay, 0.0)
+
+    @property
     def loss(self) -> float:
         """η = μ/ω₀² [s^α]: what the link's material is, at every payload.
 
@@ -356,12 +375,12 @@ class LinkModel:
         """ζ = −Re(p)/|p| of the vibration pole [1]; for UD-FOM −cos(π/λ), the same for
         every payload.
         """
-        return 0.0 if self.structure == "UD-IOM" else -self.pole.real / abs(self.pole)
+        return 0.0 if self.structure == "UD-IOM" else -self.pole.real / self.resonance
 
     @property
     def oscillates(self) -> bool:
         """Whether the pole is one of a vibration: not real but for rounding."""
-        return abs(self.pole.imag) > 1e-9 * abs(self.pole)
+        return abs(self.pole.imag) > 1e-9 * self.resonance
 
     @property
     def sentence(self) -> str:

@@ -58,7 +58,7 @@ def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
     period = float(c["period"])
     # Doubled for payloads beyond the nominal one; within it neither gauge nor trip may
     # limit the move.
-    push = 2 * s.stiffness * abs(complex(link.lead(abs(link.pole)))) * s.acceleration
+    push = 2 * s.stiffness * abs(complex(link.lead(link.resonance))) * s.acceleration
     limits = derive_limits(
         link,
         period,
@@ -108,7 +108,7 @@ def _followed(s: Statement) -> Following:
 def _parts(s: Statement, link: LinkModel) -> Iterator[tuple[str, float, float, float]]:
     """(field, value, least, largest) of the filters and compensations outside the loop."""
     c = s.coefficients
-    period, resonance = float(c["period"]), abs(link.pole)
+    period, resonance = float(c["period"]), link.resonance
     poles, gains = c["forward"][::2], c["forward"][1::2]
     yield "forward.pole", max(map(abs, poles)), 0.0, 1 - 1e-9
     for frequency in (0.5 * resonance, resonance):

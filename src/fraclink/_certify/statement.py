@@ -512,7 +512,7 @@ def _moves(model: LinkModel, rig: Rig) -> dict[str, float]:
     margin for payloads and vibration. The torque stays within the limits of the gauge
     and of the user.
     """
-    moves, bend = rig.moves, float(abs(model.lead(abs(model.pole))))
+    moves, bend = rig.moves, float(abs(model.lead(model.resonance)))
     torque = min(0.87 * rig.gauge.limit, moves.torque)
     most = torque / (2 * model.stiffness * bend)
     return {

@@ -316,7 +316,9 @@ class Design(Saved):
     @property
     def ideal_loop(self) -> Loop:
         """Ĉ·G alone, without the filter: the paper's L."""
-        return Loop.ideal(self.model).with_controller(self.controller.without_filter())
+        return Loop.ideal(self.model).with_controller(
+            replace(self.controller, filter_time=0.0)
+        )
 
     def natural_frequency(self, payload: float) -> float:
         """ω₀ of `payload` [kg] as the design used it (eq. (5)) [s^(-λ/2)]."""

@@ -133,7 +133,7 @@ def discretize_controller(
     settings = controller.motor_loop or MotorLoop()
     modes = modes_from("link.order", forward, FORWARD_MODES, 0)
     loop = following(
-        abs(model.pole), period, settings.pole, settings.delay_samples, None, None
+        model.resonance, period, settings.pole, settings.delay_samples, None, None
     )
     law = Law(
         period=period,
@@ -251,7 +251,7 @@ def equip(
     pid = settings.pid(rig.motor, rig.period)
     closed = discrete_motor_loop(rig, pid, link)
     loop = following(
-        abs(link.pole),
+        link.resonance,
         law.period,
         settings.pole,
         settings.delay_samples,
@@ -303,8 +303,8 @@ def discrete_motor_loop(
     left of the torque, ``|1 − e^(−jφ)|``, exceeds it at the resonance (φ > 60°).
     """
     motor = rig.motor
-    late = max(link.gauge_delay, 0.0) + 1.5 * rig.period
-    helps = link.gauge_gain > 0 and abs(link.pole) * late < math.pi / 3
+    late = link.gauge_lag + 1.5 * rig.period
+    helps = link.gauge_gain > 0 and link.resonance * late < math.pi / 3
     return DiscreteMotorLoop(
         pid=pid,
         voltage_limit=min(
@@ -485,7 +485,7 @@ def _crossover(controller: Controller, link: LinkModel) -> float:
     """Highest frequency at which |Ĉ G| falls through 1 [rad/s]; the link's resonance if
     it never does.
     """
-    resonance = abs(link.pole)
+    resonance = link.resonance
     w = resonance * np.geomspace(0.2, 30.0, 500)
     # On a grid of 1 %: the crossover is the centre of a band of a factor of 2.5 either
     # way, so a few per cent do not affect the fit.

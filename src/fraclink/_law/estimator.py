@@ -300,13 +300,13 @@ def payload_estimator(
     ]
     # The lightest payload vibrates fastest; its vibration limits how many periods may
     # be combined into one sample.
-    corner = abs(links[0].pole)
+    corner = links[0].resonance
     together = max(1, int(math.tau / (corner * PER_VIBRATION * law.period)))
     sample = together * law.period
     # Over less than one vibration a swing cannot be told from an offset, and damping by
     # another law than the model's shifts the estimate: evidence fades over two vibrations
     # of the heaviest payload, one for each of two moves.
-    keep = math.exp(-sample * abs(links[-1].pole) / (4 * math.pi))
+    keep = math.exp(-sample * links[-1].resonance / (4 * math.pi))
     # The best model is half a step of the bank from the payload at most, and its torque
     # errs by no more.
     contact = (0.5 * math.log(masses[1] / masses[0])) ** 2
@@ -401,7 +401,7 @@ def _model(
     torque = (
         (link.torque()(1j * w) + link.stiffness * inertia.sum(axis=1))
         * link.gauge_gain
-        * np.exp(-1j * w * max(link.gauge_delay, 0.0))
+        * np.exp(-1j * w * link.gauge_lag)
     )
     back, high = (
         np.exp(-1j * w * sample),

@@ -110,7 +110,7 @@ def derive_limits(
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
     as it was placed, its delay included. Reasons stand beside each number in the source.
     """
-    resonance = abs(link.pole)
+    resonance = link.resonance
     flexible = float(abs(link.lead(resonance))) * moves.acceleration
     # Doubled: no limit may trip on a payload beyond the nominal one.
     torque = 2 * link.stiffness * flexible
@@ -179,7 +179,7 @@ def derive_limits(
         ),
         stuck_torque=_stuck_torque(link, period, torque_limit, gauge_quantum),
         # a sound gauge reads the same for its delay
-        stuck_limit=STILL + math.ceil(max(link.gauge_delay, 0.0) / period),
+        stuck_limit=STILL + math.ceil(link.gauge_lag / period),
         # eight standard deviations of the tip's reading are not yet vibration
         swing_angle=max(
             SWING if moves.vibration is None else moves.vibration,
@@ -206,5 +206,5 @@ def _stuck_torque(
     after the model passed 8q/(9n²ω²T²). Noise only changes the reading.
     """
     step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
-    slow = 8 / (9 * (STILL * abs(link.pole) * period) ** 2)
+    slow = 8 / (9 * (STILL * link.resonance * period) ** 2)
     return float(max(8.0, slow) * step)

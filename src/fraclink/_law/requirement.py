@@ -197,7 +197,7 @@ def _tabled(
     sampled loop, from a table.
     """
     nyquist = math.pi / plant.period
-    mode = min(abs(model.pole), 0.3 * nyquist)
+    mode = min(model.resonance, 0.3 * nyquist)
     near = np.geomspace(1e-4, 0.2, 16)
     parts = [
         np.geomspace(0.05 * mode, nyquist, 160),

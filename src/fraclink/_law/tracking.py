@@ -134,9 +134,7 @@ def tracking_for(
     return Tracking(
         nominal=nominal * _share(link, feedforward, period),
         link=own,
-        gauge_delay=max(
-            link.gauge_delay, 0.0
-        ),  # a leading gauge is in fact a delayed motor angle
+        gauge_delay=link.gauge_lag,
         gauge_gain=link.gauge_gain,
     )
 
@@ -166,7 +164,7 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
     A fit that is 1.7 % low there, as that of the paper's link, is right for a payload
     lighter by as much.
     """
-    resonance = abs(link.pole)
+    resonance = link.resonance
     z = np.exp(1j * resonance * period)
     response = feedforward.direct + sum(
         gain / (z - pole)
@@ -238,7 +236,7 @@ def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
     return fit_discrete(
         link.lead,
         period=period,
-        band=(min(FLEXIBLE * abs(link.pole), 0.1 * high), high),
+        band=(min(FLEXIBLE * link.resonance, 0.1 * high), high),
         tolerance_db=0.3,
         tolerance_deg=1.5,
         highest=FORWARD_MODES,

@@ -72,7 +72,7 @@ def damping_of(model: LinkModel) -> Damping:
     if model.order < 2.0:
         # Newton's s² in place of s^λ multiplies μ s^α by s^(2−λ).
         power = model.damping_order + 2.0 - model.order
-        loss = math.sin(0.5 * math.pi * power) * abs(model.pole) ** (power - 1.0)
+        loss = math.sin(0.5 * math.pi * power) * model.resonance ** (power - 1.0)
         return PowerLaw(model.order, dashpot=model.loss * loss)
     if model.damping == 0.0 or model.damping_order == 1.0:
         return KelvinVoigt(model.loss)
@@ -180,7 +180,7 @@ class Twin:
         # the rig's stiffness.
         late, gain = (
             (
-                max(link.gauge_delay, 0.0),
+                link.gauge_lag,
                 link.gauge_gain * link.stiffness / rig.link.stiffness,
             )
             if link

@@ -173,8 +173,7 @@ class ArmSet:
     @property
     def vibration(self) -> float:
         """Longest vibration period of the model [s], that with the heaviest payload."""
-        pole = self.model.at_payload(self.payloads[-1]).pole
-        return math.tau / max(pole.imag, -pole.real)
+        return self.model.at_payload(self.payloads[-1]).vibration_period
 
     @property
     def linear(self) -> ArmSet:

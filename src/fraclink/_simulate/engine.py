@@ -120,9 +120,8 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> dict[str, float]:
         "noise": gauge.noise,
         "limit": gauge.limit,
         "quantum": gauge.quantum,
-        # In periods, as the kernel counts; a leading gauge means a delayed motor angle,
-        # as in `simulate`.
-        "gauge_delay": max(model.gauge_delay, 0.0) / law.period,
+        # In periods, as the kernel counts.
+        "gauge_delay": model.gauge_lag / law.period,
         "gauge_gain": model.gauge_gain,
         "payload": 0.0,
         "start": 0.0,

@@ -212,9 +212,7 @@ def simulate(
         "rig": own.name,
         "law_sha256": law.digest,
         "motor_loop": kind,
-        "gauge_delay": max(
-            link.gauge_delay, 0.0
-        ),  # a leading gauge means a delayed motor angle, as for the twin
+        "gauge_delay": link.gauge_lag,
         "gauge_gain": link.gauge_gain,
         "gauge_offset": own.gauge.offset,
         "gauge_noise": own.gauge.noise,
@@ -345,8 +343,7 @@ def model_run(
         payload=math.nan if link.payload is None else link.payload,
         period=law.period,
         ended=ended,
-        # A link that decays faster than it turns has its decay for a period.
-        vibration_period=math.tau / max(link.pole.imag, -link.pole.real),
+        vibration_period=link.vibration_period,
         about=about,
         findings=findings,
         extras=extras,

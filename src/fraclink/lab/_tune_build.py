@@ -197,7 +197,7 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
         yield Built(rig, None, None, None, (f"the model failed a gate: {gates}",))
         return
     # A gauge that leads by less than its standard error has no delay.
-    model = replace(fit.model, gauge_delay=max(fit.model.gauge_delay, 0.0))
+    model = replace(fit.model, gauge_delay=fit.model.gauge_lag)
     fallback: Built | None = None
     any_passed = False
     try:
@@ -231,7 +231,7 @@ def _rigs(rig: Rig, model: LinkModel) -> tuple[Rig, ...]:
         return (rig,)
     assert model.payload is not None  # the tuning's own  # noqa: S101
     top = model.unseen_up_to or math.pi / rig.period
-    ratio = _mass_ratio(lambda w, size: w[0] / w[1] - abs(model.pole) / top)
+    ratio = _mass_ratio(lambda w, size: w[0] / w[1] - model.resonance / top)
     mass = min(ratio, _UNSEEN) * model.payload
     words = f"a link of {1e3 * mass:.2g} g, the heaviest whose second mode would not have shown"
     return rig, replace(
@@ -456,7 +456,7 @@ def _shown_mass(model: LinkModel, payload: float) -> float:
     mode = model.second_mode
     if mode is None:
         return 0.0
-    share = mode.gain * (abs(model.pole) / mode.frequency) ** 2
+    share = mode.gain * (model.resonance / mode.frequency) ** 2
     return payload * _mass_ratio(
         lambda w, size: size[1] / size[0] * (w[0] / w[1]) ** 2 - share
     )

@@ -47,7 +47,7 @@ def causes(
         *(_sticking(motor, record.period) if motor is not None and hunts else ()),
         *_clipping(record.torque, wiring.gauge_noise),
         *_long_period(
-            wiring.natural_frequency if model is None else abs(model.pole),
+            wiring.natural_frequency if model is None else model.resonance,
             record.period,
         ),
         *(() if motor is None else _slow_loop(motor, wiring, record.period, voltage)),
@@ -138,12 +138,12 @@ def domain(period: float | None) -> str:
 
 
 def _late_gauge(link: LinkModel) -> tuple[str, ...]:
-    phase = abs(link.pole) * link.gauge_delay
+    phase = link.resonance * link.gauge_delay
     if phase <= _LATE:
         return ()
     return (
         f"the gauge is {1e3 * link.gauge_delay:.2g} ms late, which costs {math.degrees(phase):.0f}° of phase at "
-        f"the vibration of {abs(link.pole):.3g} rad/s; a faster amplifier or filter of the gauge helps",
+        f"the vibration of {link.resonance:.3g} rad/s; a faster amplifier or filter of the gauge helps",
     )
 
 

@@ -39,7 +39,7 @@ def _width(design: Design) -> int:
     """Samples of a mean over a quarter of a vibration period, which preserves 2√2/π of
     the amplitude.
     """
-    return max(3, round(0.5 * math.pi / abs(design.model.pole) / design.rig.period))
+    return max(3, round(0.5 * math.pi / design.model.resonance / design.rig.period))
 
 
 def judged(
@@ -52,7 +52,7 @@ def judged(
     model, period, width = design.model, design.rig.period, _width(design)
     # Torque and angle at the same instant: with a gauge delay of 12 ms, the motion of
     # the motor would appear as vibration.
-    late = round(max(model.gauge_delay, 0.0) / period)
+    late = round(model.gauge_lag / period)
     tip = angle[: angle.size - late] - torque[late:] / model.stiffness
     # Only means over the whole width: a shorter one at the end would show the noise of
     # single samples.

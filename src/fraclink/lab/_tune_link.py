@@ -156,7 +156,7 @@ def _excited(
     """The record of a random sequence of `size` times its reach, and the same with a
     burst at its end that excites the second mode.
     """
-    resonance = abs(model.pole)
+    resonance = model.resonance
     calm(
         guard,
         law,
@@ -195,7 +195,7 @@ def _sequence(
         6 * guard.period,
     )
     # Half of the sequence's power lies below the vibration.
-    bit = max(_HALF / abs(model.pole), 1.2 * rise)
+    bit = max(_HALF / model.resonance, 1.2 * rise)
     # Fewer than eight bits may leave out the frequency band of the resonance.
     bits = max(8, math.floor(duration / bit))
     return random_steps(reach, bit, rise, bits, guard.period, start=start)
@@ -221,7 +221,7 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
         cleaned = replace(whole, output=whole.output - rings)
         model = identify(cleaned, "UD-FOM", heldout=0.0, fixed=fixed).model
         before, mode = mode, model.second_mode or mode
-        if abs(model.pole) > _BETWEEN * abs(link.pole):
+        if model.resonance > _BETWEEN * link.resonance:
             mode = _louder_mode(link, cleaned, fixed)
         rest = whole.output
         if mode is not None:
@@ -266,7 +266,7 @@ def _louder_mode(
     rest = replace(cleaned, output=cleaned.output - own)
     louder = identify(rest, "UD-FOM", heldout=0.0, fixed=fixed, details=False).model
     return SecondMode(
-        abs(louder.pole),
+        louder.resonance,
         louder.stiffness / link.stiffness,
         max(-math.cos(math.pi / louder.order), _STEEL),
     )
@@ -299,7 +299,7 @@ def _ringing(fit: Fit, output: Real, mode: SecondMode | None) -> Real:
     time = fit.period * np.arange(output.size)
     # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ =
     # −cos(π/λ).
-    poles = [cmath.rect(abs(fit.model.pole), math.pi / order) for order in _DECAYS]
+    poles = [cmath.rect(fit.model.resonance, math.pi / order) for order in _DECAYS]
     if mode is not None:
         poles.append(cmath.rect(mode.frequency, math.acos(-mode.damping_ratio)))
     turns = [np.exp(pole * time) for pole in poles]
@@ -317,7 +317,7 @@ def shortfall(fit: Fit) -> float:
     # has at the vibration.
     scale = {
         "order": 1.0,
-        "delay": 0.5 * math.pi / abs(model.pole),
+        "delay": 0.5 * math.pi / model.resonance,
         "natural_frequency": model.natural_frequency,
         "gain": abs(fit.gain),
     }

@@ -90,7 +90,7 @@ def motor_law(
     # Any link will do: its thresholds are raised, because the guard applies the limits
     # of the user.
     link, pid = LinkModel(1.0, 10.0, 1.9), loop.pid(motor, period)
-    follows = following(abs(link.pole), period, pole, loop.delay_samples, motor, pid)
+    follows = following(link.resonance, period, pole, loop.delay_samples, motor, pid)
     derived = derive_limits(link, period, moves, loop=follows)
     # A threshold derived from an unknown stiffness could end the experiment that is to
     # measure it.

@@ -142,7 +142,7 @@ def first_moves(
         guard,
         motor_law(motor.gain, motor.loop, guard, friction=motor.compensation),
         stiffness=model.stiffness,
-        resonance=abs(model.pole),
+        resonance=model.resonance,
         noise=math.hypot(design.rig.gauge.noise, ringing),
     )
     before = at = guard.angle

@@ -479,7 +479,7 @@ def _link(
     gain, delay, opposite = (
         fit.gain,
         fit.delay,
-        fit.delay + math.pi / abs(fit.model.pole),
+        fit.delay + math.pi / fit.model.resonance,
     )
     if delay < -record.period and opposite <= PULSE:
         gain, delay = -gain, opposite

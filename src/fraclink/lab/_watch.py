@@ -186,7 +186,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     # The time in motion instead of the length: an arm at rest for a minute shows only
     # noise.
     moving = _moving_time(log)
-    least = _LEAST_VIBRATIONS * 2.0 * math.pi / abs(tuning.link.fit.model.pole)
+    least = _LEAST_VIBRATIONS * 2.0 * math.pi / tuning.link.fit.model.resonance
     if moving < least:
         raise FieldError(
             "log",

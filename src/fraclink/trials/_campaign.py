@@ -184,9 +184,7 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
         order=Distribution("normal", model.order - reach, model.order + reach),
         gauge_offset=Distribution("uniform", -0.05, 0.05),
         delay_samples=_always(float(rig.motor_loop.delay_samples)),
-        # A negative identified delay means that the motor angle is delayed; no gauge
-        # shows a future torque.
-        gauge_delay=_always(max(model.gauge_delay, 0.0)),
+        gauge_delay=_always(model.gauge_lag),
         gauge_gain=_always(link.gauge_gain * link.stiffness / stiffness),
         # without μ there is nothing to draw or to correlate with
         damping=_around(1.0, 0.3) if model.damping else _always(1.0),

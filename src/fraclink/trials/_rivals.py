@@ -136,7 +136,7 @@ def builders(design: Design) -> dict[str, Builder]:
     link = design.model.at_payload(design.rig.payloads.nominal)
     bare = motor_alone(open_guards(design.law()))
     request = "the request: gain crossover, phase margin, payloads"
-    impulses = zv_impulses(abs(link.pole), link.damping_ratio)
+    impulses = zv_impulses(link.resonance, link.damping_ratio)
     return {
         FRACLINK: lambda: _by_law(request, design.controller, design),
         "motor PID alone": lambda: Rival(
@@ -256,7 +256,7 @@ def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
     """Return gain·(1 + s/ω)/(1 + T s), with a notch at the second mode if the link has
     one.
     """
-    above, below = np.array([gain / abs(link.pole), gain]), np.array([FILTER_TIME, 1.0])
+    above, below = np.array([gain / link.resonance, gain]), np.array([FILTER_TIME, 1.0])
     mode = link.second_mode
     # Above the Nyquist frequency the notch would lie at an alias.
     if mode is not None and mode.frequency * period < math.pi:
@@ -284,7 +284,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     # millinewton-metre is below the step of every converter.
     noise = max(rig.gauge.noise, 1e-4) / link.stiffness
     # The link's pole as that of the nearest model of integer order.
-    w, ratio = abs(link.pole), link.damping_ratio
+    w, ratio = link.resonance, link.damping_ratio
     # Motor reference to tip angle: M(s) and the mode of the link, states θm, θ̇m, θt,
     # θ̇t.
     a = np.array(
