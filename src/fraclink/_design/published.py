@@ -21,6 +21,7 @@ from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
+from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.search import Search, Solution
 from fraclink._law.design import Design, Requirement
@@ -160,11 +161,9 @@ def _links(request: Request) -> Real:
 
 def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding]:
     """W405: the rows that the procedure does not cover and that its loop misses."""
-    lag = max(controller.filter_time, 1e-12)
-    gain = Loop.of(controller, request.model, request.rig).outer_log(request.reference)
-    x = [float(gain.real), controller.derivative_order, math.log(lag)]
     search = Search(request, request.first_links, controller.filter_order)
-    measured = Solution(search, np.array(x), 0.0, 0.0).measured
+    outer = Outer.of(controller, request.reference)
+    measured = Solution(search, outer.x, 0.0, 0.0).measured
     misses = "; ".join(str(item) for _, item in measured if not item.passed)
     if misses:
         yield Finding(
