@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1484,
     "_export": 425,
     "_files": 558,
-    "_identify": 2536,
+    "_identify": 2540,
     "_law": 941,
     "_reading": 885,
     "_simulate": 1173,

@@ -182,7 +182,7 @@ class Search:
         """Undamped links as starts (K, 5): every valley of a scan over frequencies with
         each delay, the guess, and the vibrations after a cut.
         """
-        low, high = (math.log(x) for x in self.window.frequency_limits)
+        low, high = self._range
         # 2ζ: the width of a resonance at half its power.
         step = -2 * math.cos(math.pi / _SCAN_ORDER)
         grid = np.linspace(low, high, max(int((high - low) / step), 8))
@@ -261,11 +261,18 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
+            ends: list[Solution] = []
+            for rows in self._starts(name):
+                first = [self._descended(name, row, first=True) for row in rows]
+                ends += self._valleys(first)
+            # On all samples, where the costs of different averages compare.
+            shapes = np.array([end.shape for end in ends])
+            costs = self.kernel.costs(shapes, self.gain, self.offset).tolist()
             ends = [
-                self._descended(name, rows, first=True) for rows in self._starts(name)
+                replace(end, cost=cost) for end, cost in zip(ends, costs, strict=True)
             ]
             rows = [*(end.shape for end in self._valleys(ends)), *self._special(name)]
-            ends = [self._descended(name, row[None]) for row in rows]
+            ends = [self._descended(name, row) for row in rows]
             solution, *rivals = self._valleys(ends)
             if not math.isfinite(solution.cost):
                 raise NotConvergedError(
@@ -297,18 +304,18 @@ class Search:
     def _descended(
         self,
         name: str,
-        rows: Real,
+        row: Real,
         delays: tuple[float, float] | None = None,
         *,
         first: bool = False,
     ) -> Solution:
-        """The best end of the kernel's descents from rows (K, 5) of one resonance, with
-        the delay in a range, or after their `first` steps, on averages of samples; with
-        infinite cost if there is no response.
+        """The end of the kernel's descent from a row, with the delay in a range, or
+        after its `first` steps, on averages of samples; with infinite cost if there is
+        no response.
         """
         # Room for a descent to twice the resonance that it begins at.
-        width = int(self.window.widths(2 * np.exp(rows[0, 1]))) if first else 1
-        shortest, longest = delays or self._delays(rows[0])
+        width = int(self.window.widths(2 * np.exp(row[1]))) if first else 1
+        shortest, longest = delays or self._delays(row)
         low, high = self._range
         lower = np.array([ORDER_LIMITS[0], low, 0.0, ALPHA_LIMITS[0], shortest])
         # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
@@ -318,11 +325,11 @@ class Search:
             # poles, and hardly at all.
             lower[1], upper[2] = lower[1] - 3.0, 50.0
         free = list(self.free(name))
-        starts = rows.copy()
-        starts[:, 4] = self.fixed.get("delay", rows[:, 4])
-        starts[:, free] = np.clip(starts[:, free], lower[free], upper[free])
+        start = row.copy()
+        start[4] = self.fixed.get("delay", row[4])
+        start[free] = np.clip(start[free], lower[free], upper[free])
         status, shape, gain, offset, cost, gram = self.averages(width)[0].solve(
-            starts,
+            start[None],
             mask_of(free),
             lower,
             upper,
@@ -331,9 +338,6 @@ class Search:
             # Enough for an undamped link on a damped log, by a third per step.
             FIRST_STEPS if first else ROUNDS,
         )
-        if first:
-            # On all samples, where the costs of different averages compare.
-            cost = self.kernel.costs(shape[None], self.gain, self.offset)[0]
         return Solution(
             name,
             tuple(free),
@@ -369,11 +373,11 @@ class Search:
             low = max((k - 1 + 1e-6) * period, shortest)
             high = min(k * period, longest)
             if low <= high:
-                ends.append(self._descended(name, row[None], (low, high)))
+                ends.append(self._descended(name, row, (low, high)))
         best = min(ends, key=lambda each: each.cost)
         if not held and -1.5 * period < best.shape[4] < 0:
             row[4] = 0.5 * period
-            return self._descended(name, row[None], (0.0, longest))
+            return self._descended(name, row, (0.0, longest))
         return best
 
     def _special(self, name: str) -> Iterator[Real]:
@@ -400,7 +404,7 @@ class Search:
         ):
             inner, outer = self.solve(special), self.solve(name)
             if outer.cost > inner.cost * (1 + 1e-9):
-                again = self._descended(name, embedded(inner.shape, name)[None])
+                again = self._descended(name, embedded(inner.shape, name))
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
     def _starts(self, name: str) -> Iterator[Real]:
