@@ -465,7 +465,9 @@ def beside(request: Request, controller: Controller) -> Solution:
     controller.
     """
     notch = None if controller.notch is None else request.notches[-1]
-    search = Search(request, request.first_links, controller.filter_order, notch)
+    # the order that was asked for, if it is another one
+    order = max(request.filter_orders, key=lambda n: n == controller.filter_order)
+    search = Search(request, request.first_links, order, notch)
     x = Outer.of(controller, request.reference).x[: search.bounds[0].size]
     return Solution(search, x.clip(*search.bounds), 0.0, 0.0)
 
