@@ -197,7 +197,7 @@ CEILINGS = {
     "_simulate": 1173,
     "lab": 1906,
     "logs": 705,
-    "studio": 1061,
+    "studio": 1056,
     "trials": 1281,
     "view": 1350,
 }

@@ -487,6 +487,11 @@ def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
         refused, _ = talked(socket, seq=6, verb="run-realtime")
         # the studio never moves a real arm
         assert refused["error"].startswith("verb: unknown")
+        # known before any search
+        in_grams = {**ASKED, "payloads": [20.0, 40.0]}
+        doubted, _ = talked(socket, seq=7, verb="note", state=in_grams)
+        assert not noted["doubts"]
+        assert {one["code"] for one in doubted["doubts"]} == {"W105"}
 
 
 @pytest.mark.slow

@@ -228,12 +228,12 @@ def test_a_request_that_no_design_meets_has_no_command(page, tmp_path):
         page.open(address)
         page.key("4")
         settled(page)
-        page.until("document.querySelector('#command').textContent", "the command")
+        page.until("!document.querySelector('#copy-command').disabled", "the command")
         ask_for(page, "60")
         page.until("!document.querySelector('#refused').hidden", "the refusal")
         assert page.run(
             "document.querySelector('#copy-command').disabled"
-            " && !document.querySelector('#command').textContent"
+            " && document.querySelector('#copy-command').title.includes('no design')"
         )
 
 

@@ -33,9 +33,9 @@ _WAITING = 64
 
 def _note(session: Session, given: Mapping[str, Any]) -> Reply:
     request: Any = given.get("state")
-    checked_request(request)
+    checked = checked_request(request)
     session.history.add(request)
-    return Reply({"at": session.history.at, "states": len(session.history.states)})
+    return Reply({"at": session.history.at, "doubts": session.doubts(checked)})
 
 
 def _go(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -167,9 +167,8 @@ class Conversation:
             # Read after the event is cleared: a request that arrives in between sets it
             # again, and none is lost.
             message = self._newest[verb]
-            work = self._lanes[verb]
             await self._answered(
-                message, await asyncio.to_thread(_guarded, work, message)
+                message, await asyncio.to_thread(_guarded, self._lanes[verb], message)
             )
 
     def _preview(self, message: Message) -> Reply:

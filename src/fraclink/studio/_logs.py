@@ -21,7 +21,6 @@ from fraclink._display import number
 from fraclink._identify import Fit
 from fraclink._reading.formats import read_table
 from fraclink._reading.reading import (
-    ChannelSummary,
     bundled_log,
     bundled_logs,
     inspect_log,
@@ -82,6 +81,15 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
     units = {channel.column: channel.unit for channel in roles.values()}
     channels = listing.channels
+    facts = [
+        (
+            places.get(entry.name),
+            f"{number(entry.minimum)} … {number(entry.maximum)}",
+            f"every {number(entry.period)}" if entry.period else "",
+            f"{entry.missing} missing" if entry.missing else "",
+        )
+        for entry in channels
+    ]
     head["log"] = {
         "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, "
         f"{channels[0].samples if channels else 0} samples.",
@@ -89,24 +97,15 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
             {
                 "name": entry.name,
                 "unit": entry.unit or units.get(entry.name, ""),
-                "facts": _facts(entry, places.get(entry.name)),
+                "facts": " · ".join(filter(None, parts)),
             }
-            for entry in channels
+            for entry, parts in zip(channels, facts, strict=True)
         ],
     }
     head["guesses"] = guessed.guesses
     head["roles"] = roles
     head["units"] = {role: [*units] for role, units in UNITS_OF.items()}
     return Reply(head | more, curves | signals)
-
-
-def _facts(channel: ChannelSummary, role: str | None) -> str:
-    """The facts about a channel in one line: its role, range, clock and gaps."""
-    facts = [role] if role else []
-    facts.append(f"{number(channel.minimum)} … {number(channel.maximum)}")
-    facts += [f"every {number(channel.period)}"] if channel.period else []
-    facts += [f"{channel.missing} missing"] if channel.missing else []
-    return " · ".join(facts)
 
 
 def _scaled(values: Real) -> Real:

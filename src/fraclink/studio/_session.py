@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from fraclink._arm.draft import doubts_of
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
@@ -22,7 +23,7 @@ from fraclink._files import load
 from fraclink._identify import Fit
 from fraclink._law import Law
 from fraclink.errors import FieldError, required
-from fraclink.findings import errors_of
+from fraclink.findings import Finding, errors_of
 from fraclink.studio._copied import copies
 from fraclink.studio._history import History
 from fraclink.studio._messages import Reply, checked_request, wanted_of
@@ -210,6 +211,13 @@ class Session:
         box = arm_box(self.study, design)
         return {"arm_key": key, "arm": None if box is None else box.data}
 
+    def doubts(self, request: Mapping[str, Any]) -> tuple[Finding, ...]:
+        """The errors of rig, link and payloads of a request, known before any search."""
+        if self.subject is None:
+            return ()
+        payloads = request["payloads"] or ()
+        return doubts_of(self.subject.rig, self.subject.model, payloads)
+
     # ---- what the page shows ------------------------------------------------------------------------------
 
     def overview(self) -> dict[str, Any]:
@@ -222,6 +230,7 @@ class Session:
             "of": self.subject.key if self.subject else "",
             "title": " · ".join([*([study.rig.name] if study.rig else []), str(self.folder)]),
             "spoken": verdict.sentence,
+            "doubts": self.doubts(self.state),
             "verdict": grid_of(verdict.overview().tables[0]).lines,
             "marks": {step: [marked(mark)[0], mark] for step, mark in self.marks().items()},
             "design": None if design is None else {
@@ -251,8 +260,7 @@ class Session:
 
     def marks(self) -> dict[str, str]:
         """The state of each step, as words of a verdict."""
-        study = self.study
-        verdict = study.verdict
+        study, verdict = self.study, self.study.verdict
         proof = (
             "passed"
             if study.certificate

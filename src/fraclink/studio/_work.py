@@ -37,6 +37,12 @@ __all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
 
 # Verb -> part of the study it needs.
 JOBS = {"identify": "experiment", "prove": "law", "arms": "law", "faults": "law"}
+# Verb -> the parts that it makes of a design.
+_MADE = {
+    "prove": ("certificate", "missing"),
+    "arms": ("arms",),
+    "faults": ("faults",),
+}
 # Option of a job -> its range, and what it is where the page leaves it out.
 _OPTIONS: dict[str, tuple[Between, float | None]] = {
     "heldout": (Between(0.05, 0.9), None),
@@ -161,13 +167,9 @@ class Job:
             if self.verb == "identify":
                 session.heldout = asked["heldout"]
                 session.become(replace(result, experiment=now.experiment, rig=now.rig))
-            elif self.verb == "prove":
-                certificate, missing = result.certificate, result.missing
-                session.become(replace(now, certificate=certificate, missing=missing))
-            elif self.verb == "arms":
-                session.become(replace(now, arms=result.arms))
             else:
-                session.become(replace(now, faults=result.faults))
+                made = {name: getattr(result, name) for name in _MADE[self.verb]}
+                session.become(replace(now, **made))
         if self.verb == "identify":
             return fit_answer(session)
         return Reply({**session.overview(), **proof_of(session.study)})

@@ -24,6 +24,7 @@ export class Design {
     this.app = app;
     this.arm = arm;
     this.last = null;
+    this.doubts = [];
     this.inputs = {};
     for (const input of document.querySelectorAll('[data-option]')) this.field(input);
     this.box = on('box', 'change', () => this.put('box', this.box.checked));
@@ -164,6 +165,7 @@ export class Design {
   }
 
   preview(answer) {
+    this.searching = false;
     $('step-design').classList.toggle('stale', !answer.ok);
     if (!answer.ok) { this.refuse(answer); return; }
     $('refused').hidden = true;
@@ -218,10 +220,17 @@ export class Design {
       table($('moves-table'), found.moves.header, found.moves.lines, 'Moves of the model with the exact law');
     }
   }
+  /** Doubts about rig, model and payloads are known before anything is searched for. */
+  doubted(doubts) {
+    this.doubts = doubts || [];
+    if (this.searching) this.late();
+  }
   /** No answer yet: the curves belong to an earlier request. */
   late() {
     const place = emptied('refused');
+    this.searching = true;
     place.hidden = false;
+    for (const {message, remedy} of this.doubts) make('b', '', `${message} (${remedy}). `, place);
     place.append('Searching for a controller that meets this request …');
     $('step-design').classList.add('stale');
     this.app.refuse(true);

@@ -5,7 +5,7 @@ import {Design} from './design.js';
 import {Logs} from './logs.js';
 import {Proof} from './proof.js';
 import {palette} from './palette.js';
-import {$, emptied, make, on, say} from './dom.js';
+import {$, emptied, make, on, put, say} from './dom.js';
 
 const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
@@ -53,7 +53,7 @@ export const app = {
   settle() {
     app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
     app.at = app.states.length - 1;
-    app.ask('note', {state: app.state});
+    app.ask('note', {state: app.state}).then((answer) => design.doubted(answer.doubts));
     app.buttons();
     app.exact();
   },
@@ -71,6 +71,7 @@ export const app = {
   },
   /** Mark the plots as belonging to another link or rig than the study. */
   outdated(is) {
+    $('step-design').classList.remove('drawn');
     for (const id of ['step-design', 'step-move', 'step-proof']) {
       $(id).classList.toggle('outdated', is);
       $(id).setAttribute('aria-busy', String(is));
@@ -79,6 +80,7 @@ export const app = {
   shown(answer) {
     if (answer.lost || (answer.of && answer.of !== app.study.of)) return;
     design.preview(answer);
+    if (answer.ok) $('step-design').classList.add('drawn'); // the loops are of this model, though perhaps nothing else yet
     if (answer.ok && answer.blocks) arm.law(answer.blocks);
   },
 
@@ -123,12 +125,15 @@ export const app = {
     }
     proof.took(answer);
     design.took(answer);
+    design.doubted(answer.doubts);
   },
   /** The command line for what the user did in this step. */
   line() {
     const none = app.refused && STEPS.indexOf(app.step) >= STEPS.indexOf('design');
     const words = app.study.copies?.[app.step] || '', text = none ? '' : app.step === 'move' ? arm.command(words) : words;
-    say('command', text);
+    const why = none ? 'No command: no design meets this request' : 'No command: no option states what was changed here';
+    say('command', text || why);
+    put($('copy-command'), {title: text ? '' : why});
     $('copy-command').disabled = !text;
   },
   /** A request that no design meets has no command; the last command belongs to another request. */
