@@ -86,6 +86,60 @@ def test_a_wrong_wire_is_named_within_the_plan(fault: str) -> None:
     assert made.record[-1, 4] == 0.0  # the drive is off
 
 
+@pytest.mark.parametrize("reversed_wire", ["angle", "torque", "voltage"])
+def test_swapped_channels_are_named_with_any_sign(reversed_wire: str) -> None:
+    made = arm()
+    wires = wired(made, **{reversed_wire: -1})
+    guard = guarded(Callback(lambda: wires.read()[::-1], wires.write))  # type: ignore[index]
+    with pytest.raises(FraclinkError, match="channels swapped"):
+        check_wiring(guard, RIG)
+    assert np.ptp(made.record[:, 1]) < planned_motion()
+
+
+# Its torque follows the angle for as long as a doublet and its pause take.
+SLOW = {
+    "L": 0.358,
+    "c": 0.711,
+    "payload": 0.13,
+    "link": 0.00691,
+    "zeta": 0.007,
+    "J": 0.0258,
+    "K": 0.494,
+    "visc": 0.229,
+    "Fc": 0.564,
+    "Fs": 0.767,
+    "gdelay": 0.0051,
+    "gnoise": 0.0026,
+    "hum": 0.0036,
+    "counts": 9149,
+    "seed": 5,
+}
+# Read as the angle, its gauge hides the motions of the plan.
+LOUD = {"gnoise": 0.02, "hum": 0.015, "gdrift": 0.003, "goffset": 0.3}
+# Read as the torque, its encoder exceeds the limit.
+IN_VOLTS = {"ggain": 0.012, "gnoise": 5e-5, "goffset": 4e-4}
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(
+    ("changes", "torque"),
+    [(SLOW, 1.5), (LOUD, 1.5), (IN_VOLTS, 0.02)],
+    ids=["slow", "loud", "in volts"],
+)
+def test_the_channel_of_the_motor_is_the_one_that_stands(
+    changes: dict[str, float], torque: float, swapped: bool
+) -> None:
+    own, order = outside_arm(**changes), -1 if swapped else 1
+    board = Callback(lambda: own.read()[::order], own.write)
+    guard = guarded(board, replace(LIMITS, torque=torque))
+    if swapped:
+        with pytest.raises(FraclinkError, match="channels swapped"):
+            check_wiring(guard, None)
+        assert np.ptp([row[1] for row in own.rows]) < planned_motion()
+    else:
+        assert check_wiring(guard, None).gain > 0.0
+
+
 @pytest.mark.parametrize("fault", ["encoder dead", "both sensors dead"])
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
 def test_a_motor_that_nothing_shows_keeps_to_the_speed_limit(

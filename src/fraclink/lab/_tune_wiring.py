@@ -22,7 +22,7 @@ from fraclink._files import document
 from fraclink._identify import identify
 from fraclink.errors import FraclinkError
 from fraclink.lab._tune_doublets import PULSE, edges_of, motor_of_doublets
-from fraclink.lab._tune_guard import RECOVERY, Guard, Record, largest
+from fraclink.lab._tune_guard import RECOVERY, Guard, LimitReached, Record, largest
 from fracsys.checks import Real
 
 __all__ = ["FAR", "Wiring", "WiringFault", "check_wiring"]
@@ -148,29 +148,42 @@ def check_wiring(
         STRONGEST if stated is None else FAR * stated.motor.gain * guard.limits.voltage
     )
     doublets = partial(_Doublets, guard, still, shake, strongest, width)
-    return guard.sized(partial(_checked, doublets, noise, stated), noise, tell)[0]
+    motion = partial(_checked, doublets, partial(guard.record, start), noise, stated)
+    try:
+        return guard.sized(motion, noise, tell)[0]
+    except (WiringFault, LimitReached):
+        guard.release()
+        # Swapped channels may look like anything: each has the other's scale and limit.
+        _refuse_swapped(guard.record(start))
+        raise
 
 
 def _checked(
-    smallest: Callable[[], _Doublets], noise: float, stated: Rig | None, size: float
+    smallest: Callable[[], _Doublets],
+    recorded: Callable[[], Record],
+    noise: float,
+    stated: Rig | None,
+    size: float,
 ) -> Wiring:
     """The wiring as doublets show it that are `size` times as large; `noise` of the gauge
-    [N·m].
+    [N·m], and all that was `recorded` from the last rest on.
     """
     doublets = smallest()
     goal, largest = max(size * _ANSWER, doublets.clear), size * MOST / _LARGER
-    found: Wiring | WiringFault = WiringFault(_PULLED)
+    fault = WiringFault(_PULLED)
     while doublets.grow(goal):
         record, earlier = doublets.train()
-        found = _concluded(record, earlier, noise, doublets, stated)
-        if not isinstance(found, _Unsure) or goal >= largest or not doublets.room:
+        _refuse_swapped(recorded())
+        try:
+            return _concluded(record, earlier, noise, doublets, stated)
+        except _Unsure as unsure:
+            fault = unsure
+        if goal >= largest or not doublets.room:
             break
         # Continue from there: a motion too small for the noise is enlarged, and may
         # exceed its goal by one growth.
         goal = min(_LARGER * goal, largest)
-    if isinstance(found, Wiring):
-        return found
-    raise found
+    raise fault
 
 
 class _Doublets:
@@ -191,8 +204,8 @@ class _Doublets:
     ) -> None:
         self._guard, self._strongest, self._width = guard, strongest, width
         self._start, self._first = guard.count, float(np.mean(still.angle))
-        # An answer must exceed the noise of a mean.
-        self.shake, self.clear = shake, SURE * shake / math.sqrt(width)
+        # An answer must exceed the noise of a mean over `width` less one over twice that.
+        self.shake, self.clear = shake, SURE * shake * math.sqrt(1.5 / width)
         self._swing = float(np.var(still.torque))
         self._longest = max(2, round(PULSE / guard.period))
         self.voltage, self.half, self._sign = 0.0, self._longest, 1
@@ -248,7 +261,8 @@ class _Doublets:
                 f"gauge{beyond}"
             )
         raise WiringFault(
-            f"encoder dead: it stands still while the gauge answers the drive ({self.voltage:.3g} V) with "
+            "encoder dead, or its channel is the gauge's: it shows no motion while the other channel answers "
+            f"the drive ({self.voltage:.3g} V) with "
             f"{np.ptp(_smoothed(torque, self._width)):.3g} N·m"
         )
 
@@ -315,33 +329,27 @@ def _concluded(
     noise: float,
     doublets: _Doublets,
     stated: Rig | None,
-) -> Wiring | WiringFault:
+) -> Wiring:
     degrees = f"{math.degrees(np.ptp(record.angle)):.2g}°"
-    link = _link(record, earlier)
+    link = _link(record.period, record.angle, record.torque, earlier.angle)
     gain, error, delay = motor_of_doublets(
         record, doublets.half, 0.0 if link is None else max(link[3], 0.0)
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
-    # fit a link either, and would be blamed.
-    if stated is not None and gain > FAR * stated.motor.gain and gain > SURE * error:
-        return WiringFault(_encoder_scale(gain, stated))
-    # Either channel may be the motor's, which stays where the doublets have moved it, and
-    # the other one the link's response to it: the more likely way round has the smaller
-    # product of what remains of both.
-    other = _link(record, earlier, swapped=True)
-    if other is not None and other[0] > SURE * other[1]:
-        half, left = doublets.half, 1.0 if link is None else link[4]
-        straight = left * _unplaced(record, half, record.angle)
-        swapped = other[4] * _unplaced(record, half, record.torque)
-        if swapped < straight:
-            return WiringFault(
-                "channels swapped: what is read as the torque stays where the motor was moved to, and turns what "
-                f"is read as the angle: {100 * swapped:.0f} % of both remain unexplained, the other way round "
-                f"{100 * straight:.0f} %"
-            )
+    # fit a link either, and would be blamed. Two measured values each, here gain and
+    # friction, then stiffness and gain: wrong units are off by ten.
+    if (
+        stated is not None
+        and abs(gain) > SURE * error
+        and not 1 / FAR**2 < abs(gain) / stated.motor.gain < FAR
+    ):
+        raise WiringFault(
+            f"encoder scale wrong: the motor turns {abs(gain) / stated.motor.gain:.2g} times as far as its K/J of "
+            f"{stated.motor.gain:.3g} rad/(s²·V) allows; check counts per turn, gear and the unit of the angle"
+        )
     if link is None or abs(link[0]) < SURE * link[1]:
         share = "nothing" if link is None else f"{100 * (1 - link[4]):.0f} %"
-        return _Unsure(
+        raise _Unsure(
             f"gauge dead: of its signal the motor's motion of {degrees} explains {share}; its noise is "
             f"{noise:.2g} N·m"
         )
@@ -349,7 +357,7 @@ def _concluded(
     voltage = f"{doublets.voltage:.3g} V turns the encoder by {degrees}, K/J = {gain:+.3g} ± {error:.1g} rad/(s²·V)"
     if abs(gain) < SURE * error:
         # A train that ended for want of room is too short for its signs.
-        return _Unsure(
+        raise _Unsure(
             f"signs not sure: {voltage}, at {math.degrees(_step(record.angle)):.2g}° a count; a finer or quieter "
             "encoder, or less play in the gear, helps"
             if doublets.room
@@ -358,13 +366,11 @@ def _concluded(
     bend = f"torque over angle {stiffness:+.3g} ± {spread:.1g} N·m/rad, {100 * (1 - nmse):.0f} % explained"
     if min(gain, stiffness) < 0:
         wrong = "gauge" if gain > 0 else "encoder" if stiffness < 0 else "motor"
-        return WiringFault(
+        raise WiringFault(
             f"{wrong} reversed: {voltage}, and {bend}; turn the {wrong}'s sign (the same is seen where the other "
             "two are both reversed)"
         )
-    scales, fault = _scales(gain, stiffness, stated)
-    if fault:
-        return WiringFault(fault)
+    scales = _scales(gain, stiffness, stated)
     return Wiring(
         gain=gain,
         delay=delay,
@@ -383,14 +389,12 @@ def _concluded(
     )
 
 
-def _scales(
-    gain: float, stiffness: float, stated: Rig | None
-) -> tuple[tuple[str, ...], str]:
-    """The message about the scales, and which of them is wrong."""
+def _scales(gain: float, stiffness: float, stated: Rig | None) -> tuple[str, ...]:
+    """The message about the scales, or the fault of a wrong one."""
     if stated is None:
         return (
             "scales of encoder and gauge: not shown, as nothing is stated to compare them with (--rig)",
-        ), ""
+        )
     encoder = gain / stated.motor.gain
     # The stiffness is torque over angle, so a wrong encoder scale divides it; the
     # product is the ratio of the gauge's scale to the true one.
@@ -399,39 +403,46 @@ def _scales(
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
         f"gauge scale: torque over angle is {stiffness / stated.link.stiffness:.2g} of the rig's stiffness",
     )
-    # Two measured values each: gain and friction, stiffness and gain. Wrong units are off
-    # by ten.
-    if not 1 / FAR**2 < encoder < FAR:
-        return messages, _encoder_scale(gain, stated)
     if not 1 / FAR**2 < bend < FAR**2:
-        return messages, (
+        raise WiringFault(
             f"gauge scale wrong: it shows {bend:.2g} times the torque of a link of "
             f"{stated.link.stiffness:.3g} N·m/rad; check its calibration and the unit of the torque"
         )
-    return messages, ""
+    return messages
 
 
-def _encoder_scale(gain: float, stated: Rig) -> str:
-    return (
-        f"encoder scale wrong: the motor turns {gain / stated.motor.gain:.2g} times as far as its K/J of "
-        f"{stated.motor.gain:.3g} rad/(s²·V) allows; check counts per turn, gear and the unit of the angle"
-    )
+def _refuse_swapped(record: Record) -> None:
+    """Raise `WiringFault` if a record shows swapped channels.
 
-
-def _unplaced(record: Record, half: int, channel: Real) -> float:
-    """The share of a channel's motion that does not follow the motor positions reached by
-    the doublets.
+    Either channel may be the motor's, which stands between the doublets, and the other
+    one the link's response to it: the more likely way round has the smaller product of
+    what remains of both.
     """
-    places = np.zeros((2, channel.size))
-    for begin in edges_of(record):
-        # A doublet leaves the motor where its first half has moved it: a staircase with
-        # its steps in the middle of the doublets, and steps of their own each way where
-        # a weight helps one way.
-        places[int(record.voltage[begin] > 0), begin + half :] += 1.0
-    matrix = np.column_stack([*places, np.ones(channel.size)])
-    rest = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
-    whole = float(np.sum((channel - np.mean(channel)) ** 2))
-    return float(rest @ rest) / whole if whole > 0.0 else 1.0
+    link = _link(record.period, record.angle, record.torque)
+    other = _link(record.period, record.torque, record.angle)
+    if other is None or abs(other[0]) < SURE * other[1]:
+        return
+    straight = (1.0 if link is None else link[4]) * _unsettled(record, record.angle)
+    swapped = other[4] * _unsettled(record, record.torque)
+    if swapped < straight:
+        raise WiringFault(
+            "channels swapped: what is read as the torque stays where the motor was moved to, and turns what "
+            f"is read as the angle: {100 * swapped:.0f} % of both remain unexplained, the other way round "
+            f"{100 * straight:.0f} %"
+        )
+
+
+def _unsettled(record: Record, channel: Real) -> float:
+    """The share of a channel's mean square that is motion while the motor stands."""
+    # In the second half of every pause: delay and coasting end in the first.
+    half = round(0.5 * _PAUSE / record.period)
+    driven = np.convolve(record.voltage != 0.0, np.ones(half))[: channel.size]
+    standing = np.flatnonzero(driven == 0.0)
+    pause = np.searchsorted(edges_of(record), standing, side="right")
+    values = channel[standing]
+    means = np.bincount(pause, values) / np.maximum(np.bincount(pause), 1)
+    whole = float(np.var(values))
+    return float(np.mean((values - means[pause]) ** 2)) / whole if whole > 0.0 else 1.0
 
 
 def _step(angle: Real) -> float:
@@ -443,24 +454,21 @@ def _step(angle: Real) -> float:
 
 
 def _link(
-    record: Record, earlier: Record, *, swapped: bool = False
+    period: float, angle: Real, torque: Real, earlier: Real | None = None
 ) -> tuple[float, float, float, float, float] | None:
     """Signed gain, its standard error, ω₀, delay and NMSE of a link from the angle to
-    the torque, or from the torque to the angle.
+    the torque.
 
-    It includes what was recorded `earlier`: a lightly damped link still swings from
-    that motion, and with the train alone it looked reversed.
+    It includes the angle that was recorded `earlier`: a lightly damped link still
+    swings from that motion, and with the train alone it looked reversed.
     """
-    angle, torque, before = record.angle, record.torque, earlier.angle
-    if swapped:
-        angle, torque, before = torque, angle, earlier.torque
     try:
         fit = identify(
             Experiment(
-                period=record.period,
+                period=period,
                 motor_angle=angle,
                 output=torque,
-                earlier_angle=before,
+                earlier_angle=earlier,
             ),
             "UD-FOM",
             heldout=0.0,
@@ -481,6 +489,6 @@ def _link(
         fit.delay,
         fit.delay + math.pi / fit.model.resonance,
     )
-    if delay < -record.period and opposite <= PULSE:
+    if delay < -period and opposite <= PULSE:
         gain, delay = -gain, opposite
     return gain, error, fit.model.natural_frequency, delay, fit.nmse
