@@ -413,7 +413,8 @@ def test_an_arm_that_turns_by_itself_is_no_arm_at_rest() -> None:
     guard = guarded(Callback(read, made.write))
     with pytest.raises(FraclinkError, match=r"the motor turns by 2\.2° at 0 V"):
         check_wiring(guard, None)
-    assert guard.count == 8 * round(0.4 / PERIOD) and not made.record[:, 4].any()
+    # An arm that was just released has five seconds to come to rest.
+    assert 5.0 <= guard.count * PERIOD < 5.5 and not made.record[:, 4].any()
 
 
 @pytest.mark.slow
