@@ -413,16 +413,17 @@ def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("resonance", "order", "delay"), [(23.7, 1.62, 0.0207), (24.1, 1.60, 0.0129)]
+    ("rise", "resonance", "order", "delay"),
+    [(1.6, 23.7, 1.62, 0.0207), (1.6, 24.1, 1.60, 0.0129), (0.26, 16.2, 1.64, 0.035)],
 )
 def test_a_smooth_move_has_a_second_valley_in_the_delay(
-    resonance: float, order: float, delay: float
+    rise: float, resonance: float, order: float, delay: float
 ) -> None:
     """On a single smooth move λ and the delay are interchangeable: the fit with the
     true delay is no better.
     """
     period = 0.004
-    angle = smooth_step(0.5, 1.6).angle(period * np.arange(900))
+    angle = smooth_step(0.5, rise).angle(period * np.arange(900))
     link = LinkModel(1.5, resonance ** (order / 2), order=order)
     torque = simulated_torque(link, angle, period, delay=delay, hold="first")
     for seed in range(4):
