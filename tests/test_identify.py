@@ -25,6 +25,7 @@ from fraclink import (
 )
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from fraclink.extend import STRUCTURES, Structure, simulated_torque
+from fracsys import s as laplace
 from fracsys import time_response
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
@@ -435,3 +436,18 @@ def test_a_smooth_move_has_a_second_valley_in_the_delay(
         )
         assert own.mse <= given.mse * (1 + 1e-6)
         assert own.delay == pytest.approx(delay, abs=0.008)
+
+
+@pytest.mark.parametrize("name", ["D-IOM", "UD-FOM"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_vibration_that_outlasts_the_log_is_found(name: str, seed: int) -> None:
+    """At ζ = 5e-4 the phase after 12 s shows every frequency that is π/12 s⁻¹ off."""
+    levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 30)
+    levels[0] = 0.0
+    angle = time_response(
+        1 / (0.012 * laplace + 1) ** 2, np.repeat(levels, 100), PERIOD
+    ).output
+    link = LinkModel(1.5, 50.0, damping=0.05)
+    log = Experiment(PERIOD, angle, simulated_torque(link, angle, PERIOD))
+    fit = identify(log, name, details=False)
+    assert abs(fit.model.pole) == pytest.approx(50.0, rel=1e-4)

@@ -323,7 +323,6 @@ class Choice:
 
 def criteria_of(search: Search) -> Criteria:
     """Both criteria of every structure."""
-    search.reconcile()
     effective = {
         name: link_covariance(search, search.solve(name), coloured=True)[0].effective
         for name in STRUCTURES

@@ -5,7 +5,7 @@ frequencies and delays that the log can show, then Levenberg–Marquardt from it
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -261,30 +261,48 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; cached."""
         if name not in self.solutions:
-            ends: list[Solution] = []
-            for rows in self._starts(name):
-                first = [self._descended(name, row, first=True) for row in rows]
-                ends += self._valleys(first)
-            # On all samples, where the costs of different averages compare.
-            shapes = np.array([end.shape for end in ends])
-            costs = self.kernel.costs(shapes, self.gain, self.offset).tolist()
-            ends = [
-                replace(end, cost=cost) for end, cost in zip(ends, costs, strict=True)
-            ]
-            rows = [*(end.shape for end in self._valleys(ends)), *self._special(name)]
-            ends = [self._descended(name, row) for row in rows]
-            solution, *rivals = self._valleys(ends)
-            if not math.isfinite(solution.cost):
-                raise NotConvergedError(
-                    f"the fit of {name}",
-                    reached=math.inf,
-                    wanted=0.0,
-                    remedy="examine the log with diagnose",
-                )
+            ends = (
+                self._vibrations
+                if name == FRACTIONAL
+                else self._ends(name, self._starts(name))
+            )
+            special = [self._descended(name, row) for row in self._special(name)]
+            solution, *rivals = self._valleys([*ends, *special])
             if "delay" not in self.fixed:
                 solution = self._between_samples(solution)
             self.solutions[name] = replace(solution, rivals=tuple(rivals))
         return self.solutions[name]
+
+    @cached_property
+    def _vibrations(self) -> list[Solution]:
+        """The valleys of the undamped fractional link, which fits any ring-down: the
+        only one that needs a scan.
+        """
+        return self._valleys(self._ends(FRACTIONAL, self._scanned))
+
+    def _ends(self, name: str, starts: Iterable[Real]) -> list[Solution]:
+        """The ends of those descents that explain the log nearly as well as the best of
+        them after their first steps, from starts (K, 5) of one resonance each.
+        """
+        first: list[Solution] = []
+        for rows in starts:
+            first += self._valleys(
+                [self._descended(name, row, first=True) for row in rows]
+            )
+        # On all samples, where the costs of different averages compare.
+        shapes = np.array([end.shape for end in first])
+        costs = self.kernel.costs(shapes, self.gain, self.offset).tolist()
+        if not math.isfinite(min(costs)):
+            raise NotConvergedError(
+                f"the fit of {name}",
+                reached=math.inf,
+                wanted=0.0,
+                remedy="examine the log with diagnose",
+            )
+        first = [
+            replace(end, cost=cost) for end, cost in zip(first, costs, strict=True)
+        ]
+        return [self._descended(name, end.shape) for end in self._valleys(first)]
 
     def _valleys(self, ends: Sequence[Solution]) -> list[Solution]:
         """The lowest end, and the ends in other valleys that explain the log nearly as
@@ -382,45 +400,34 @@ class Search:
 
     def _special(self, name: str) -> Iterator[Real]:
         """The fits of a structure's special cases: a step never raises the cost, so
-        that its own fit is never worse. The undamped one, whose search takes longest, is
-        left to `reconcile`.
-        """
-        if not {"order", "damping_order"} & {*self.fixed}:
-            for special in special_cases(name):
-                if {"order", "damping"} & {*STRUCTURES[special].free}:
-                    yield embedded(self.solve(special).shape, name)
+        that its own fit is never worse.
 
-    def reconcile(self) -> None:
-        """Fit a structure again from a special case of it with a lower cost.
-
-        On a log without a clear resonance each structure's descent may end in another
-        valley; a structure worse than its own special case would be a failure of the
-        search.
+        Where a vibration outlasts the log, the undamped link of integer order is among
+        them: its search, which takes longest, tries every valley that phases over the
+        whole log have.
         """
-        if {"order", "damping_order"} & set(self.fixed):
+        if {"order", "damping_order"} & {*self.fixed}:
             return
-        for name, special in (
-            (row, other) for row in STRUCTURES for other in special_cases(row)
-        ):
-            inner, outer = self.solve(special), self.solve(name)
-            if outer.cost > inner.cost * (1 + 1e-9):
-                again = self._descended(name, embedded(inner.shape, name))
-                self.solutions[name] = min((outer, again), key=lambda s: s.cost)
+        span = self.window.samples * self.window.period
+        decays = [
+            -math.cos(math.pi / found.shape[0]) * found.resonance * span
+            for found in self._vibrations
+        ]
+        for special in special_cases(name):
+            if {"order", "damping"} & {*STRUCTURES[special].free} or min(
+                decays
+            ) < math.pi:
+                yield embedded(self.solve(special).shape, name)
 
     def _starts(self, name: str) -> Iterator[Real]:
-        """Starts (K, 5) of one resonance each; only the undamped fractional link, which
-        fits any ring-down, needs a scan, and the others start in its valleys.
-        """
-        if name == FRACTIONAL:
-            yield from self._scanned
-            return
-        vibrations = (self.solve(FRACTIONAL), *self.solve(FRACTIONAL).rivals)
+        """Starts (K, 5) of one resonance each in the valleys of the vibrations."""
+        vibrations = [found.shape for found in self._vibrations]
         if STRUCTURES[name].free == ("natural_frequency",):
             for vibration in vibrations:
-                yield from self._undamped(vibration.shape)
+                yield from self._undamped(vibration)
             return
         other = self.fixed.get("damping_order", 1.0)
-        for order, place, *_, delay in (vibration.shape for vibration in vibrations):
+        for order, place, *_, delay in vibrations:
             # The pole of s^λ + ω₀² has the argument π/λ: the undamped link of order λ
             # decays like one with ζ = −cos(π/λ).
             ratio = max(-math.cos(math.pi / order), 1e-3)
