@@ -166,3 +166,19 @@ def test_an_ordinarily_damped_arm_passes(
     assert study.verdict.passed, study.verdict.reasons
     # a payload may be told to the law that ships: those moves are judged too
     assert sum(bool(run.about["payload_given"]) for run in study.twins) == 3
+
+
+@pytest.mark.slow
+def test_a_model_that_contradicts_its_rig_is_moved_and_has_no_twin() -> None:
+    geared = fl.Rig.named("paper-2023-geared")
+    record = fl.read_log(fl.bundled_log("pulse_30g"), rig=geared)
+    # 34 % in the resonance: too far for the beam of the rig, too near for a doubt
+    stiff = replace(geared.link, stiffness=1.8 * geared.link.stiffness)
+    asked = {"gain_crossover": 11.0, "phase_margin": fl.deg(40)}
+    study = fl.trials.run(
+        replace(geared, link=stiff), record, arms=0, payloads=(0.020, 0.040), **asked
+    )
+    assert study.design is not None and len(study.runs) == 3 and not study.twins
+    assert study.verdict.model.state == "passed"
+    assert study.verdict.twin.state == "not run"
+    assert "natural_frequency" in study.verdict.twin.reasons[0]

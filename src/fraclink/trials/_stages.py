@@ -104,8 +104,7 @@ def run(
     }
     steps |= {"proving": proved} if certified else {}
     trying = f"trying {arms} arms"
-    if arms:
-        steps[trying] = lambda study: tried(study, arms, seed)
+    steps |= {trying: lambda study: tried(study, arms, seed)} if arms else {}
     for name, step in steps.items():
         begin(name)
         try:
@@ -225,8 +224,17 @@ def moved(study: Study) -> Study:
     low, high = design.payloads
     # The margin is smallest at one of the ends, and people look at the nominal payload.
     payloads = sorted({low, min(max(design.rig.payloads.nominal, low), high), high})
+    missing = {name: why for name, why in study.missing.items() if name != "twins"}
+    try:
+        arms = [
+            Twin.from_rig(design.rig, model=design.model, payload=m) for m in payloads
+        ]
+    except FieldError as error:
+        # A model that contradicts its rig has no twin; its own moves are shown.
+        arms, missing["twins"] = [], f"no twin: {error}"
     return replace(
         study,
+        missing=missing,
         runs=tuple(
             simulate(
                 law,
@@ -242,11 +250,11 @@ def moved(study: Study) -> Study:
             simulate(
                 law,
                 _MOVE,
-                arm=Twin.from_rig(design.rig, model=design.model, payload=m),
+                arm=arm,
                 told=told,
                 duration=_WATCHED,
             )
-            for m in payloads
+            for arm in arms
             for told in (False, True)
         ),
     )

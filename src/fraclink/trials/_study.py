@@ -173,11 +173,12 @@ class Study:
 
     def overview(self) -> Overview:
         """The verdict in its scopes, what decides, and the parts that there are."""
-        verdict, parts = self.verdict, []
-        if self.comparison is not None:
-            parts.append(self.comparison.overview())
-        if self.design is not None:
-            parts.append(self.design.overview())
+        verdict = self.verdict
+        parts = [
+            stage.overview()
+            for stage in (self.comparison, self.design)
+            if stage is not None
+        ]
         rows = rows_of(
             self,
             "verdict",
@@ -225,7 +226,7 @@ class Study:
             f"twin: {_failed_move(run)}" for run in self.twins if not run.verdict.passed
         ]
         scope = _scope(off + self._failures(), doubts, ran)
-        untried = filter(None, [self.missing.get("arms")])
+        untried = filter(None, map(self.missing.get, ("twins", "arms")))
         return replace(scope, reasons=(*scope.reasons, *untried))
 
     def _failures(self) -> list[str]:
