@@ -250,15 +250,6 @@ def _channels(
         # Optional: a rig file states the voltage for all its logs, and some have none.
         # Without it the friction is unknown, but not the link.
         if role == "voltage" and channel.column not in table.names:
-            findings.append(
-                Finding(
-                    "W219",
-                    "info",
-                    f"the log has no column {channel.column!r} of voltage",
-                    {},
-                    "only friction needs it",
-                )
-            )
             continue
         if channel.column == ROW_NUMBER and ROW_NUMBER not in table.names:
             angle = table.place(columns.motor_angle.column, "motor_angle")

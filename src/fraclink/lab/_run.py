@@ -294,25 +294,6 @@ class RealtimeRun:
             )
         return ""
 
-    def difference(self, law: Law) -> int | None:
-        """Run `law` over the recorded inputs; return the first row with another output,
-        None without one.
-
-        Every output is compared by its bits. Raises FieldError for another law than the
-        one that ran.
-        """
-        if self.law_sha256 != law.digest:
-            raise FieldError(
-                "law",
-                law.digest[:16],
-                "another than the one that ran",
-                self.law_sha256[:16],
-                "give the design of the run",
-            )
-        return first_difference(
-            law, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)}
-        )
-
     def experiment(self, *, payload: float | None = None) -> Experiment:
         """Return the motion as a log, for `identify`; `payload` at the tip [kg], where
         it is known.

@@ -5,6 +5,7 @@ them.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -265,14 +266,8 @@ def _failure(count: int, runs: int) -> Failure:
 
 
 def _trips(mode: Real, reason: Real) -> tuple[tuple[int, int, int], ...]:
-    pairs, counts = np.unique(
-        np.stack([mode, reason], axis=1), axis=0, return_counts=True
-    )
-    return tuple(
-        (int(m), int(r), int(c))
-        for (m, r), c in zip(pairs, counts, strict=True)
-        if m != 1
-    )
+    counts = Counter(zip(map(int, mode), map(int, reason), strict=True))
+    return tuple((m, r, count) for (m, r), count in sorted(counts.items()) if m != 1)
 
 
 def _ranks(values: Real) -> Real:
