@@ -362,14 +362,14 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
     digits; empty if no such request passes when followed, with the law as it ships.
     """
     # The gain at a mode is not eased: beyond one, its phase has to keep it from -1.
-    request = replace(request, soft=request.soft - {"mode_gain"})
+    soft = request.soft - {"mode_gain"}
     values: dict[str, float] = {}
     for share in _LOOSER:
         for row, item in solution.measured:
             implied = row.key == "phase_margin" and row.key not in request.spec
             near = not item.passed or item.slack < share * item.wanted
             known = 0.0 < item.achieved < math.inf
-            if row.key in request.soft and near and known and not implied:
+            if row.key in soft and near and known and not implied:
                 values[row.key] = _eased(item, share)
         if not values:
             continue
