@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1485,
     "_export": 425,
     "_files": 558,
-    "_identify": 2534,
+    "_identify": 2525,
     "_law": 941,
     "_reading": 884,
     "_simulate": 1173,

@@ -31,12 +31,11 @@ Hold = Literal["auto", "zero", "first"]
 
 # The coordinate that belongs to each parameter; the row of a structure in
 # fraclink._arm.link states which are free.
-COORDINATE: dict[str, int] = {
-    "order": 0,
-    "natural_frequency": 1,
-    "damping": 2,
-    "damping_order": 3,
-    "delay": 4,
+COORDINATE = {
+    name: place
+    for place, name in enumerate(
+        ("order", "natural_frequency", "damping", "damping_order", "delay")
+    )
 }
 NAMES = ("natural_frequency", "order", "damping", "damping_order", "delay")
 # At λ = 1 the vibration pole lies on the branch cut, and there is no vibration to

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -30,8 +29,7 @@ _COEFFICIENT_MOST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """The uncertainty of each parameter; `pairs` are the correlations of all pairs,
-    `blind` the undetermined parameters.
+    """The uncertainty of each parameter.
 
     `blind` are the parameters in directions along which the measured output does not
     change; `inflation` is the largest factor by which the residual's colour widens a
@@ -43,7 +41,6 @@ class Certainty:
     at_bound: tuple[str, ...]
     undetermined: tuple[str, ...]
     blind: tuple[str, ...]
-    pairs: Mapping[tuple[str, str], float]
     inflation: float = 1.0
 
 
@@ -62,7 +59,7 @@ def certainty_of(
     held = {name: best.values[name] for name in stuck}
     problem = replace(searched, fixed={**searched.fixed, **held})
     if not problem.names:
-        return Certainty({}, {}, stuck, (), (), {})
+        return Certainty({}, {}, stuck, (), ())
     linear = () if problem.gain is None else (problem.gain,)
     free, values = (*problem.moving, *linear), best.values
     place = problem.place_of(values)
@@ -112,18 +109,12 @@ def certainty_of(
         for name in problem.names
         if name in blind or not _is_known(problem, name, values[name], intervals[name])
     )
-    pairs = {
-        (free[i], free[j]): float(covariance.correlations[i, j])
-        for i, j in combinations(range(len(free)), 2)
-    }
     widest = max((covariance.inflation[name] for name in intervals), default=1.0)
     standard_errors = {
         name: error * float(problem.slope(name, values[name]))
         for name, error in errors.items()
     }
-    return Certainty(
-        intervals, standard_errors, stuck, undetermined, blind, pairs, widest
-    )
+    return Certainty(intervals, standard_errors, stuck, undetermined, blind, widest)
 
 
 def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:

@@ -17,9 +17,6 @@ from fraclink._identify.structure_search import Place
 from fraclink.findings import Finding, worst_first
 from fracsys._loops import log_corners
 
-# Correlation beyond which a parameter would be known seven times better if the other
-# one were given.
-_CORRELATED = 0.99
 # Shares of the squared output: 0.1 % in amplitude, the class of good force transducers;
 # and the largest share of noise in a residual that is otherwise smooth, as from a
 # simulation: no sensor is that quiet.
@@ -84,16 +81,6 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
                 },
                 "excite more of the band, record longer, or give a parameter that is known in fixed",
             )
-    for (one, other), related in certain.pairs.items():
-        if abs(related) > _CORRELATED and not {one, other} & set(certain.blind):
-            yield Finding(
-                "W354",
-                "warning",
-                f"{one} and {other} can be traded for each other",
-                {"correlation": related},
-                "their intervals already show it; if one is known, give it in fixed",
-            )
-
     if not fit.converged:
         yield Finding(
             "W302",

@@ -121,12 +121,6 @@ class Covariance:
         return dict(zip(self.names, ratios.tolist(), strict=True))
 
     @cached_property
-    def correlations(self) -> Real:
-        """Correlation of each pair (p, p)."""
-        size = np.sqrt(np.diag(self.inverse))
-        return self.inverse / np.outer(size, size)
-
-    @cached_property
     def errors(self) -> dict[str, float]:
         """Standard errors, with the colour accounted for."""
         # Rounding may leave a variance slightly below zero.
