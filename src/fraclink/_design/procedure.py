@@ -112,8 +112,8 @@ def design(
         a value is out of its range.
     InfeasibleError
         no controller of this form meets the request; names the requirement that is in
-        the way, and the nearest request that passes, if neither model nor payloads are
-        in doubt.
+        the way, and the nearest request that passes; first of all, and without such a
+        request, a contradiction of model or payloads to the rig.
 
     Examples
     --------
@@ -152,8 +152,8 @@ def design(
         if not doubts:
             raise
         causes = "; ".join(f"{one.message} ({one.remedy})" for one in doubts)
-        sentence = f"{causes}; and so {error.explanation}"
-        raise InfeasibleError(error.condition, sentence) from error
+        sentence = f"{causes}; and so {error.condition}: {error.explanation}"
+        raise InfeasibleError("contradiction", sentence) from error
     return result.doubted(getattr(model, "findings", ()))
 
 

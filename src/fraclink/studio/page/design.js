@@ -1,7 +1,7 @@
 // Step 4: the loop, its handles, and the requests they send.
 import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
 import {Around} from './around.js';
-import {$, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
+import {$, capital, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
 
 const grams = (kg) => 1e3 * kg;
 const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
@@ -230,7 +230,7 @@ export class Design {
     const place = emptied('refused');
     this.searching = true;
     place.hidden = false;
-    for (const {message, remedy} of this.doubts) make('b', '', `${message} (${remedy}). `, place);
+    for (const {message, remedy} of this.doubts) make('b', '', `${capital(message)} (${remedy}). `, place);
     place.append('Searching for a controller that meets this request …');
     $('step-design').classList.add('stale');
     this.app.refuse(true);
@@ -245,7 +245,7 @@ export class Design {
   refuse(answer) {
     const place = emptied('refused');
     place.hidden = false;
-    make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
+    make('b', '', answer.condition ? `${capital(answer.condition)}: ` : 'Not possible. ', place);
     place.append(answer.explanation || answer.error);
     if (Object.keys(answer.nearest || {}).length) {
       button('Use the nearest feasible request', '', place, () => this.use(answer.nearest));

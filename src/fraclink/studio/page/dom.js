@@ -11,6 +11,8 @@ export const make = (name, kind = '', text = '', parent = null) => {
   if (parent) parent.append(made);
   return made;
 };
+/** A sentence with a capital. */
+export const capital = (text) => text[0].toUpperCase() + text.slice(1);
 /** Set the text of the element with that id. */
 export const say = (id, text) => { $(id).textContent = text; };
 /** Listen to an element, or to the one with that id. */
@@ -78,7 +80,7 @@ export function findings(place, list) {
     if (typeof f === 'string') { item.textContent = f; continue; }
     make('b', '', `${f.code} `, item);
     item.append(`${f.message}.`);
-    if (f.remedy) make('span', 'remedy', ` ${f.remedy[0].toUpperCase()}${f.remedy.slice(1)}.`, item);
+    if (f.remedy) make('span', 'remedy', ` ${capital(f.remedy)}.`, item);
   }
 }
 /** Hand a file to the browser, which saves it as a download. */
