@@ -184,7 +184,7 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2617,
+    "fracsys": 2616,
     "_arm": 1478,
     "_certify": 845,
     "_cli": 833,
@@ -193,7 +193,7 @@ CEILINGS = {
     "_files": 558,
     "_identify": 2525,
     "_law": 941,
-    "_reading": 884,
+    "_reading": 882,
     "_simulate": 1173,
     "lab": 1902,
     "logs": 705,

@@ -243,7 +243,7 @@ def grow(
         spread = log_spaced_start(*band, order % 2, order // 2)
         candidates = [
             *_promising(starts, target, most),
-            relocate(spread, target, 12)[-1],
+            relocate(spread, target),
         ]
         # The 8-norm ranks the candidates almost as their largest errors do. With least
         # squares alone, two of six controllers need one more pole, and a third misses
@@ -330,17 +330,15 @@ def _distinct(
 # the target asks.
 
 
-def relocate(
-    start: PartialFractions, target: Target, rounds: int
-) -> list[PartialFractions]:
-    """Fractions (poles only) after each of the last rounds, each of which solves a
-    linear problem.
+def relocate(start: PartialFractions, target: Target) -> PartialFractions:
+    """A fraction (poles only) after twelve rounds, each of which solves a linear
+    problem.
 
     R = N/σ with N = d + Σ r φ and σ = 1 + Σ c φ over the present poles: P N − F Σ c φ =
     F is linear, and the zeros of σ are the next poles.
     """
-    visited, here = [], start
-    for _ in range(rounds):
+    here = start
+    for _ in range(12):
         basis = here.columns(target.x)
         columns = np.concatenate(
             [target.factor[:, None] * basis, -target.wanted[:, None] * basis[:, 1:]],
@@ -358,8 +356,7 @@ def relocate(
         here = _from_poles(
             _zeros_of_denominator(here, solution[basis.shape[1] :]), target
         )
-        visited.append(here)
-    return visited
+    return here
 
 
 def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:

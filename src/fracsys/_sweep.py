@@ -95,11 +95,10 @@ _DECADES = math.log(100.0)
 def frequency_grid(
     loop: FractionalTransferFunction | Callable[[Complex], Complex],
     *,
-    points: int = 300,
     limit: float | None = None,
 ) -> Real:
-    """Return frequencies [rad/s] for plotting a loop: `points` evenly spaced ones and
-    those where it changes fast.
+    """Return frequencies [rad/s] for plotting a loop: 300 evenly spaced ones and those
+    where it changes fast.
 
     The range is two decades beyond the corners of a transfer function; for a callable
     it is 1e-6 … 1e6 rad/s, with both ends cut to one decade as far as they are straight
@@ -122,7 +121,7 @@ def frequency_grid(
         x, values, _ = sweep(sampled, 0.2)
         if sampled.system is None:
             x, values = _bent(x, values, keep_top=limit is not None)
-    even = np.linspace(x[0], x[-1], points)
+    even = np.linspace(x[0], x[-1], 300)
     # The even points cover the range where the phase turns slowly, the others that
     # where L changes fast.
     grid = np.union1d(even, x[np.isfinite(values)])

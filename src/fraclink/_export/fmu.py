@@ -178,8 +178,8 @@ _FLAGS = (
 )
 
 
-def found(compiler: str, remedy: str = "install it, or export sources only") -> str:
-    """Return the path of a compiler; FieldError with `remedy` if it is not installed."""
+def found(compiler: str) -> str:
+    """Return the path of a compiler; FieldError if it is not installed."""
     path = shutil.which(
         checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc")
     )
@@ -189,7 +189,7 @@ def found(compiler: str, remedy: str = "install it, or export sources only") -> 
             compiler,
             "not installed",
             "gcc, clang or a cross compiler of theirs",
-            remedy,
+            "install it, or export sources only",
         )
     return path
 

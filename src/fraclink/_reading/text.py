@@ -146,9 +146,6 @@ def _utf8(raw: bytes, path: Path) -> bytes:
     """
     wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")
     encoding = "utf-16" if wide else "utf-8-sig"
-    # The byte order mark of UTF-32 begins with that of UTF-16.
-    if raw[:4] in (b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff"):
-        encoding = "utf-32"
     if encoding == "utf-8-sig" and b"\x00" in raw:
         problem = f"damaged or binary (NUL at byte {raw.index(0)})"
         # Only the author knows the shape of raw binary numbers.
