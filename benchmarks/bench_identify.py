@@ -58,7 +58,7 @@ def kernel_and_fits(rounds: int, whole_rounds: int) -> None:
     for name, title, wanted in (
         ("2", "residual + Jacobian (λ, ω₀) + Gram matrix, N = 5000", 1.5),
         ("3", "the same with the delay's derivative", 1.5),
-        ("fit", "UD-FOM fit from Python, no guess", 40.0),
+        ("fit", "UD-FOM fit from Python, no guess", 25.0),
         ("guess", "UD-FOM fit from Python, guess λ 1.3, ω₀ 25", 40.0),
     ):
         value, spread = median(spent[name] / np.median(spent["R"]))

@@ -121,7 +121,7 @@ def reduced(
     the response]. The gain has a range (low, high), with equal ends if it is known; the
     offset is free if it is NaN.
     """
-    free_offset, known_gain = math.isnan(offset), gain[0] == gain[1]
+    free_offset = math.isnan(offset)
     count = gram[:, 2, 2]
     with np.errstate(all="ignore"):
         # All signals relative to their means if the offset is free.
@@ -139,7 +139,7 @@ def reduced(
         across = inner[:, 3:, 1]
         normal = (
             inner[:, 3:, 3:]
-            - np.where(at_limit | known_gain, 0.0, 1.0)[:, None, None]
+            - np.where(at_limit, 0.0, 1.0)[:, None, None]
             * across[:, :, None]
             * across[:, None, :]
             / np.maximum(inner[:, 1, 1], 1e-300)[:, None, None]
