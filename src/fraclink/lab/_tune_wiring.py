@@ -148,42 +148,42 @@ def check_wiring(
         STRONGEST if stated is None else FAR * stated.motor.gain * guard.limits.voltage
     )
     doublets = partial(_Doublets, guard, still, shake, strongest, width)
-    motion = partial(_checked, doublets, partial(guard.record, start), noise, stated)
-    try:
-        return guard.sized(motion, noise, tell)[0]
-    except (WiringFault, LimitReached):
-        guard.release()
-        # Swapped channels may look like anything: each has the other's scale and limit.
-        _refuse_swapped(guard.record(start))
-        raise
+    motion = partial(_checked, guard, start, doublets, noise, stated)
+    return guard.sized(motion, noise, tell)[0]
 
 
 def _checked(
+    guard: Guard,
+    start: int,
     smallest: Callable[[], _Doublets],
-    recorded: Callable[[], Record],
     noise: float,
     stated: Rig | None,
     size: float,
 ) -> Wiring:
     """The wiring as doublets show it that are `size` times as large; `noise` of the gauge
-    [N·m], and all that was `recorded` from the last rest on.
+    [N·m]; the period `start` is that of the last rest.
     """
     doublets = smallest()
     goal, largest = max(size * _ANSWER, doublets.clear), size * MOST / _LARGER
     fault = WiringFault(_PULLED)
-    while doublets.grow(goal):
-        record, earlier = doublets.train()
-        _refuse_swapped(recorded())
-        try:
-            return _concluded(record, earlier, noise, doublets, stated)
-        except _Unsure as unsure:
-            fault = unsure
-        if goal >= largest or not doublets.room:
-            break
-        # Continue from there: a motion too small for the noise is enlarged, and may
-        # exceed its goal by one growth.
-        goal = min(_LARGER * goal, largest)
-    raise fault
+    try:
+        while doublets.grow(goal):
+            record, earlier = doublets.train()
+            _refuse_swapped(guard, start)
+            try:
+                return _concluded(record, earlier, noise, doublets, stated)
+            except _Unsure as unsure:
+                fault = unsure
+            if goal >= largest or not doublets.room:
+                break
+            # Continue from there: a motion too small for the noise is enlarged, and may
+            # exceed its goal by one growth.
+            goal = min(_LARGER * goal, largest)
+        raise fault
+    except (WiringFault, LimitReached):
+        # Swapped channels may look like anything: each has the other's scale and limit.
+        _refuse_swapped(guard, start)
+        raise
 
 
 class _Doublets:
@@ -370,7 +370,6 @@ def _concluded(
             f"{wrong} reversed: {voltage}, and {bend}; turn the {wrong}'s sign (the same is seen where the other "
             "two are both reversed)"
         )
-    scales = _scales(gain, stiffness, stated)
     return Wiring(
         gain=gain,
         delay=delay,
@@ -384,7 +383,7 @@ def _concluded(
             f"encoder and voltage: right, {voltage}",
             f"gauge: right, alive, {bend}, noise {noise:.2g} N·m at rest",
             f"delay: {1e3 * delay:.2g} ms from voltage to motion, {1e3 * gauge_delay:.2g} ms of the gauge",
-            *scales,
+            *_scales(gain, stiffness, stated),
         ),
     )
 
@@ -411,13 +410,15 @@ def _scales(gain: float, stiffness: float, stated: Rig | None) -> tuple[str, ...
     return messages
 
 
-def _refuse_swapped(record: Record) -> None:
-    """Raise `WiringFault` if a record shows swapped channels.
+def _refuse_swapped(guard: Guard, start: int) -> None:
+    """Raise `WiringFault` if the record from `start` on shows swapped channels.
 
     Either channel may be the motor's, which stands between the doublets, and the other
     one the link's response to it: the more likely way round has the smaller product of
     what remains of both.
     """
+    guard.release()
+    record = guard.record(start)
     link = _link(record.period, record.angle, record.torque)
     other = _link(record.period, record.torque, record.angle)
     if other is None or abs(other[0]) < SURE * other[1]:
@@ -435,14 +436,14 @@ def _refuse_swapped(record: Record) -> None:
 def _unsettled(record: Record, channel: Real) -> float:
     """The share of a channel's mean square that is motion while the motor stands."""
     # In the second half of every pause: delay and coasting end in the first.
-    half = round(0.5 * _PAUSE / record.period)
-    driven = np.convolve(record.voltage != 0.0, np.ones(half))[: channel.size]
-    standing = np.flatnonzero(driven == 0.0)
+    half = np.ones(round(0.5 * _PAUSE / record.period))
+    driven = np.convolve(record.voltage != 0.0, half)
+    standing = np.flatnonzero(driven[: channel.size] == 0.0)
     pause = np.searchsorted(edges_of(record), standing, side="right")
     values = channel[standing]
     means = np.bincount(pause, values) / np.maximum(np.bincount(pause), 1)
     whole = float(np.var(values))
-    return float(np.mean((values - means[pause]) ** 2)) / whole if whole > 0.0 else 1.0
+    return float(np.var(values - means[pause])) / whole if whole > 0.0 else 1.0
 
 
 def _step(angle: Real) -> float:
