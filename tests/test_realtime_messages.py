@@ -25,7 +25,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import Callback, Law, MotorLoop, Reference, Twin
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.extend import equip, geared
 from fraclink.lab import RealtimeRun, ServedArm, Udp, run_realtime, serve_arm
 from fraclink.lab._connections import arm_end
@@ -506,7 +506,7 @@ def test_bad_values_are_named(
 
 
 def test_more_is_refused_before_memory_is_taken(twin: Twin) -> None:
-    with pytest.raises(SizeError):
+    with pytest.raises(FieldError, match="duration"):
         serve_arm(twin, Udp("127.0.0.1", free_port()), PERIOD, duration=1e5)
     with pytest.raises(FieldError, match="no way to serve an arm"):
         serve_arm(twin, Callback(lambda: None, print), PERIOD)  # type: ignore[arg-type]

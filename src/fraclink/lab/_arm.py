@@ -17,7 +17,7 @@ from fraclink._law import MODES
 from fraclink._law.limits import Limits
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.lab._connections import Callback, Command, Connection, arm_end
 from fraclink.lab._machine import (
     PRIORITY,
@@ -151,22 +151,11 @@ def serve_arm(
     ------
     FieldError
         A value out of its range, a port or name in use, another system than Linux.
-    SizeError
-        Too long a duration.
     """
     check_machine()
     # Whole nanoseconds, as in the message: both ends test their periods for equality.
     nanoseconds = period_ns(period)
-    Between(period, 1e300, "s").check("duration", duration)
-    count = math.ceil(duration / period)
-    if count > LONGEST:
-        raise SizeError(
-            "duration",
-            duration,
-            "too long",
-            f"<= {LONGEST} periods",
-            "serve a shorter time",
-        )
+    Between(period, LONGEST * period, "s").check("duration", duration)
     # A sample goes out and its command comes back; without this period of delay the arm
     # would have to respond before it receives the command.
     if twin.voltage_delay < 1:
@@ -180,6 +169,7 @@ def serve_arm(
     # The transmission of the messages is the first period of the twin's delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
     # Filled and not only allocated: page faults at first access would delay the loop.
+    count = math.ceil(duration / period)
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
     noise = np.random.default_rng(seed).standard_normal(count)
     with arm_end(connection, begin) as way:
