@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -311,7 +311,7 @@ def _with_one(code: Any, draw: Draw) -> Sides:
 def _without_filter(code: Any, draw: Draw) -> Sides:
     """(56)."""
     at = _outer(draw)
-    k = at.controller.without_filter()
+    k = replace(at.controller, filter_time=0.0)
     return (
         1.0 + k.derivative_gain * at.s**k.derivative_order,
         code(k)(at.s),
@@ -367,7 +367,7 @@ def _proper(code: Any, draw: Draw) -> Sides:
 def _derivative(code: Any, draw: Draw) -> Sides:
     """(33)."""
     at = _outer(draw)
-    k = at.controller.without_filter()
+    k = replace(at.controller, filter_time=0.0)
     return (
         k.derivative_gain * at.s**k.derivative_order,
         code(k)(at.s),

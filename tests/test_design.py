@@ -267,8 +267,8 @@ def test_a_search_from_a_similar_controller_ends_at_the_same_design(crossover: f
     similar = fl.design(RIG.model, RIG, gain_crossover=12.0, **wanted).controller
     asked = {"gain_crossover": crossover, **wanted}
     anew = fl.design(RIG.model, RIG, **asked)
-    other = replace(similar, derivative_gain=50.0)
-    for near in (similar, other):
+    apart = replace(similar, derivative_gain=50.0)
+    for near in (similar, apart):
         design = fl.design(RIG.model, RIG, **asked, near=near)
         assert design.passed
         for row, other in zip(design.requirements, anew.requirements, strict=True):

@@ -25,6 +25,8 @@ def _loop(pole: float = 80.0) -> Any:
 
 def test_coefficients_of_table_1() -> None:
     loop = _loop()
+    assert loop.gain == pytest.approx(3056.7686, abs=5e-5)
+    assert loop.decay == pytest.approx(15.152838, abs=5e-7)
     assert loop.a0 == pytest.approx(13399.771, abs=5e-4)
     assert loop.a1 == loop.b0 == pytest.approx(334.99429, abs=5e-6)
     assert loop.a2 == pytest.approx(2.0937143, abs=5e-8)
@@ -38,9 +40,10 @@ def test_the_loop_is_m_of_s(pole: float) -> None:
     s = 1j * np.geomspace(0.1, 1e4, 50)
     c1 = (loop.a2 * s**2 + loop.a1 * s + loop.a0) / (s * (s + loop.filter_pole))
     c2 = (loop.b1 * s + loop.b0) / (s + loop.filter_pole)
-    plant = A / (s * (s + B))
+    plant = loop.gain / (s * (s + loop.decay))
     closed = plant * c1 / (1 + plant * (c1 + c2))
     np.testing.assert_allclose(closed, 1 / (1 + s / pole) ** 2, rtol=1e-12)
+    np.testing.assert_allclose(loop.closed()(s), closed, rtol=1e-12)
 
 
 def test_the_loop_is_stable_at_4_ms_with_one_sample_of_delay() -> None:

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 from fraclink._arm.rig_parts import Motor
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._terms import Term
 from fracsys.checks import Period, checked
 
 __all__ = [
@@ -80,18 +82,35 @@ class DiscretePid:
 
 @dataclass(frozen=True)
 class ContinuousPid:
-    """Coefficients of the PID (19), (20) that closes the motor loop.
+    """Coefficients of the PID (19), (20) that closes the motor loop, for one pole p
+    [rad/s].
 
     Every closed-loop pole and both zeros lie at −p, so the loop is M(s) = 1/(1 + s/p)²
     exactly (21).
+
+    >>> from fraclink._arm.rig import Rig
+    >>> loop = place_pid(Rig.named("paper-2023").motor, 80.0)
+    >>> round(abs(loop.closed()(80.0j)), 3)
+    0.5
     """
 
+    pole: float
+    gain: float  # A = K/J [rad/(s²·V)]
+    decay: float  # B = ν/J [1/s]
     a0: float
     a1: float
     a2: float
     b0: float
     b1: float
     filter_pole: float  # c of (19), (20) [rad/s]
+
+    def closed(self) -> FractionalTransferFunction:
+        """Return M(s) = θm/θm* = 1/(1 + s/p)² (21)."""
+        p = self.pole
+        return FractionalTransferFunction(
+            (Term(1.0, 0.0),),
+            (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0)),
+        )
 
     @checked
     def discretize(self, period: Period) -> DiscretePid:
@@ -164,6 +183,9 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
         )
     p = float(pole)
     return ContinuousPid(
+        pole=p,
+        gain=gain,
+        decay=decay,
         # Six unknowns including c: the four coefficients of (s + p)⁴ and the two zeros
         # of Cm1 at −p determine them.
         a0=p**4 / gain,
