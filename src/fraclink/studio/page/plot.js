@@ -32,6 +32,8 @@ export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
 /** A circle about a point of the real axis. */
 export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre + r * Math.cos((Math.PI * k) / 60), r * Math.sin((Math.PI * k) / 60)]);
 
+/** A move of the pointer as it arrives, where the browser tells of it before the next frame. */
+const MOVED = 'onpointerrawupdate' in window ? 'pointerrawupdate' : 'pointermove';
 const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
 const steps = (low, high, count) => {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
@@ -268,7 +270,7 @@ export class Plot {
       hand.begin();
       grabbed = {pointer: h.drag === 'x' ? event.clientX : event.clientY, own: this.part(h.drag === 'x' ? this.x : this.y, to(h.get()))};
     });
-    on(g, 'pointermove', (event) => {
+    on(g, MOVED, (event) => {
       if (!grabbed) return;
       const moved = (h.drag === 'x' ? event.clientX - grabbed.pointer : grabbed.pointer - event.clientY);
       const room = h.drag === 'x' ? this.W - LEFT - RIGHT : this.height - TOP - FOOT;

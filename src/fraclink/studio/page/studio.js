@@ -11,7 +11,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
   /** the request, with the option names of the command line */
-  state: {}, states: [], at: -1, axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
+  state: {}, states: [], at: -1, axes: {}, study: {}, step: '', began: null, timer: 0, placing: 0, exactly: '', refused: false, told() {},
   link: null,
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -31,8 +31,8 @@ export const app = {
         performance.measure('drag', {start: at, end: performance.now()});
       });
     }, () => design.late());
-    design.fields(); // behind the request, which Python answers in the meantime
-    design.place();
+    // once a frame, behind the request, which Python answers in the meantime
+    app.placing ||= requestAnimationFrame(() => { app.placing = 0; design.fields(); design.place(); });
   },
   end() {
     design.ghost(false);
