@@ -746,11 +746,9 @@ static uint32_t damaged(const law_state *s, law_real sum)
     return (credible(sum - s->sum, LAW_TINY) != 0U) ? 0U : 1U;
 }
 
-/* Flag a vibration that does not decay, and trip on it where a limit was given, or where it bends the link further than
- * a move of the heaviest payload does for as long: this is no longer the arm that the law was made for. Each change of
- * the error from beyond the limit on one side to beyond it on the other counts for three half periods of the link, and
- * each period takes one off: what swings on for nine half periods is seen, and one that decays, or a row of moves, is
- * not. */
+/* Flag a vibration that does not decay, and trip on it where a limit was given. Each change of the error from beyond
+ * the limit on one side to beyond it on the other counts for three half periods of the link, and each period takes one
+ * off: what swings on for nine half periods is seen, and one that decays, or a row of moves, is not. */
 static uint32_t watch_ringing(law_state *s, const law_params *p, law_real error)
 {
     uint32_t flags = 0U;
@@ -758,7 +756,7 @@ static uint32_t watch_ringing(law_state *s, const law_params *p, law_real error)
         s->ringing -= 1U;
         if (s->ringing > (12U * p->block_limit)) {
             flags = LAW_FLAG_RINGING;
-            if (((p->options & LAW_STOP_RINGING) != 0U) || (credible(s->torque, p->torque_block) == 0U)) {
+            if ((p->options & LAW_STOP_RINGING) != 0U) {
                 latch(s, LAW_RINGING);
             } else if (s->ringing > (16U * p->block_limit)) {
                 s->ringing = 16U * p->block_limit; /* one that ends is over within sixteen half periods */

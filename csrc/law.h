@@ -53,7 +53,7 @@ typedef double law_real;
 /* Options of the parameter block. */
 #define LAW_WITH_INNER 1U /* the law closes the motor loop and gives a voltage */
 #define LAW_LATE_GAUGE 2U /* the gauge has a delay or a gain that the reference model counts on */
-#define LAW_STOP_RINGING 4U /* a vibration that does not decay trips however small its torque is */
+#define LAW_STOP_RINGING 4U /* a vibration that does not decay trips, and is not only flagged */
 
 /* Modes, in the order of severity. */
 #define LAW_IDLE 0U     /* not started: no valid encoder sample yet, or the parameters are refused */

@@ -138,16 +138,6 @@ def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(
 
 
 @pytest.mark.slow
-def test_a_vibration_that_bends_the_link_beyond_every_move_is_held(
-    bench: Bench,
-) -> None:
-    # 4 g, where the design keeps the loop stable down to a gripper of 8 g.
-    case = Case("F39", 2, 0.02, "rest", 1)
-    assert run_case(bench, case).mode == "hold"
-    assert run_case(loosened(bench, torque_block=WIDE), case).group == "unsafe"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [

@@ -80,8 +80,7 @@ class Moves:
         limits make of it.
     vibration
         of the tip [rad], > 0: one that goes beyond it on both sides and does not decay
-        trips, and the motor is held. None: one of 0.05 rad is flagged, and trips
-        where it bends the link further than the moves of the heaviest payload do.
+        trips, and the motor is held. None: one of 0.05 rad is flagged.
     centre
         what the encoder reads in the middle of `angle` [rad].
     rest_torque
