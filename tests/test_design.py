@@ -256,30 +256,3 @@ def test_the_published_reading_asks_the_law_for_stability_alone():
     margin, modulus = made.requirements[-2:]
     assert (margin.wanted, modulus.wanted) == (0.0, 0.0)
     assert made.passed == (margin.achieved >= 0.0)
-
-
-@pytest.mark.parametrize("crossover", [12.1, 13.0])
-def test_a_search_from_a_similar_controller_ends_at_the_same_design(crossover: float):
-    """As least noise with the same requirements kept; one from a controller that has
-    nothing in common with the request is as good.
-    """
-    wanted = {"payloads": (0.020, 0.040), "phase_margin": fl.deg(50), "law": False}
-    similar = fl.design(RIG.model, RIG, gain_crossover=12.0, **wanted).controller
-    asked = {"gain_crossover": crossover, **wanted}
-    anew = fl.design(RIG.model, RIG, **asked)
-    apart = replace(similar, derivative_gain=50.0)
-    for near in (similar, apart):
-        design = fl.design(RIG.model, RIG, **asked, near=near)
-        assert design.passed
-        for row, other in zip(design.requirements, anew.requirements, strict=True):
-            assert row.achieved == pytest.approx(other.achieved, rel=0.01), row.name
-
-
-def test_a_search_from_a_controller_keeps_the_filter_that_is_asked_for():
-    wanted = {"payloads": (0.020, 0.040), "phase_margin": fl.deg(40), "law": False}
-    near = fl.design(RIG.model, RIG, gain_crossover=12.0, **wanted).controller
-    asked = {"gain_crossover": 12.0, "filter_order": 1, "filter_time": 0.01}
-    design = fl.design(RIG.model, RIG, **wanted, **asked, near=near)
-    assert near.filter_order == 2
-    assert design.controller.filter_order == 1
-    assert design.controller.filter_time == pytest.approx(0.01)

@@ -119,6 +119,21 @@ def test_a_preview_has_the_figures_of_design(subject):
     assert at_20g == pytest.approx(50.0, abs=0.05)
 
 
+@pytest.mark.parametrize("changed", [{"gain_crossover": 13.0}, {"filter_order": 1}])
+def test_a_preview_from_the_one_before_it_shows_the_design_of_its_own_request(
+    subject, changed
+):
+    """Also from a controller that has nothing in common with the request."""
+    _, last = preview(subject, ASKED)
+    assert last is not None
+    asked = {**ASKED, "phase_margin_deg": 40.0, **changed}
+    anew, _ = preview(subject, asked)
+    for near in (last, replace(last, derivative_gain=50.0)):
+        reply, _ = preview(subject, asked, near=near)
+        margins = (one.curves["margin"] for one in (reply, anew))
+        np.testing.assert_allclose(*margins, atol=0.3)
+
+
 VALUES = st.one_of(
     st.none(),
     st.floats(),

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
-from fraclink._design.procedure import design
+from fraclink._design.procedure import design, sketched
 from fraclink._design.rows import SENSITIVITY
 from fraclink._law.design import Design
 from fraclink.errors import required
@@ -27,7 +28,11 @@ _COMPLETED = {
 
 @checked
 def design_for(
-    rig: Rig, model: LinkModel | None = None, **wanted: Any
+    rig: Rig,
+    model: LinkModel | None = None,
+    *,
+    near: Controller | None = None,
+    **wanted: Any,
 ) -> tuple[Design, tuple[str, ...]]:
     """Design with the given request, completed from the rig; also return the
     assumptions as sentences.
@@ -36,6 +41,8 @@ def design_for(
     table. Without an entry there, the crossover is the highest that meets every
     requirement, and Ms is at most 2. Values stated by the request or the rig are never
     changed.
+
+    With the controller of a similar request (`near`), it is `sketched` if it can be.
 
     Raises InfeasibleError if the stated values cannot be met, FieldError if a value is
     out of its range.
@@ -56,7 +63,11 @@ def design_for(
         if default is not None and not {name, *instead} & set(request):
             request[name] = default
     own_model = with_payload(link, rig)
-    result = design(own_model, rig, **request)
+    result = None
+    if near is not None:
+        stated = {key: request[key] for key in request.keys() - {"law", "nearest"}}
+        result = sketched(own_model, rig, near, **stated)
+    result = result or design(own_model, rig, **request)
     return result, (*_assumed_payload(link, own_model), *_assumed(request, result))
 
 

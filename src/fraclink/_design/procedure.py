@@ -7,7 +7,7 @@ published (section 6, (54)–(57)) is available alongside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -29,7 +29,7 @@ from fracsys.checks import above, checked_choice, checked_noun
 if TYPE_CHECKING:
     from fraclink._identify import Fit
 
-__all__ = ["design", "link_of", "request_of"]
+__all__ = ["design", "link_of", "request_of", "sketched"]
 
 Goal = Literal["noise", "settling", "margin"]
 
@@ -54,7 +54,6 @@ def design(
     procedure: Literal["solver", "published"] = "solver",
     law: bool = True,
     nearest: bool = True,
-    near: Controller | None = None,
     **wanted: Unpack[Specification],
 ) -> Design:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` that keeps every requirement at every
@@ -99,9 +98,6 @@ def design(
         other. Without it nothing is said of the law.
     nearest
         False: a refusal does not look for the nearest request that passes.
-    near
-        the controller of a similar request, from which the search goes on if it can: it
-        takes half as long, and ends in the same valley.
     wanted
         what is asked for, by the names of `Specification`, such as ``gain_crossover``
         [rad/s] and ``phase_margin`` [rad].
@@ -147,7 +143,7 @@ def design(
             request = request_of(link, rig, spec, box)
             default: Goal = "noise" if request.speed is not None else "settling"
             offers = nearest and not doubts
-            result = _solved(request, goal or default, law, offers, near)
+            result = _solved(request, goal or default, law, offers)
     except InfeasibleError as error:
         if not doubts:
             raise
@@ -181,13 +177,31 @@ def request_of(
     return Request.of(payload_model, rig, spec, arms)
 
 
-def _solved(
-    request: Request, goal: Goal, law: bool, nearest: bool, near: Controller | None
-) -> Design:
+def sketched(
+    model: LinkModel,
+    rig: Rig,
+    near: Controller,
+    *,
+    box: ParameterBox | bool | None = None,
+    **wanted: Unpack[Specification],
+) -> Design | None:
+    """Return a design as a drag shows it: searched from a controller `near` it, with no
+    requirement measured and no vibration looked at; None where that search meets no
+    requirement, or where there is a box.
+    """
+    request = request_of(link_of(model, rig), rig, specification(wanted), box)
+    for attempt in _attempts(request) if request.box is None else ():
+        solution = beside(attempt, near)
+        if solution.kept:
+            return _design_of(solution, requirements=())
+    return None
+
+
+def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
     """The design of a request; InfeasibleError if there is none, with the nearest
     feasible request.
     """
-    result, solution = _best(request, goal, law, near)
+    result, solution = _best(request, goal, law)
     if not result.missed:
         costs = () if result.box is None else (cost_of_box(result, solution),)
         return replace(result, findings=(*result.findings, *costs))
@@ -198,31 +212,31 @@ def _solved(
     raise InfeasibleError(condition, sentence, offer)
 
 
-def _best(
-    request: Request, goal: Goal, law: bool, near: Controller | None = None
-) -> tuple[Design, Solution]:
-    """The design of a request and the solution of its search: with a gain-stabilised
-    second mode, or else with a phase-stabilised one.
-    """
+def _attempts(request: Request) -> Iterator[Request]:
+    """The request with a gain-stabilised second mode, then with a phase-stabilised one."""
+    yield request
     # `loud` needs a known second mode that the user does not bound
     known = request.model.second_mode is not None and "mode_gain" not in request.spec
     if known and not request.loud:
-        result, solution = _reserved(request, goal, law, near)
+        yield replace(request, loud=True)
+
+
+def _best(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
+    """The design of a request and the solution of its search."""
+    for attempt in _attempts(request):
+        result, solution = _reserved(attempt, goal, law)
         if not result.missed:
-            return result, solution
-        request = replace(request, loud=True)
-    return _reserved(request, goal, law, near)
+            break
+    return result, solution
 
 
-def _reserved(
-    request: Request, goal: Goal, law: bool, near: Controller | None
-) -> tuple[Design, Solution]:
+def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution]:
     """The design of a request, with reserves increased until the law that ships also
     meets every row; the nearest design if none does.
     """
     refused: list[Design] = []
-    for attempt, start in _asked(request, goal, near):
-        solution = solved(attempt, start)
+    for attempt, near in _asked(request, goal):
+        solution = solved(attempt, near)
         result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.kept else 0):
             result = result.with_law()
@@ -242,15 +256,13 @@ def _reserved(
     )
 
 
-def _asked(
-    request: Request, goal: Goal, near: Controller | None
-) -> list[tuple[Request, Solution | None]]:
+def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]]:
     """The requests for nine tenths of the highest feasible crossover or margin, from the
     solution that has it and anew, and for less in case the law does not keep it; the
     request itself without such a goal, or if no loop meets the other rows.
     """
     if goal == "noise":
-        return [(request, None if near is None else beside(request, near))]
+        return [(request, None)]
     key, most, unit, least = (
         ("phase_margin", math.pi, math.radians(1.0), 0.0)
         if goal == "margin"
@@ -282,8 +294,12 @@ def _lost_by_law(made: Design) -> dict[str, float]:
     return reserves
 
 
-def _design_of(solution: Solution) -> Design:
-    """The design of a solution, with every row."""
+def _design_of(
+    solution: Solution, requirements: tuple[Requirement, ...] | None = None
+) -> Design:
+    """The design of a solution, with every row where none is given."""
+    if requirements is None:
+        requirements = tuple(item for _, item in solution.measured)
     request, controller = solution.search.request, solution.controller
     lowest, upper = solution.crossovers
     crossover = request.speed or _floored(lowest)
@@ -291,7 +307,7 @@ def _design_of(solution: Solution) -> Design:
         model=request.model,
         rig=request.rig,
         controller=controller,
-        requirements=tuple(item for _, item in solution.measured),
+        requirements=requirements,
         margins_kind="loop",
         payloads=request.payloads,
         natural_frequencies=request.natural_frequencies,

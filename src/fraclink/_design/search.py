@@ -382,8 +382,10 @@ class Solution:
     @cached_property
     def _every(self) -> Search:
         """The search at every link of the table, all rows but the damping."""
-        every = range(len(self.search.request.arms.table))
-        return replace(self.search, links=tuple(every), ringing=False)
+        every = tuple(range(len(self.search.request.arms.table)))
+        if self.search.links == every and not self.search.ringing:
+            return self.search
+        return replace(self.search, links=every, ringing=False)
 
     @cached_property
     def _worst(self) -> dict[str, tuple[float, int]]:
@@ -461,20 +463,20 @@ class Solution:
 
 
 def beside(request: Request, controller: Controller) -> Solution:
-    """Return the solution of a request that a search has, if it begins from a
+    """Return where a search at every link of a request ends that begins from a
     controller.
     """
     notch = None if controller.notch is None else request.notches[-1]
     # the order that was asked for, if it is another one
     order = max(request.filter_orders, key=lambda n: n == controller.filter_order)
-    search = Search(request, request.first_links, order, notch)
+    search = Search(request, tuple(range(len(request.arms.table))), order, notch)
     x = Outer.of(controller, request.reference).x[: search.bounds[0].size]
-    return Solution(search, x.clip(*search.bounds), 0.0, 0.0)
+    return search.descended(x.clip(*search.bounds))
 
 
 def solved(request: Request, near: Solution | None = None) -> Solution:
     """Return the controller of a request, or the one nearest to it: from a solution that
-    keeps it, or nearly, if one is known; or else with every n without a notch, then with
+    keeps it, if one is known; or else with every n without a notch, then with
     one, from each start until one keeps every row, or two ease them equally.
     """
     if near is not None:
