@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 941,
     "_reading": 882,
     "_simulate": 1173,
-    "lab": 1900,
+    "lab": 1908,
     "logs": 705,
     "studio": 1056,
     "trials": 1281,

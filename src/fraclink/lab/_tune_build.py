@@ -351,11 +351,12 @@ def planned_move(
             break
     if best is None:
         return None, f"no move passes in the simulation: {reason}"
-    swing = max(
-        0.5 * float(np.ptp(run.tip_angle[run.time > least]))
-        for run in _simulated(law, design, twins, *best, until=best[1] + _RESTED)
-    )
+    rests = _simulated(law, design, twins, *best, until=best[1] + _RESTED)
+    swing = max(0.5 * float(np.ptp(run.tip_angle[run.time > least])) for run in rests)
     if swing > band:
+        # A vibration may grow so slowly that the move alone does not show it.
+        if reason := _first_failure(rests, lambda run: run.metrics.growth > 0.0):
+            return None, f"no move passes in the simulation: {reason}"
         return None, (
             f"the motor hunts in the simulation: it slides at {motor.friction:.2g} V and breaks away at "
             f"{motor.breakaway:.2g} V, which lets the tip swing by ±{math.degrees(swing):.2g}°, "
@@ -396,12 +397,6 @@ def _objection(
     """Why a move cannot be promised, "" if it can; `far` are the runs that nearly reach
     the angle limit.
     """
-    failed = [
-        (number, run.verdict.reason)
-        for number, pair in enumerate(zip(runs, far, strict=True))
-        for run in pair
-        if not run.verdict.passed
-    ]
     # Over four periods: one count of an encoder from one to the next is a high speed.
     speed = max(
         largest(run.motor_angle_measured[4:] - run.motor_angle_measured[:-4])
@@ -410,15 +405,24 @@ def _objection(
     )
     torque = max(largest(run.torque_measured) for run in runs)
     times = [run.metrics.settling_time for run in runs]
-    if failed:
-        number, reason = failed[0]
-        # The first three are of the arm as it was measured.
-        return reason if number < 3 else f"{reason}, {_UNSEEN_LINK}"
+    for group in (runs, far):
+        if reason := _first_failure(group, lambda run: not run.verdict.passed):
+            return reason
     if speed > PLANNED * limits.speed or torque > PLANNED * limits.torque:
         return f"it takes more than {100 * PLANNED:g} % of the limits"
     # The first and the last twin with the same payload.
     if not all(map(agree, times[-3:], times[:3])):
         return f"its settling time would be another {_UNSEEN_LINK}"
+    return ""
+
+
+def _first_failure(runs: list[Run], failed: Callable[[Run], bool]) -> str:
+    """Why the first run fails that does; "" if none does."""
+    for number, run in enumerate(runs):
+        if failed(run):
+            # The first three are of the arm as it was measured.
+            unseen = "" if number < 3 else f", {_UNSEEN_LINK}"
+            return run.verdict.reason + unseen
     return ""
 
 
