@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1484,
     "_certify": 845,
     "_cli": 833,
-    "_design": 1503,
+    "_design": 1504,
     "_export": 425,
     "_files": 558,
     "_identify": 2525,

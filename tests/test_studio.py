@@ -119,7 +119,10 @@ def test_a_preview_has_the_figures_of_design(subject):
     assert at_20g == pytest.approx(50.0, abs=0.05)
 
 
-@pytest.mark.parametrize("changed", [{"gain_crossover": 13.0}, {"filter_order": 1}])
+@pytest.mark.parametrize(
+    "changed",
+    [{"gain_crossover": 13.0}, {"filter_order": 1}, {"gain_crossover": None}],
+)
 def test_a_preview_from_the_one_before_it_shows_the_design_of_its_own_request(
     subject, changed
 ):

@@ -186,11 +186,12 @@ def sketched(
     **wanted: Unpack[Specification],
 ) -> Design | None:
     """Return a design as a drag shows it: searched from a controller `near` it, with no
-    requirement measured and no vibration looked at; None where that search meets no
-    requirement, or where there is a box.
+    requirement measured and no vibration looked at; None where that search misses a
+    row, where no speed is asked for, or where there is a box.
     """
     request = request_of(link_of(model, rig), rig, specification(wanted), box)
-    for attempt in _attempts(request) if request.box is None else ():
+    one_search = request.box is None and request.speed is not None
+    for attempt in _attempts(request) if one_search else ():
         solution = beside(attempt, near)
         if solution.kept:
             return _design_of(solution, requirements=())

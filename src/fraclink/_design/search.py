@@ -476,8 +476,8 @@ def beside(request: Request, controller: Controller) -> Solution:
 
 def solved(request: Request, near: Solution | None = None) -> Solution:
     """Return the controller of a request, or the one nearest to it: from a solution that
-    keeps it, if one is known; or else with every n without a notch, then with
-    one, from each start until one keeps every row, or two ease them equally.
+    keeps it, if one is known; or else with every n without a notch, then with one, from
+    each start until one keeps every row, or two ease them equally.
     """
     if near is not None:
         solution = replace(near.search, request=request).over_links(near.x)
