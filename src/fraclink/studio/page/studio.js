@@ -21,7 +21,8 @@ export const app = {
     performance.clearMeasures('drag');
     design.ghost(true);
   },
-  change(at = performance.now()) {
+  change(time) {
+    const at = time ?? performance.now();
     const state = {...app.state};
     app.link.drag({state, fan: $('fan').checked, get held() { return Boolean(app.began); }}, (answer) => {
       app.shown(answer);
@@ -31,10 +32,13 @@ export const app = {
         performance.measure('drag', {start: at, end: performance.now()});
       });
     }, () => design.late());
-    // once a frame, behind the request, which Python answers in the meantime
-    app.placing ||= requestAnimationFrame(() => { app.placing = 0; design.fields(); design.place(); });
+    // behind the request, which Python answers in the meantime; once a frame while the pointer moves
+    if (time === undefined) app.place();
+    else app.placing ||= requestAnimationFrame(app.place);
   },
+  place() { app.placing = 0; design.fields(); design.place(); },
   end() {
+    app.place();
     design.ghost(false);
     const before = app.began;
     app.began = null;
