@@ -8,6 +8,7 @@ otherwise.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 from typing import Final
 
@@ -33,9 +34,15 @@ def designed() -> Design:
 
 
 def on_twin(
-    design: Design, payload: float, told: object, seed: int, **options: object
+    design: Design,
+    payload: float,
+    told: object,
+    seed: int,
+    *,
+    gauge_gain: float = 1.0,
+    **options: object,
 ) -> Run:
-    arm = Twin.from_rig(RIG, payload=payload)
+    arm = replace(Twin.from_rig(RIG, payload=payload), gauge_gain=gauge_gain)
     given = {"gauge_offset": 0.05, "duration": 3.0} | options
     return fl.simulate(design, MOVE, arm=arm, seed=seed, told=told, **given)  # type: ignore[arg-type]
 
@@ -102,8 +109,8 @@ def intervals(design: Design, payloads: tuple[float, ...], seeds: int) -> None:
         for seed in range(seeds):
             gain = float(random.normal(1.0, 0.03))
             # until the last of the three instants
-            options = {"gauge_gain": gain, "duration": 1.6}
-            runs.append((on_twin(design, payload, bank, seed, **options), payload))
+            run = on_twin(design, payload, bank, seed, gauge_gain=gain, duration=1.6)
+            runs.append((run, payload))
     for instant in (0.3, 0.6, 1.5):
         row = round(instant / RIG.period)
         held = [
