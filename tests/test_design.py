@@ -232,6 +232,12 @@ def test_printed_controllers_are_unstable_on_the_printed_model(
     assert abs(1 + loop) < 1e-10
 
 
+def test_a_design_of_which_nothing_was_measured_has_not_passed():
+    made = default_plan()
+    assert made.passed
+    assert not replace(made, requirements=()).passed
+
+
 def test_an_unknown_option_is_refused_as_python_does():
     with pytest.raises(TypeError, match="unexpected keyword argument 'margins'"):
         default_plan(margins="ideal")

@@ -264,9 +264,9 @@ class Design(Saved):
     @property
     def passed(self) -> bool:
         """Whether every requirement is met over the whole payload range, by a model
-        that nothing speaks against.
+        that nothing speaks against; False where none was measured.
         """
-        return not self.missed and not self.doubts
+        return bool(self.requirements) and not self.missed and not self.doubts
 
     @property
     def missed(self) -> tuple[Requirement, ...]:
