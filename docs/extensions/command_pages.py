@@ -43,9 +43,9 @@ SHOWN: dict[str, tuple[str, str]] = {
     "compare": ("published", "how-to/compare-rivals"),
     "tune-pid": ("pid-step", "how-to/tune-a-fractional-pid"),
     "shape": ("moves", "how-to/shape-a-move"),
-    "campaign montecarlo": ("arms", "how-to/run-a-campaign"),
+    "campaign montecarlo": ("moves", "how-to/run-a-campaign"),
     "campaign faults": ("dropped", "how-to/run-a-fault-campaign"),
-    "replay": ("arms", "how-to/run-a-campaign"),
+    "replay": ("moves", "how-to/run-a-campaign"),
 }
 
 

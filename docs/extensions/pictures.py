@@ -17,10 +17,7 @@ import fraclink as fl
 import fracsys
 from fraclink import Twin
 from fraclink.extend import PayloadChange, equip, geared, phase_budget
-from fraclink.trials._arms import simulate_part
-from fraclink.trials._campaign import Campaign
 from fraclink.view import _figures as figures
-from fraclink.view import _fleets as fleets
 from fraclink.view import _loops as loops
 from fraclink.view import _runs as runs
 from fraclink.view._drawing import Figure, Panel
@@ -346,20 +343,6 @@ def stand_ins() -> Figure:
     )
 
 
-def arms() -> Figure:
-    """Where varied arms fail without a gear."""
-    campaign = Campaign.of(rig(), rig().model, design().law(), runs=4000, seed=1)
-    parts = [simulate_part(campaign, part) for part in range(campaign.parts)]
-    friction, size, passed = (
-        np.concatenate([part[name] for part in parts])
-        for name in ("coulomb_torque", "amplitude", "passed")
-    )
-    titles = ("Coulomb torque over its compensation", "move [rad]")
-    return fleets.failures_figure(
-        friction.astype(float), size.astype(float), ~passed.astype(bool), titles
-    )
-
-
 def feasible() -> Figure:
     """Feasible requests by crossover and margin."""
     return loops.map_figure(
@@ -511,5 +494,4 @@ PICTURES: dict[str, Picture] = {
         lambda: runs.moves_figure(moves()),
     ),
     "dropped": Picture("A payload that falls off", "how-to/run-the-twin", dropped),
-    "arms": Picture("Where arms fail", "how-to/run-a-campaign", arms),
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -77,16 +76,9 @@ def montecarlo(
             begin(f"{100 * failed / done:.1f} % failed", done)
 
         arms = run_campaign(study, watch=watch, **machines)
-    return replace(campaign_answer(arms, out), saved={out: arms})
-
-
-def campaign_answer(runs: CampaignRuns, place: Path) -> Answer:
-    """The summary of a campaign that is saved in a file, and how to repeat a failure."""
-    summary = runs.summary
-    again = (
-        f"fraclink replay {place} --run {summary.failed[0]}" if summary.failed else ""
-    )
-    return Answer(summary, summary.passed, following=again)
+    summary = arms.summary
+    again = f"fraclink replay {out} --run {summary.failed[0]}" if summary.failed else ""
+    return Answer(summary, summary.passed, saved={out: arms}, following=again)
 
 
 @command(app)

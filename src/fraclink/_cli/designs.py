@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fraclink._arm.reference import Length
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
-from fraclink._cli.campaigns import campaign_answer
 from fraclink._cli.command import Answer, Keywords, Writes, argument, command, option
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
@@ -36,15 +34,14 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._design.rows import ROWS
-from fraclink._files import kind_of, output_path
+from fraclink._files import output_path
 from fraclink._law.design import Specification
 from fraclink._simulate import Twin
 from fraclink._simulate import simulate as run_law
 from fraclink.trials._stages import run as run_study
 from fraclink.trials._study import load_study
-from fraclink.trials._summary import CampaignRuns
 from fraclink.view._arm_page import write_arm_page
-from fraclink.view._report import write_campaign_report, write_report
+from fraclink.view._report import write_report
 from fraclink.view._text import options_text
 from fracsys.checks import Between, Seed
 
@@ -293,7 +290,7 @@ def report(
     folder: Annotated[
         Path,
         argument("FOLDER"),
-        "Folder of results, or the file of `campaign montecarlo`",
+        "Folder of results",
     ],
     out: Annotated[
         Path | None, "File to write; default: report.html or arm.html there"
@@ -311,11 +308,6 @@ def report(
 
     $ fraclink report results --out report.html
     """
-    if kind_of(folder) == "campaign-runs":
-        place = output_path(out or folder.with_suffix(".html"), force=force)
-        runs = CampaignRuns.load(folder)
-        write_campaign_report(runs, folder, place)
-        return replace(campaign_answer(runs, folder), written=(place,))
     default = folder / ("arm.html" if arm else "report.html")
     place = output_path(out or default, force=force)
     study = load_study(folder)

@@ -79,7 +79,7 @@ class MetricSummary:
     @property
     def rows(self) -> tuple[Row, ...]:
         """Its quantiles over the arms, and its strongest driver."""
-        # Only the strongest driver; the report of the campaign shows all of them.
+        # Only the strongest driver; the JSON has all of them.
         strong = [(name, r) for name, r in self.drivers[:1] if abs(r) >= WEAK]
         driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in strong)
         return rows_of(

@@ -1,103 +1,16 @@
-"""Many runs on pages: failures and drivers of a campaign, the map of faults."""
+"""The map of faults: one row a fault, one cell for each severity and payload, worst
+first.
+"""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from typing import Any
 
-import numpy as np
-
-from fraclink._display import Row, Table
 from fraclink.trials._faults import GROUPS, FaultTable
-from fraclink.trials._summary import WEAK, Summary
-from fraclink.view._drawing import Figure, Panel
-from fraclink.view._marks import Cells
-from fraclink.view._scales import Scale
-from fraclink.view._text import grams, ranges_of
-from fracsys.checks import Mask, Real
+from fraclink.view._text import grams
 
-__all__ = ["drivers_table", "failures_figure", "fault_columns"]
-__all__ += ["fault_counts", "fault_rows", "strongest"]
-
-
-# Metric of a campaign -> title of its column.
-_SHOWN = {
-    "settling_time": "settling time",
-    "overshoot": "overshoot",
-    "residual_vibration": "residual vibration",
-    "peak_tip_error": "largest tip error",
-    "peak_voltage": "largest voltage",
-    "motor_reference_noise": "reference noise",
-}
-# runs of a cell: with fewer the share is meaningless, and the cell stays empty
-_FEWEST = 30
-_SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
-
-
-def strongest(summary: Summary) -> tuple[str, str]:
-    """The two parameters on which the settling time depends most."""
-    drivers = next(
-        metric for metric in summary.metrics if metric.name == "settling_time"
-    ).drivers
-    first, second = (name for name, _ in drivers[:2])
-    return first, second
-
-
-def failures_figure(
-    across: Real, up: Real, failed: Mask, names: tuple[str, str]
-) -> Figure:
-    """Failure rate over two drawn parameters, with axes titled `names`."""
-    # Cells with 2 · 30 runs on average, so that most of them can be coloured: a share
-    # from 30 runs has a standard error of up to 9 %.
-    cells = max(3, math.isqrt(across.size // (2 * _FEWEST)))
-    runs, x, y = np.histogram2d(across, up, bins=cells)
-    bad, _, _ = np.histogram2d(across[failed], up[failed], bins=(x, y))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(runs >= _FEWEST, 100.0 * bad / runs, np.nan)
-    # histogram2d has its first parameter along the rows, the drawing has it on the
-    # horizontal axis: hence the transposition.
-    levels = np.where(
-        np.isfinite(share), np.digitize(np.nan_to_num(share), _SHARES), -1
-    ).T
-    key = ("runs that fail [%]", *ranges_of(_SHARES))
-    sides = Scale(float(x[0]), float(x[-1])), Scale(float(y[0]), float(y[-1]))
-    panel = Panel(names[1], [Cells(x, y, levels)], 260.0, sides[1])
-    remark = f"cells of fewer than {_FEWEST} runs are empty"
-    return Figure(
-        "failures",
-        f"Share of failing runs over two parameters; {remark}",
-        (panel,),
-        f"{names[0]}; {remark}",
-        scale=sides[0],
-        key=key,
-    )
-
-
-def drivers_table(summary: Summary) -> Table:
-    """Spearman's rank correlation of every metric with every parameter that drives one
-    of them, the strongest of the settling time first.
-    """
-    metrics = {metric.name: metric for metric in summary.metrics}
-    drivers = {title: dict(metrics[name].drivers) for name, title in _SHOWN.items()}
-    lines = (
-        (
-            Row("", "parameter", parameter.replace("_", " ")),
-            *(
-                # None is shown as a dash
-                Row("", title, r if abs(r) >= WEAK else None, digits=2)
-                for title, r in (
-                    (title, own[parameter]) for title, own in drivers.items()
-                )
-            ),
-        )
-        for parameter, _ in metrics["settling_time"].drivers
-    )
-    shown = (line for line in lines if any(row.value is not None for row in line[1:]))
-    return Table.of("drivers", shown)
-
-
-# --- the map of faults: one row a fault, one cell for each severity and payload, worst first ---------------
+__all__ = ["fault_columns", "fault_counts", "fault_rows"]
 
 _SIGNS = ("✓", "!", "✗", "✗")
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from fraclink._design import Design
 from fraclink._design.assess import phase_budget
-from fraclink._display import Row, Table, number, source_name, state_of
+from fraclink._display import Row, Table, number, source_name
 from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._study import Study
-from fraclink.trials._summary import CampaignRuns
 from fraclink.view import _figures as figures
 from fraclink.view import _fleets as fleets
 from fraclink.view import _loops as loops
@@ -30,7 +29,7 @@ from fraclink.view._pages import rendered, squeezed
 from fraclink.view._sketches import arm_sketch
 from fraclink.view._text import grams_between
 
-__all__ = ["render_report", "write_campaign_report", "write_report"]
+__all__ = ["render_report", "write_report"]
 
 Figures = Table | tuple[Row, ...]
 
@@ -231,47 +230,3 @@ def _budget(design: Design) -> Figure | None:
         )
     except FieldError:  # a loop without crossings has no phase budget
         return None
-
-
-def write_campaign_report(runs: CampaignRuns, source: Path, path: Path | str) -> Path:
-    """Write quantiles, failure map, drivers and worst cases of a campaign to `path`;
-    return it. `source` is the file of the campaign, which the page names.
-
-    Raises MissingExtraError where jinja2 is not installed.
-    """
-    campaign, summary = runs.campaign, runs.summary
-    # Failures are drawn over the two most important parameters; for others chance would
-    # fill the map.
-    drivers = fleets.strongest(summary)
-    first, second, passed = (runs.columns[name] for name in (*drivers, "passed"))
-    titles = tuple(name.replace("_", " ") for name in drivers)
-    worst = (
-        (
-            Row("", "metric", m.name.replace("_", " ")),
-            m.row("value", value),
-            Row("", "command", f"fraclink replay {source} --run {run}"),
-        )
-        for m in summary.metrics
-        for run, value in m.worst[:2]
-        if m.name != "saturated"
-    )
-    failures = fleets.failures_figure(
-        first, second, passed == 0.0, (titles[0], titles[1])
-    )
-    text = rendered(
-        "campaign.html",
-        title=f"Campaign on {campaign.rig.name}",
-        campaign=campaign,
-        given=summary.given,
-        failure=summary.failure,
-        state=state_of(summary.passed),
-        pointer=_pointer(script=True),
-        tables={
-            "spread": summary.overview().tables[0],
-            "drivers": fleets.drivers_table(summary),
-            "worst": Table.of("", worst),
-        },
-        failures=failures.inline(),
-    )
-    write_text(path, text)
-    return Path(path)
