@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1504,
     "_export": 425,
     "_files": 558,
-    "_identify": 2525,
+    "_identify": 2490,
     "_law": 941,
     "_reading": 882,
     "_simulate": 1173,

@@ -175,9 +175,9 @@ class FractionalTransferFunction:
             raise FieldError(
                 "exponent",
                 exponent,
-                "a real power of a sum",
+                f"a real power of {'a negative term' if single else 'a sum'}",
                 "integers to 64, or any real power of a single term c·s^a with c > 0",
-                "a real power of a sum is not a quotient of sums of powers of s",
+                "take a whole number, or write the power out",
             )
         top, bottom = self.numerator[0], self.denominator[0]
         order = (top.order - bottom.order) * power

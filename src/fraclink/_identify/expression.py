@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ast
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -24,12 +24,13 @@ Role = Literal["order", "delay", "coefficient"]
 
 _DEEPEST = 60  # nesting depth, since the evaluation below is recursive
 _FORMS = "numbers, names, s, + - * / **, and exp(-T*s)"
-_OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
+_OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
 }
 
 
@@ -62,7 +63,7 @@ class Expression:
         logarithm = np.log(points)
         arrays = {name: np.asarray(value, np.float64) for name, value in values.items()}
         leaves = _Leaves(
-            points, lambda order: np.exp(order * logarithm), np.exp, arrays
+            points, lambda _, order: np.exp(order * logarithm), np.exp, arrays
         )
         # a candidate may overflow: its cost is infinite, and it is dropped
         with np.errstate(all="ignore"):
@@ -73,7 +74,7 @@ class Expression:
         negative delay).
         """
         exact = {name: float(value) for name, value in values.items()}
-        result = _value(self.tree, _Leaves(s, s.__pow__, _delayed, exact))
+        result = _value(self.tree, _Leaves(s, operator.pow, _delayed, exact))
         return (
             result
             if isinstance(result, FractionalTransferFunction)
@@ -86,41 +87,49 @@ class _Leaves:
     """The values of s, s**a, exp and the parameters in one algebra."""
 
     variable: Any
-    power: Callable[[Any], Any]
+    power: Callable[[Any, Any], Any]
     exponential: Callable[[Any], Any]
     values: Mapping[str, Any]
 
 
-def _value(node: ast.expr, leaves: _Leaves) -> Any:
-    """The value of a tree; FieldError names the piece that has none."""
-    if isinstance(node, ast.Constant):
-        return float(node.value)  # type: ignore[arg-type]  # the parser admits int and float alone
-    if isinstance(node, ast.Name):
+def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
+    """The value of a tree; FieldError names the piece that has none, or that no
+    transfer function consists of.
+    """
+    if depth > _DEEPEST:
+        raise _refused(
+            node, "nested too deeply", "write it with fewer brackets and terms"
+        )
+    if isinstance(node, ast.Name) and node.id not in ("exp", "offset"):
         return leaves.variable if node.id == "s" else leaves.values[node.id]
-    values = [_value(operand, leaves) for operand in _operands(node)]
+    # Room for a product: with 1e308 the first multiplication would overflow.
+    if isinstance(node, ast.Constant) and (
+        type(node.value) in (int, float) and abs(node.value) < 1e300  # type: ignore[arg-type]
+    ):
+        return float(node.value)  # type: ignore[arg-type]
+    operation = _operation(node, leaves)
+    if operation is None:
+        raise _refused(node, "a piece that is not known", "write it with these alone")
+    values = [_value(operand, leaves, depth + 1) for operand in _operands(node)]
     try:
-        return _combined(node, values, leaves)
+        result = operation(*values)
+        # Of a negative base Python, unlike numpy, returns a complex power.
+        if type(result) is complex:
+            raise ArithmeticError
     except (ArithmeticError, FieldError, TypeError) as error:
         raise _refused(node, *_cause(node, error)) from error
-
-
-def _combined(node: ast.expr, values: Sequence[Any], leaves: _Leaves) -> Any:
-    if isinstance(node, ast.UnaryOp):
-        return -values[0] if isinstance(node.op, ast.USub) else values[0]
-    if isinstance(node, ast.Call):
-        return leaves.exponential(values[0])
-    if not isinstance(node, ast.BinOp):
-        raise TypeError(type(node).__name__)
-    if isinstance(node.op, ast.Pow) and values[0] is leaves.variable:
-        power = leaves.power(values[1])
-        if power is NotImplemented:
-            raise TypeError(type(values[1]).__name__)
-        return power
-    result = _OPERATORS[type(node.op)](*values)
-    # Of a negative base Python, unlike numpy, returns a complex power.
-    if type(result) is complex:
-        raise ArithmeticError
     return result
+
+
+def _operation(node: ast.expr, leaves: _Leaves) -> Callable[..., Any] | None:
+    """What a node does with its operands; None if no transfer function does that."""
+    if isinstance(node, ast.Call):
+        known = ast.unparse(node.func) == "exp" and len(node.args) == 1
+        return leaves.exponential if known and not node.keywords else None
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+        of_s = isinstance(node.left, ast.Name) and node.left.id == "s"
+        return leaves.power if of_s else operator.pow
+    return _OPERATORS.get(type(getattr(node, "op", None)))
 
 
 def _cause(node: ast.expr, error: Exception) -> tuple[str, str]:
@@ -174,7 +183,7 @@ def parse_expression(text: str) -> Expression:
             'write it as in "k/(T*s**a + 1)"',
         )
     try:
-        # Parsed as Python but never executed: `_check` compares every node with the few
+        # Parsed as Python but never executed: `_value` compares every node with the few
         # kinds that a transfer function consists of, and rejects any other by name.
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -196,12 +205,20 @@ def parse_expression(text: str) -> Expression:
         raise _refused(
             tree, "without s", "write the transfer function, such as k/(T*s**a + 1)"
         )
-    _check(tree, 0)
-    roles = _roles(tree)
-    expression = Expression(" ".join(text.split()), roles, _Distributed().visit(tree))
+    expression = Expression(" ".join(text.split()), _roles(tree), tree)
     # At values of which no two are equal and no sum is zero: a piece without a value
-    # there is none of a transfer function.
-    expression.function({name: 0.1 + 0.0137 * k for k, name in enumerate(roles)})
+    # there is none of a transfer function. An array's power is its principal value,
+    # which is not s^(ab) for (s^a)^b with an order a above 2.
+    first = {"order": 2.1, "delay": 0.1, "coefficient": 0.1}
+    values = {
+        name: first[role] + 0.0137 * k
+        for k, (name, role) in enumerate(expression.roles.items())
+    }
+    point = np.array([0.01 + 0.83j])
+    if not np.allclose(
+        expression.response(values, point), expression.function(values)(point)
+    ):
+        raise _refused(tree, "a power of a power of s", "write (s**a)**b as s**(a*b)")
     return expression
 
 
@@ -229,88 +246,12 @@ def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
     return FieldError("expression", text, problem, _FORMS, remedy)
 
 
-def _check(node: ast.expr, depth: int) -> None:
-    """Raise FieldError for the first node of a kind that no transfer function has."""
-    if depth > _DEEPEST:
-        raise _refused(
-            node, "nested too deeply", "write it with fewer brackets and terms"
-        )
-    if isinstance(node, ast.Constant):
-        # Room for a product: with 1e308 the first multiplication would overflow.
-        if type(node.value) not in (int, float) or not abs(node.value) < 1e300:  # type: ignore[arg-type]
-            raise _refused(node, "not a number", "write numbers as 0.5 or 1e-3")
-    elif isinstance(node, ast.Name):
-        if node.id in ("exp", "offset"):
-            raise _refused(
-                node,
-                "a name with a meaning of its own",
-                "give the parameter another name",
-            )
-    elif isinstance(node, ast.Call):
-        if ast.unparse(node.func) != "exp" or len(node.args) != 1 or node.keywords:
-            raise _refused(
-                node,
-                "a function that is not known",
-                "the only function is exp, of one delay: exp(-T*s)",
-            )
-    elif isinstance(node, ast.BinOp):
-        if type(node.op) not in _OPERATORS:
-            raise _refused(
-                node, "an operator that is not known", "write a power as s**0.5"
-            )
-    elif not isinstance(node, ast.UnaryOp) or not isinstance(
-        node.op, ast.USub | ast.UAdd
-    ):
-        raise _refused(
-            node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)"
-        )
-    for operand in _operands(node):
-        _check(operand, depth + 1)
-
-
-def _is_single_term(node: ast.expr) -> bool:
-    """Whether a subtree is c·s^a, for which every real power is again of this form."""
-    if not _has_s(node) or isinstance(node, ast.Name):
-        return True
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
-        return _is_single_term(node.left) and _is_single_term(node.right)
-    return (
-        isinstance(node, ast.BinOp)
-        and isinstance(node.op, ast.Pow)
-        and _is_single_term(node.left)
-    )
-
-
-class _Distributed(ast.NodeTransformer):
-    """(c s^a)^p becomes c^p s^(a p): the power 0.5 of an array s^3 would be -s^1.5, its
-    principal value.
-    """
-
-    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
-        self.generic_visit(node)
-        if (
-            isinstance(node.op, ast.Pow)
-            and isinstance(node.left, ast.BinOp)
-            and _is_single_term(node.left)
-        ):
-            return _raised(node.left, node.right)
-        return node
-
-
-def _raised(term: ast.expr, power: ast.expr) -> ast.expr:
-    if not isinstance(term, ast.BinOp) or not _has_s(term):
-        return ast.BinOp(term, ast.Pow(), power)
-    if isinstance(term.op, ast.Pow):
-        return ast.BinOp(term.left, term.op, ast.BinOp(term.right, ast.Mult(), power))
-    return ast.BinOp(_raised(term.left, power), term.op, _raised(term.right, power))
-
-
 def _roles(tree: ast.expr) -> dict[str, Role]:
     orders: set[str] = set()
     delays: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
-            delays.update(_names(node.args[0]))
+            delays.update(*map(_names, node.args))
         elif (
             isinstance(node, ast.BinOp)
             and isinstance(node.op, ast.Pow)
