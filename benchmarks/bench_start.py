@@ -124,14 +124,11 @@ def gone_on(said: str, answer: str, path: Path) -> list[str]:
     return []
 
 
-def pasted(said: str, answer: str, path: Path) -> Path:
-    """Run the line for the shell that a refusal prints behind `answer`; return the file
-    that is then read.
-    """
+def pasted(said: str, answer: str, path: Path) -> None:
+    """Run the line for the shell that a refusal prints behind `answer`."""
     text = said[
         said.index(answer) + (0 if answer == "python" else len(answer)) :
     ].rstrip(".")
-    text = text.split(" and read ")[0]
     if "$d'" in text:
         text += f" {shlex.quote(path.name)}"
     subprocess.run(  # noqa: S602
@@ -140,8 +137,6 @@ def pasted(said: str, answer: str, path: Path) -> Path:
         check=True,
         cwd=path.parent,
     )
-    made = path.with_suffix(".npy")
-    return made if made.exists() else path
 
 
 def tried(shape: Shape, folder: Path) -> Outcome:
@@ -164,7 +159,7 @@ def tried(shape: Shape, folder: Path) -> Outcome:
                 outcome.mended = True
                 return outcome
             if answer.startswith("$ "):
-                path = pasted(said, answer[2:], path)
+                pasted(said, answer[2:], path)
             elif re.fullmatch(r"(period|resample|interpolate)=.*", answer):
                 name, value = answer.split("=")
                 options[name] = True if value == "True" else float(value)

@@ -198,15 +198,6 @@ def tdms(folder: Path) -> Path:
     return path
 
 
-def numpy_file(folder: Path) -> Path:
-    """Three columns without names."""
-    m = motion()
-    np.save(
-        folder / "log.npy", np.column_stack((m["t"], DEG * m["angle"], m["torque"]))
-    )
-    return folder / "log.npy"
-
-
 def forms() -> dict[str, Shape]:
     """The same three columns in the forms of many loggers."""
     m = motion()
@@ -328,15 +319,6 @@ def forms() -> dict[str, Shape]:
         "raw float64": Shape(written(raw.tobytes(), "log.bin"), (("np.fromfile", ""),)),
         "raw float64, channel after channel": Shape(
             written(raw.T.tobytes(), "log.bin"), (("np.fromfile", ""),)
-        ),
-        "NumPy": Shape(
-            numpy_file,
-            (
-                ("Which column is the motor angle", "motor_angle=#2 [deg]"),
-                ("Which column is the link's output", "deflection=#3 [raw]"),
-            ),
-            kind="deflection",
-            raw=True,
         ),
         "MATLAB": Shape(matlab),
         "TDMS": Shape(tdms),

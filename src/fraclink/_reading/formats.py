@@ -30,7 +30,6 @@ _MAGIC = (
     (0, b"\x89HDF\r\n\x1a\n", "HDF5"),
     (512, b"\x89HDF\r\n\x1a\n", "HDF5"),
     (0, b"TDSm", "TDMS"),
-    (0, b"\x93NUMPY", "NumPy"),
 )
 _EXPORT = "export it as CSV"
 _ECHO = "play it, and write a topic by `ros2 topic echo --csv TOPIC > log.csv`"
@@ -41,6 +40,11 @@ _FOREIGN = (
         b"PK\x03\x04",
         "a zip or spreadsheet",
         f'{_EXPORT}, a log of fraclink by fraclink.load("log.npz").save("log.csv")',
+    ),
+    (
+        b"\x93NUMPY",
+        "an array of NumPy",
+        f'{_EXPORT}: numpy.savetxt("log.csv", numpy.load("log.npy"), delimiter=",")',
     ),
     (b"\x1f\x8b", "gzip", _EXPORT),
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet", _EXPORT),
@@ -59,14 +63,13 @@ _PROMISED = {
     ".h5": ("HDF5",),
     ".hdf5": ("HDF5",),
     ".tdms": ("TDMS",),
-    ".npy": ("NumPy",),
     ".csv": ("text",),
     ".tsv": ("text",),
 }
 
 
 def sniffed_kind(path: Path) -> str:
-    """The format of the file at `path`: text, MAT v5, HDF5, TDMS or NumPy.
+    """The format of the file at `path`: text, MAT v5, HDF5 or TDMS.
 
     Raises FileFormatError if its content is not a log, or contradicts its name.
     """
@@ -81,7 +84,7 @@ def sniffed_kind(path: Path) -> str:
     )
     promised = _PROMISED.get(path.suffix.lower(), (kind,))
     wrong = [
-        (f"{name} by its content", "text, MAT, HDF5, TDMS, NumPy", remedy)
+        (f"{name} by its content", "text, MAT, HDF5, TDMS", remedy)
         for magic, name, remedy in _FOREIGN
         if head.startswith(magic)
     ]

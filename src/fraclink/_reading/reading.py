@@ -86,7 +86,7 @@ def read_log(
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
-    """Read a recorded log: CSV and other text, MAT, HDF5, TDMS or NumPy.
+    """Read a recorded log: CSV and other text, MAT, HDF5 or TDMS.
 
     Which column is what, in which unit and with which sign, is stated and never
     guessed: by `columns`, by the rig's `[log]` table, or by names in the log that are a

@@ -152,8 +152,8 @@ def _utf8(raw: bytes, path: Path) -> bytes:
         raise _not_text(
             path,
             problem,
-            "export the log as CSV in UTF-8; raw numbers: np.save('log.npy', "
-            "np.fromfile('log.bin').reshape(-1, columns)), and read log.npy",
+            "export the log as CSV in UTF-8; raw numbers: np.savetxt('log.csv', "
+            "np.fromfile('log.bin').reshape(-1, columns), delimiter=',')",
         )
     try:
         text = raw.decode(encoding)

@@ -199,28 +199,10 @@ def _channel(name: str, channel: Any) -> list[RawColumn]:
     return columns
 
 
-def read_npy(path: Path) -> list[RawColumn]:
-    """An array of NumPy: its fields by their names, its columns by their numbers."""
-    with path.open("rb") as stream:
-        # No pickle, which would execute code from the file; and a header of 10 kB at
-        # most, since it is evaluated as a literal.
-        array = np.lib.format.read_array(
-            stream, allow_pickle=False, max_header_size=10_000
-        )
-    if array.dtype.names:
-        return [
-            column
-            for name in array.dtype.names
-            for column in columns_of(name, array[name])
-        ]
-    return [*columns_of("#1", array, indexing=("#{one}", "#{one}"))]
-
-
 PARSERS: dict[str, Callable[[Path], list[RawColumn]]] = {
     "MAT v5": read_mat5,
     "HDF5": read_hdf5,
     "TDMS": read_tdms,
-    "NumPy": read_npy,
 }
 
 
