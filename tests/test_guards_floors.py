@@ -193,13 +193,13 @@ CEILINGS = {
     "_files": 558,
     "_identify": 2490,
     "_law": 941,
-    "_reading": 882,
+    "_reading": 876,
     "_simulate": 1173,
     "lab": 1908,
     "logs": 705,
     "studio": 1056,
-    "trials": 1281,
-    "view": 1314,
+    "trials": 1264,
+    "view": 1274,
 }
 
 

@@ -120,49 +120,21 @@ class Tournament:
             )
         return result
 
-    def verdicts(self) -> tuple[str, ...]:
-        """Return a sentence for every figure: where a rival is better than fraclink,
-        and where none is.
-        """
-        winners, first = self.winners(), self.standings[0]
-        if not winners:
-            return ("no figure has a winner: no rival passes",)
-        if len(self.standings) == 1:
-            return (f"{first.name} ran alone: nothing to compare with",)
-        sentences = []
-        # Figures in which another rival wins come first.
-        for name in sorted(winners, key=lambda name: first.name in winners[name]):
-            (words, _), best = FIGURES[name], winners[name]
-            own = first.row(name).text
-            others = ", ".join(other for other in best if other != first.name)
-            if first.name in best:
-                together = f", with {others}" if others else ""
-                sentences.append(f"{words}: {first.name} is best ({own}){together}")
-            else:
-                leader = min(
-                    (each for each in self.standings if each.passed),
-                    key=lambda each: float(getattr(each, name)),
-                )
-                sentences.append(
-                    f"{words}: better than {first.name}: {others} "
-                    f"({leader.row(name).cell} against {own})"
-                )
-        return tuple(sentences)
-
     def overview(self) -> Overview:
-        """Where fraclink is best and where a rival is better, and all figures."""
+        """Who is best in each figure, and all figures."""
         first, winners = self.standings[0], self.winners()
         wins = sum(first.name in names for names in winners.values())
-        rows = (Row("verdicts", "", self.verdicts()), Row("winners", "", winners))
-        rules = tuple(
-            f"{each.name}: {each.rule} ({each.knob})" for each in self.standings
+        best = (
+            f"{FIGURES[name][0]}: best {', '.join(names)}"
+            for name, names in winners.items()
         )
+        rules = (f"{each.name}: {each.rule} ({each.knob})" for each in self.standings)
         return Overview(
             f"{first.name} is best in {wins} of {len(FIGURES)} figures",
             state_of(first.passed),
-            rows,
+            (Row("winners", "", winners),),
             (Table.of("standings", self.standings),),
-            notes=(*self.verdicts(), *rules, *self.notes),
+            notes=(*best, *rules, *self.notes),
         )
 
 

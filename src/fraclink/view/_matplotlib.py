@@ -14,8 +14,6 @@ from fraclink.view._scales import Scale
 
 __all__ = ["on_axes"]
 
-_SIGNS = {"dot": "o", "cross": "x", "ring": "o"}
-
 
 def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
     """Draw the panels of `figure` into axes, new ones without `ax`, and return them.
@@ -35,8 +33,6 @@ def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
         one.set_axisbelow(True)
         if one.get_legend_handles_labels()[1]:
             one.legend(loc="best", fontsize="small")
-        if figure.rigid:
-            one.set_aspect("equal")
     axes[-1].set_xlabel(figure.xlabel)
     return axes if len(axes) > 1 else axes[0]
 
@@ -78,22 +74,18 @@ def _line(ax: Any, line: int) -> str:
 
 
 def _draw(ax: Any, mark: Mark, style: dict[str, Any]) -> None:
-    """Draw one mark; those of loops have a drawing in matplotlib, the others only as
-    SVG.
+    """Draw one mark: those of the figures that are drawn with matplotlib; of a point the
+    text.
     """
     match mark:
         case Curve():
-            x, y = np.broadcast_arrays(mark.x, mark.y)
-            thin = mark.weight == "thin"
-            dashes = DASHES[mark.line] if mark.dashed is None and not thin else ""
+            dashes = [float(size) for size in DASHES[mark.line].split()]
             own = {
                 "color": _line(ax, mark.line),
-                "linestyle": (0, [float(size) for size in dashes.split()] or None),
+                "linestyle": (0, dashes or None),
                 "label": mark.name or None,
             }
-            (line,) = ax.plot(x, y, **(own if thin else own | style))
-            if thin:
-                line.set_linewidth(0.5 * line.get_linewidth())
+            ax.plot(mark.x, mark.y, **own | style)
         case Box():
             size = mark.right - mark.left
             ax.barh(
@@ -110,19 +102,15 @@ def _draw(ax: Any, mark: Mark, style: dict[str, Any]) -> None:
             quiet = _colour(ax, "quiet")
             ax.axhline(mark.value, color=quiet, linewidth=0.8, linestyle=dash)
         case Point():
-            color, size = _line(ax, mark.line), 8 if mark.sign == "cross" else 4
-            if mark.sign:
-                ax.plot(mark.x, mark.y, _SIGNS[mark.sign], color=color, markersize=size)
-            if mark.text:
-                ax.annotate(
-                    mark.text,
-                    (mark.x, mark.y),
-                    (5, 3),
-                    textcoords="offset points",
-                    fontsize=8,
-                    color=_colour(ax, "quiet"),
-                    annotation_clip=True,
-                )
+            ax.annotate(
+                mark.text,
+                (mark.x, mark.y),
+                (5, 3),
+                textcoords="offset points",
+                fontsize=8,
+                color=_colour(ax, "quiet"),
+                annotation_clip=True,
+            )
         case _:
             raise TypeError(f"no drawing of {type(mark).__name__} in matplotlib")
 

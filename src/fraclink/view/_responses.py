@@ -1,4 +1,4 @@
-"""Loops and responses of any system over frequency: Bode plots and margins.
+"""Loops and responses of any system over frequency: Bode plots.
 
 Conventions of python-control: dB, degrees, rad/s, one curve for each system, into `ax`
 or new axes of matplotlib, which are returned. Unlike there, the grid refines itself
@@ -25,18 +25,14 @@ from fraclink.view._matplotlib import on_axes
 from fraclink.view._pages import LINES
 from fraclink.view._scales import Scale
 from fracsys._loops import as_loop
-from fracsys._margins import margins as find_margins
 from fracsys._sweep import frequency_grid
 from fracsys.checks import Complex, Real
 
-__all__ = ["bode", "line_of", "margin_plot"]
+__all__ = ["bode", "line_of"]
 
 
 _HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut off
 _SPREAD = 30.0  # factor on either side of the crossing frequencies that is shown
-# Range of the plane shown by a Nyquist plot, and distance outside which a curve need
-# not be smooth.
-_NEAR, _FAR = 3.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -292,68 +288,3 @@ def _turns(phases: Sequence[Real]) -> Scale:
     places = step * np.arange(math.ceil(low / step), math.floor(scale.high / step) + 1)
     ticks = tuple((float(k), f"{k:g}".replace("-", "−")) for k in places)
     return Scale(low, scale.high, ticks=ticks)
-
-
-def margin_plot(
-    loop: Any,
-    *,
-    ax: Sequence[Any] | None = None,
-    limit: float | None = None,
-    frequency: ArrayLike | None = None,
-    **style: Any,
-) -> Any:
-    """Draw a Bode plot with every gain crossing and every phase crossing marked.
-
-    Parameters
-    ----------
-    loop
-        The open loop.
-    ax, limit, frequency, **style
-        As in `bode`.
-
-    Examples
-    --------
-    >>> axes = margin_plot(lambda s: 4 / (s * (s + 1) * (s + 2)))
-    >>> axes[0].get_title()
-    'phase margin 11.42° at 1.143 rad/s'
-    """
-    stability = find_margins(loop, limit=limit)
-    response = Response.of(loop, frequency, limit)
-    places = [crossing.frequency for crossing in stability.gain_crossings]
-    places += [crossing.frequency for crossing in stability.phase_crossings]
-    if places and frequency is None:
-        response = response.around(places)
-    gain: list[Mark] = [Across(0.0, limit=False)]
-    phase: list[Mark] = []
-    for crossing in stability.gain_crossings:
-        w, margin = crossing.frequency, math.degrees(crossing.phase_margin)
-        at = response.on_sheet(w, margin - 180.0)
-        # The multiple of −180° from which the margin is measured, on the drawn sheet.
-        # Where a resonance rises through 0 dB, the phase is far from it on either side,
-        # which is neither good nor bad.
-        line = 0 if abs(margin) > 90.0 else 2 if margin < 0 else 3
-        gain.append(Point(w, 0.0, line=line))
-        phase += [
-            Curve([w, w], [at - margin, at], line, dashed=False),
-            Point(w, at, line=line),
-            Point(w, at - 0.5 * margin, f"{margin:.1f}°", sign=""),
-            Across(at - margin, limit=False),
-        ]
-    for place in stability.phase_crossings:
-        # |L| at the crossing is the inverse of the gain margin: the bar from 0 dB to
-        # the curve shows how much the gain may grow.
-        w, level = place.frequency, -20 * math.log10(place.gain_margin)
-        line = 2 if place.gain_margin < 1 else 1
-        gain += [
-            Curve([w, w], [0.0, level], line, dashed=False),
-            Point(w, 0.5 * level, f"{-level:.1f} dB", sign=""),
-        ]
-        phase.append(Point(w, response.on_sheet(w, -180.0), line=line))
-    figure = _bode_figure([response], gain, phase)
-    axes = on_axes(figure, ax, **style)
-    title = f"no gain crossing; modulus margin {stability.modulus_margin:.3f}"
-    if stability.critical is not None:
-        margin = math.degrees(stability.phase_margin)
-        title = f"phase margin {margin:.2f}° at {stability.gain_crossover:.4g} rad/s"
-    axes[0].set_title(title, fontsize="medium")
-    return axes
