@@ -380,10 +380,6 @@ def test_a_rig_without_a_model_says_what_to_do(
             "run-realtime design.json --io udp:127.0.0.1:9 --reference p.csv --amplitude 1",
             "amplitude: given beside --reference (got 1.0)",
         ),
-        (
-            "run-realtime design.json --io udp:127.0.0.1:9 --excitation prbs --reference p.csv",
-            "reference: given beside --excitation prbs (got p.csv)",
-        ),
     ],
 )
 def test_an_option_without_effect_is_refused(

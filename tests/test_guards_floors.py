@@ -187,7 +187,7 @@ CEILINGS = {
     "fracsys": 2616,
     "_arm": 1484,
     "_certify": 845,
-    "_cli": 826,
+    "_cli": 814,
     "_design": 1504,
     "_export": 425,
     "_files": 558,

@@ -28,6 +28,7 @@ import pytest
 import fraclink as fl
 from fraclink import Callback, MotorLoop, _kernels, main
 from fraclink._cli import boards
+from fraclink.errors import LogError
 from fraclink.extend import geared
 from fraclink.lab import RealtimeRun, ServedArm
 from fraclink.trials import load_study
@@ -191,14 +192,13 @@ def test_a_board_is_run_and_left_with_its_drive_off(
     assert board.last is not None and (board.last.mode, board.last.voltage) == (4, 0.0)
     assert fraclink(line)[0] == 2  # an existing record is not overwritten
     board.reads = 0
-    code, out, err = fraclink(f"{line} --force --log log.csv")
-    assert code == 1
-    assert "samples); expected 1 %" in err
-    assert not (tmp_path / "log.csv").exists()
-    assert "passed" in out  # the run itself passed
+    assert fraclink(f"{line} --force")[0] == 0
+    with pytest.raises(LogError, match=r"samples\); expected 1 %"):
+        fl.load("realtime.npz", RealtimeRun).experiment()
     assert fraclink(f"{line} --force --no-motor")[0] == 0
     assert not fl.load("realtime.npz", RealtimeRun).voltage.any()
-    assert fraclink(f"{line} --force --log log.csv")[0] == 0
+    assert fraclink(f"{line} --force")[0] == 0
+    fl.load("realtime.npz", RealtimeRun).experiment().save(tmp_path / "log.csv")
     lines = (tmp_path / "log.csv").read_text("utf-8").splitlines()
     assert "time_s,motor_angle_rad,torque_Nm,voltage_V" in lines
     # a record among the results of the other stages does not prevent their report
@@ -286,7 +286,6 @@ def test_no_file_of_a_run_is_refused_only_when_it_is_over(
         "serve-arm design.json --io udp:127.0.0.1:5",
     )
     for line, said in (
-        (f"{run} --log design.json/log.csv", "out: below design.json"),
         (f"{run} --out run.csv", "out: of another kind of file (got run.csv)"),
         (f"{serve} --out design.json/arm.npz", "out: below design.json"),
         (f"{serve} --out arm.json", "out: of another kind of file (got arm.json)"),

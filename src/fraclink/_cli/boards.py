@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fraclink import lab
-from fraclink._arm.reference import Length, Reference, prbs
+from fraclink._arm.reference import Length
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Keywords, Writes, command, option
@@ -34,7 +34,7 @@ from fraclink._export import (
 from fraclink._files import check_ending, kind_of, output_path
 from fraclink._law import Law, discretize
 from fraclink._simulate import Twin
-from fraclink.errors import LogError, MissingExtraError
+from fraclink.errors import MissingExtraError
 from fraclink.lab._machine import signals_held
 from fraclink.lab._rehearsal import rehearse
 from fraclink.lab._run import saved
@@ -219,12 +219,6 @@ def run_realtime(
     amplitude: Amplitude = None,
     move_time: Annotated[Length | None, "Time of the move; default: 1"] = None,
     reference: ReferenceFile = None,
-    excitation: Annotated[
-        Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
-    ] = "move",
-    log: Annotated[
-        Path | None, "File for the motion as a log (CSV), to identify from", Writes()
-    ] = None,
     motor: Motor = True,
     estimate: Estimate = False,
     unsafe_remote: UnsafeRemote = False,
@@ -251,22 +245,7 @@ def run_realtime(
 
     $ fraclink run-realtime design.json --io udp:127.0.0.1:5005
     """
-    if excitation == "prbs":
-        refuse_beside(
-            "--excitation prbs",
-            "20 s of a PRBS",
-            reference=reference,
-            move_time=move_time,
-        )
-        move: Reference = prbs(
-            1.0 if amplitude is None else amplitude,
-            0.24,  # [s] bits of this length have their power at the first mode
-            bits=81,
-            register=9,
-            start=0.5,
-        )
-    else:
-        move = reference_of(reference, amplitude, move_time)
+    move = reference_of(reference, amplitude, move_time)
     connection = connection_of(io, unsafe_remote, key_file)
     design = load_design(design_file)
     law = _law(design, motor=motor)
@@ -277,10 +256,6 @@ def run_realtime(
     awake = lab.measure_wake_ups(law.period, priority=options["priority"])
     tell(str(awake))
     awake.check()
-    # The loop itself reserves the space for the record; a log that cannot be written is
-    # detected just as early.
-    if log is not None:
-        output_path(log, force=True)
     run = lab.run_realtime(
         law,
         move,
@@ -293,20 +268,12 @@ def run_realtime(
     # The record was saved elsewhere: the arm has moved, and its data must not be lost
     # because of a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
-    files: tuple[Path, ...] = (Path(run.saved),)
-    logged = True
-    if log is not None:
-        try:
-            run.experiment().save(log)
-            files += (log,)
-        except LogError as error:  # the record of the run is saved in any case
-            logged, remarks = False, (*remarks, f"no log: {error}")
     return Answer(
         run,
-        run.passed and logged,
+        run.passed,
         values={"out": run.saved},
         remarks=remarks,
-        written=files,
+        written=(Path(run.saved),),
     )
 
 
