@@ -141,7 +141,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     "mains hum alone": (
         lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE),
         "W313",
-        "mains hum at 50 Hz",
+        "shielded from mains hum",
     ),
     "an amplifier's drift": (
         lambda: log(output=0.1 * TIME + 0.02 * WHITE),

@@ -87,24 +87,6 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
         )
 
 
-def mains_of(log: Experiment) -> float | None:
-    """Frequency of the mains [Hz] if the output is mostly a line there, else None."""
-    output = log.output
-    power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
-    top, length = int(power.argmax()), output.size * log.period
-    # A Hann window spreads a line over four bins: two on either side of the peak
-    # contain all of it.
-    line = float(power[max(top - 2, 0) : top + 3].sum())
-    # The mains frequency stays within 0.5 Hz, and a record of T seconds separates lines
-    # 1/T apart.
-    nearest = 50.0 if top / length < 55.0 else 60.0
-    return (
-        nearest
-        if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum()
-        else None
-    )
-
-
 def lead_of(output: Real) -> int:
     """Samples at the beginning of a log that show whether it begins at rest."""
     # At least ten samples: the mean of fewer is noise of the gauge and not the

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 
+import numpy as np
+
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
@@ -22,7 +24,7 @@ from fraclink._identify.fitting import (
     make_search,
     predicted_output,
 )
-from fraclink._identify.residual import mean_with_error
+from fraclink._identify.residual import regressed
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
 from fraclink._identify.uncertainty import link_covariance, structure_criteria
@@ -365,7 +367,8 @@ def vetoed_structures(
     }
 
     def predicts_worse(name: str, other: str) -> bool:
-        mean, error = mean_with_error(squares[name] - squares[other])
+        difference = squares[name] - squares[other]
+        mean, error = regressed(difference, np.ones(difference.size))
         # Two descents to the same model agree to within their tolerance.
         same = abs(mean) <= 1e-6 * float(squares[name].mean())
         # One standard error, Breiman's rule: no real link is undamped.

@@ -54,15 +54,6 @@ def long_run_covariance(scores: Real, lags: int) -> Real:
     return ((spectrum * kernel) @ spectrum.conj().T).real / size
 
 
-def mean_with_error(series: Real) -> tuple[float, float]:
-    """Mean of a series and its standard error, with the colour accounted for."""
-    mean = float(series.mean())
-    centred = series - mean
-    lags = correlated_lags(autocovariance(centred))
-    power = float(long_run_covariance(centred[None, :], lags)[0, 0])
-    return mean, math.sqrt(max(power, 0.0)) / series.size
-
-
 def autoregression(series: Real) -> tuple[Real, float]:
     """Coefficients (1, a₁ … a_p) and innovation variance of the autoregression that
     describes a series.
@@ -365,7 +356,7 @@ def find_second_mode(
         at_limit = optimum[1] - lower[1] < 1e-6 or np.any(
             upper[1:3] - optimum[1:3] < 1e-6
         )
-        gain, error = _regressed(residual, response(optimum))
+        gain, error = regressed(residual, response(optimum))
         share = gain / solution.gain
         # The second mode bends the link in the same direction at its base; the opposite
         # sign means a misfit of the first mode.
@@ -396,7 +387,7 @@ def _shows_again(
     column = columns_of(
         log.kernel(math.exp(place[1]), longest_delay=abs(place[4])), place
     )[0]
-    again, error = _regressed(whole[window.samples :], column[window.samples :])
+    again, error = regressed(whole[window.samples :], column[window.samples :])
     # Within a factor of three: a mode is linear, while effects of friction or backlash
     # vary with the motion.
     return (
@@ -404,7 +395,7 @@ def _shows_again(
     )
 
 
-def _regressed(residual: Real, response: Real) -> tuple[float, float]:
+def regressed(residual: Real, response: Real) -> tuple[float, float]:
     """Coefficient of the response in the residual and its standard error, with the
     colour accounted for.
     """
