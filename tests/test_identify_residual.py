@@ -14,8 +14,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from fraclink._identify.residual import (
-    autocovariance,
-    correlation_lag,
+    correlated_lags,
     long_run_covariance,
     noise_behind,
     residual_tests,
@@ -110,20 +109,21 @@ def test_what_a_fit_took_out_of_slow_noise_is_given_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("correlation", "least", "most"), [(0.0, 1, 1), (0.8, 6, 20), (0.95, 25, 2000)]
+    ("correlation", "least", "most"),
+    [(0.0, 10, 10), (0.8, 30, 100), (0.95, 125, 10_000)],
 )
-def test_the_lag_after_which_a_residual_forgets(
+def test_the_lags_over_which_a_residual_is_correlated(
     correlation: float, least: int, most: int
 ) -> None:
-    """For AR(1) noise the autocorrelation falls below 0.1 after ln 0.1/ln ρ samples: 10
-    and 45. With 60 000 samples the error of the autocorrelation itself, √((1 + ρ²)/((1
+    """Five times the lag after which the autocorrelation of AR(1) noise falls below 0.1,
+    ln 0.1/ln ρ samples: 10 and 45. With 60 000 samples the error of the autocorrelation itself, √((1 + ρ²)/((1
     − ρ²) n)), is below a fifth of 0.1.
 
     60 000 samples: the autocorrelation's own error, √((1 + ρ²)/((1 − ρ²) n)), is then
     below a fifth of 0.1.
     """
-    gamma = autocovariance(wandering(60_000, correlation, seed=1))
-    assert least <= correlation_lag(gamma) <= most
+    lags = correlated_lags(wandering(60_000, correlation, seed=1))
+    assert least <= lags <= most
 
 
 # --- tests --------------------------------------------------------------------------------------------------
@@ -131,9 +131,8 @@ def test_the_lag_after_which_a_residual_forgets(
 
 def test_ljung_and_box_written_out() -> None:
     residual = wandering(600, 0.1, seed=4) + 0.3
-    found = residual_tests(residual, np.random.default_rng(1).normal(size=600), 0.01, 7)
+    found = residual_tests(residual, np.random.default_rng(1).normal(size=600))
     centred = residual - residual.mean()
     rho = np.array(direct(centred, centred)[1:26]) / (centred @ centred / 600)
     statistic = 600 * 602 * np.sum(rho**2 / (600 - np.arange(1, 26)))
     assert found.whiteness == pytest.approx(float(chi2.sf(statistic, 25)), rel=1e-9)
-    assert found.correlation_time == pytest.approx(0.07)

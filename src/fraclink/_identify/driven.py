@@ -24,7 +24,6 @@ from fraclink._display import Overview, number, rows_of
 from fraclink._files import document
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_data import Limits
-from fraclink._identify.structure_findings import BEYOND
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import POSITIVE_LIMITS
 from fraclink._identify.structures import Weighting, identify_structure
@@ -45,6 +44,8 @@ _STRUCTURES = {
     "motor_angle": f"A*((s/z)**l + 1)/{_BOTTOM}",
     "torque": f"k*(s/z)**l/{_BOTTOM}",
 }
+# Factor by which a peak may lie outside the band, since its slope extends into it.
+_BEYOND = 3.0
 _LEAST_OCTAVES = 2  # anti-resonance and peak, with lines on either side of them
 # Lines required on either side of a feature that the response is said to show: one for
 # its place, its height and its width.
@@ -304,8 +305,8 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     """
     # Below its anti-resonance the response of a motor angle falls like an integrator: a
     # maximum there is not a resonance.
-    low = fit.parameters["z"] if output == "motor_angle" else band[0] / BEYOND
-    high = BEYOND * max(band[1], low)
+    low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
+    high = _BEYOND * max(band[1], low)
     # Of the fitted function, since noise has maxima everywhere; and without its delay,
     # which turns the phase only.
     response = parse_expression(fit.expression).function({**fit.parameters, "T": 0.0})

@@ -356,10 +356,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             "W305",
             "info",
             "the residual is not white; standard errors and intervals account for its colour",
-            {
-                "p_value": fit.tests.whiteness,
-                "correlation_time": fit.tests.correlation_time,
-            },
+            {"p_value": fit.tests.whiteness},
             "nothing, or look at the residual for a second mode or friction",
         )
     # Not at one in twenty: every real arm has friction, and every log would be reported.

@@ -263,9 +263,7 @@ def fit_from(
         # On the fitted part: the held-out part is for judging the prediction, not the
         # noise.
         motion = window.increments()[-window.samples :]
-        tests = residual_tests(
-            residual[: window.samples], motion, window.period, covariance.lag
-        )
+        tests = residual_tests(residual[: window.samples], motion)
         intervals = link_intervals(search, solution, covariance)
     mode: tuple[SecondMode | None, float | None] = (None, None)
     if like is not None:

@@ -192,27 +192,20 @@ def _with_slow_root(series: Real, fast: Real, start: int) -> tuple[float, Real, 
     return most + math.log(chance.mean()), roots[likely], levels[likely]
 
 
-def correlation_lag(covariance: Real) -> int:
-    """First lag after which the autocorrelation stays below 0.1, up to a quarter of the
-    record, from its sample autocovariances at lags 0..n−1.
+def correlated_lags(series: Real) -> int:
+    """Lags over which products of a series are summed: five correlation times contain
+    its colour up to e^-5, and more than a fifth of its length would make its covariance
+    too noisy.
 
-    Under slow noise that may be far too long, since the autocorrelation itself
+    The correlation ends with the first lag after which the autocorrelation stays below
+    0.1. Under slow noise that may be far too long, since the autocorrelation itself
     scatters: of 8000 samples of AR(1), ρ = 0.95, it falls below 0.1 after 45 lags and
     may pass it once more after a thousand.
     """
-    if covariance[0] <= 0:
-        return 1
     # A quarter of the record: at larger lags the autocovariance averages few products.
-    quarter = np.abs(covariance[: covariance.size // 4])
-    return int(np.flatnonzero(quarter > 0.1 * covariance[0])[-1]) + 1
-
-
-def correlated_lags(covariance: Real) -> int:
-    """Lags over which products of a series with these autocovariances are summed: five
-    correlation times contain its colour up to e^-5, and more than a fifth of its length
-    would make its covariance too noisy.
-    """
-    return min(max(5 * correlation_lag(covariance), 10), covariance.size // 5)
+    quarter = np.abs(autocovariance(series)[: series.size // 4])
+    beyond = np.flatnonzero(quarter > 0.1 * quarter[0]).max(initial=0)
+    return min(max(5 * (int(beyond) + 1), 10), series.size // 5)
 
 
 # --- tests --------------------------------------------------------------------------------------------------
@@ -234,18 +227,13 @@ class ResidualTests:
         p-value of Ljung and Box's test that the residual is white (25 lags).
     input_independence
         p-value of the test that it does not depend on the motor's motion (25 lags).
-    correlation_time
-        time after which its autocorrelation stays below 0.1 [s].
     """
 
     whiteness: float
     input_independence: float
-    correlation_time: float
 
 
-def residual_tests(
-    residual: Real, motion: Real, period: float, lag: int
-) -> ResidualTests:
+def residual_tests(residual: Real, motion: Real) -> ResidualTests:
     """Test a residual against whiteness and against the motor's `motion` (its
     increments).
     """
@@ -253,7 +241,7 @@ def residual_tests(
     centred = residual - residual.mean()
     variance = float(centred @ centred) / count
     if variance == 0:
-        return ResidualTests(1.0, 1.0, period)
+        return ResidualTests(1.0, 1.0)
     lags = min(_LAGS, count // 4)
     rho = autocovariance(centred)[1 : lags + 1] / variance
     # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² accurate for some
@@ -266,7 +254,6 @@ def residual_tests(
         input_independence=float(
             gammaincc(lags / 2, _input_statistic(centred, motion, lags) / 2)
         ),
-        correlation_time=lag * period,
     )
 
 
@@ -404,7 +391,7 @@ def regressed(residual: Real, response: Real) -> tuple[float, float]:
     rest = residual - gain * response
     scores: Real = (response * rest)[None, :]
     variance = max(
-        float(long_run_covariance(scores, correlated_lags(autocovariance(rest)))[0, 0]),
+        float(long_run_covariance(scores, correlated_lags(rest))[0, 0]),
         power * float(rest @ rest) / rest.size,
     )
     return gain, math.sqrt(variance) / power

@@ -19,7 +19,7 @@ from fraclink._identify.shape import Hold, Window, chosen_hold
 from fraclink._identify.welch import EXCITED
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
-from fracsys.checks import Complex, Mask, Real
+from fracsys.checks import Complex, Real
 
 Limits = tuple[float, float]
 
@@ -46,10 +46,6 @@ class Lines:
     points: Complex
     output: Complex
     weight: Real
-
-    def part(self, kept: Mask) -> Lines:
-        """The selected lines."""
-        return Lines(self.points[kept], self.output[kept], self.weight[kept])
 
     @property
     def screen(self) -> Lines:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -15,7 +14,6 @@ from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_search import Place
 from fraclink.findings import Finding, worst_first
-from fracsys._loops import log_corners
 
 # Shares of the squared output: 0.1 % in amplitude, the class of good force transducers;
 # and the largest share of noise in a residual that is otherwise smooth, as from a
@@ -24,10 +22,6 @@ _RESOLUTION, _SMOOTH = 1e-6, 0.01
 # share of the power of lines that they have in common with their neighbours; 0 for
 # noise
 _ALIKE = 0.5
-# factor by which a corner or a peak may lie outside the excited band, since its slope
-# extends into it
-BEYOND = 3.0
-_LARGEST = math.log(sys.float_info.max)
 
 
 def structure_findings(
@@ -43,7 +37,6 @@ def structure_findings(
             *_of_the_error(fit),
             *_of_the_residual(fit, data),
             *_of_rivals(fit, certain, places, data.measured.size),
-            *_of_the_band(fit, data),
         ]
     )
 
@@ -166,22 +159,3 @@ def _of_rivals(
         if ratio < QUANTILE**2 and apart:
             yield rival_finding({name: rival.values[name] for name in apart})
             return
-
-
-def _of_the_band(fit: StructureFit, data: Signals | Lines) -> Iterator[Finding]:
-    low, high = data.band
-    G = fit.transfer_function
-    # A vanished term has no corner frequency; nearly equal orders move it beyond any
-    # number.
-    terms = () if fit.at_bound else (G.numerator, G.denominator)
-    logs = [corner for part in terms for corner in log_corners(part)]
-    corners = {float(f"{math.exp(min(x, _LARGEST)):.6g}") for x in logs}
-    for corner in sorted(corners):
-        if not low / BEYOND <= corner <= high * BEYOND:
-            yield Finding(
-                "W315",
-                "warning",
-                "a corner of the structure lies outside the band that was excited",
-                {"corner": corner, "low": low, "high": high},
-                "excite that frequency: beyond the band the structure is a guess",
-            )

@@ -63,8 +63,8 @@ class StructureFit(Saved):
         squared error over the squared (output − offset); relative to each line for a
         frequency response.
     heldout_nmse
-        the same over the samples held out, or over every fourth line, predicted from
-        the others; None where none were.
+        the same over the samples held out, or of every line as predicted from all
+        others; None where none were.
     place
         time [s] of the samples, or frequency [rad/s] of the lines, shape (N,).
     measured, predicted

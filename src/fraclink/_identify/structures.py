@@ -13,7 +13,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
 from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, check_motion, fitted_samples
-from fraclink._identify.problem import LEAST_EACH, descend
+from fraclink._identify.problem import LEAST_EACH
 from fraclink._identify.shape import Hold, moving_angle
 from fraclink._identify.structure_certainty import certainty_of
 from fraclink._identify.structure_data import Lines, Signals
@@ -25,8 +25,9 @@ from fraclink._identify.structure_problem import (
     StructureProblem,
     Values,
 )
-from fraclink._identify.structure_search import Place, best_places, in_order, place_of
+from fraclink._identify.structure_search import Place, best_places, in_order
 from fraclink.errors import FieldError
+from fracsys._precision import BLUR
 from fracsys.checks import Between, Real, checked, checked_choice
 
 Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
@@ -39,7 +40,6 @@ _ADMITTED = {
     "delay": Between(0.0, 1e6, "s", remedy="give finite numbers in this range"),
     "coefficient": Between(-1e15, 1e15, remedy="give finite numbers in this range"),
 }
-_EVERY = 4  # every fourth line of a frequency response is predicted from the others
 # share of a record: an output with a longer delay is hardly visible
 _LONGEST_DELAY = 0.5
 # delay in radians at the highest line: beyond it the lines are too far apart to unwrap
@@ -157,7 +157,7 @@ def identify_structure(
         place = whole.period * np.arange(whole.measured.size, dtype=np.float64)
         weight = np.ones(1)
     else:
-        heldout_error = _lines_held(problem, whole, best)
+        heldout_error = _lines_held(problem, best)
         # Real parts first, then imaginary parts, each with the weight of its line,
         # which is divided out for plots.
         place = whole.points.imag
@@ -362,20 +362,12 @@ def _heldout(
     return float(error @ error / (power @ power))
 
 
-def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float | None:
-    """Error over every fourth line, predicted by a fit to the others that starts at the
-    best parameters.
+def _lines_held(problem: StructureProblem, best: Place) -> float:
+    """Error with which each number of a line is predicted from all others: its residual
+    over one minus its leverage (Allen, Technometrics 16 (1974) 125).
     """
-    # Every fourth line instead of the last quarter: a right model bridges a gap in the
-    # middle, but none extrapolates a missing end.
-    heldout = np.arange(lines.points.size) % _EVERY == _EVERY // 2
-    # Real and imaginary part of each line: two numbers.
-    if 2 * np.count_nonzero(~heldout) < LEAST_EACH * len(problem.names):
-        return None
-    # From the best parameters: a new search could end in another valley, and the error
-    # would be that of the search.
-    others = dataclasses.replace(problem, data=lines.part(~heldout))
-    end = descend(others, others.places_of(best.values))
-    rest = dataclasses.replace(problem, data=lines.part(heldout))
-    error = rest.data.measured - rest.output(place_of(others, end, 0).values)
-    return float(error @ error / rest.power)
+    rows, residual = problem.linearised(problem.place_of(best.values))
+    leverage = np.sum(np.linalg.qr(rows.T)[0] ** 2, axis=1)
+    # What only one number determines is predicted by none.
+    error = residual / np.maximum(1.0 - leverage, BLUR)
+    return float(error @ error / problem.power)

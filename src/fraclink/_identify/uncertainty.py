@@ -22,10 +22,8 @@ from fraclink._identify.problem import (
     inverted,
 )
 from fraclink._identify.residual import (
-    autocovariance,
     autoregression,
     correlated_lags,
-    correlation_lag,
     long_run_covariance,
     noise_behind,
 )
@@ -39,17 +37,15 @@ class Covariance:
 
     `inverse` is that of the normal matrix; times the residual's `variance` it is `white`,
     which holds for independent residuals. `wide` holds for residuals of any (short)
-    correlation, and equals `white` if the colour was not requested. `lag` is the
-    residual's correlation in samples, `effective` the effective number of fitted
-    parameters with the residual's colour (Takeuchi's trace), `unseen` (p, k) are
-    the directions that the data leave undetermined.
+    correlation, and equals `white` if the colour was not requested. `effective` is the
+    effective number of fitted parameters with the residual's colour (Takeuchi's trace),
+    `unseen` (p, k) are the directions that the data leave undetermined.
     """
 
     names: tuple[str, ...]
     inverse: Real
     variance: float
     wide: Real
-    lag: int
     effective: float
     unseen: Real
 
@@ -66,7 +62,6 @@ class Covariance:
             inverse,
             variance,
             wide=variance * inverse,
-            lag=1,
             effective=float(len(normal)),
             unseen=unseen,
         )
@@ -83,15 +78,13 @@ class Covariance:
         """For a residual (n,) of any colour, from ∂(prediction)/∂(parameters), shape (p,
         n).
         """
-        colour = autocovariance(residual)
         noise, observed = noise_behind(regressors, residual)
         # A misfit that depends on the motion is not independent noise; there the
         # products of both give more information.
-        products = long_run_covariance(regressors * residual, correlated_lags(colour))
+        products = long_run_covariance(regressors * residual, correlated_lags(residual))
         return replace(
             self,
             wide=_sandwich(self.inverse, noise, products),
-            lag=correlation_lag(colour),
             # Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and
             # larger under slow noise in proportion to its lack of independent samples.
             # For the residual as it is: the noise behind it is estimated for each
