@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from matplotlib import pyplot as plt
 
 import fraclink as fl
 
@@ -27,11 +28,14 @@ def main(folder: Path) -> None:
             f"{1e3 * payload:2.0f} g: {np.degrees(left.phase_margin):5.1f}°, Ms {1 / left.modulus_margin:.2f}"
         )
 
-    curves = [fl.extend.margin_curve(design, np.linspace(0.008, 0.060, 40))]
-    axes = fl.view.margins_against_payload(
-        curves, payloads=design.payloads, wanted=fl.deg(50)
-    )
-    axes.figure.savefig(folder / "margins.svg")
+    masses = np.linspace(0.008, 0.060, 40)
+    curve = fl.extend.margin_curve(design, masses)
+    plt.plot(1e3 * masses, np.degrees(curve.phase_margin))
+    plt.axvspan(*(1e3 * payload for payload in design.payloads), alpha=0.2)
+    plt.axhline(50.0, linestyle="--")
+    plt.xlabel("payload [g]; shaded: design range")
+    plt.ylabel("phase margin [°]")
+    plt.savefig(folder / "margins.svg")
 
 
 if __name__ == "__main__":

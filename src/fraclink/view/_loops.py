@@ -15,8 +15,8 @@ from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._certify.statement import Certificate
 from fraclink._design import Design
 from fraclink._design.assess import (
+    CurveKind,
     FeasibilityMap,
-    MarginCurve,
     PhaseShare,
     margin_curve,
 )
@@ -35,7 +35,7 @@ from fraclink.view._marks import (
     Zone,
 )
 from fraclink.view._pages import LINES
-from fraclink.view._responses import Response, line_of, loop_figure, loop_response
+from fraclink.view._responses import Response, loop_figure, loop_response
 from fraclink.view._scales import Scale
 from fraclink.view._text import grams, ranges_of
 from fracsys.checks import Real
@@ -45,7 +45,6 @@ __all__ = [
     "budget_figure",
     "map_figure",
     "margin_band",
-    "margin_curves_figure",
     "margins_figure",
 ]
 __all__ += ["nyquist_figure", "payloads_about", "payloads_of", "pid_figure"]
@@ -184,15 +183,18 @@ def margins_figure(design: Design) -> Figure:
     # Below the range the mode is fast and the margin falls quickly; above it the margin
     # changes little. Hence more room on the light side, and geometric steps.
     payloads = np.geomspace(LIGHTER * low, 1.15 * high, _STEPS)
-    curves = (
-        margin_curve(design, payloads, kind="ideal"),
-        margin_curve(design, payloads, kind="motor"),
-        margin_curve(design, payloads, kind="sampled" if design.has_law else "loop"),
+    kinds: tuple[tuple[CurveKind, int, str], ...] = (
+        ("ideal", 4, "ideal loop"),
+        ("motor", 3, "with motor loop"),
+        ("sampled", 1, "sampled law") if design.has_law else ("loop", 2, "with delay"),
     )
-    figure = margin_curves_figure(curves, design.payloads, design.phase_margin)
-    (upper,) = figure.panels
     fan = margin_band(design, payloads)
-    band = [Band(1e3 * payloads, *fan, 1)] if fan is not None else []
+    margin: list[Mark] = [Band(1e3 * payloads, *fan, 1)] if fan is not None else []
+    margin += [Zone(1e3 * low, 1e3 * high), Across(0.0, limit=False)]
+    for kind, line, name in kinds:
+        curve = margin_curve(design, payloads, kind=kind).phase_margin
+        margin.append(Curve(1e3 * payloads, np.degrees(curve), line, name))
+    margin.append(Across(math.degrees(design.phase_margin), "requested"))
     at = design.sampled_at if design.has_law else design.at
     rate = np.array([_or_nan(at(float(m)).gain_crossover) for m in payloads])
     crossover: list[Mark] = [
@@ -200,15 +202,15 @@ def margins_figure(design: Design) -> Figure:
         Curve(1e3 * payloads, rate, 1),
         Across(design.gain_crossover, "requested"),
     ]
-    panels = (
-        replace(upper, marks=(*band, *upper.marks), height=230.0),
-        Panel("gain crossover [rad/s]", crossover, 110.0),
-    )
-    return replace(
-        figure,
-        description="Phase margin and gain crossover over the payload; the design range is shaded",
-        panels=panels,
-        link="payload",
+    return Figure(
+        "margins",
+        "Phase margin and gain crossover over the payload; the design range is shaded",
+        (
+            Panel("phase margin [°]", margin, 230.0),
+            Panel("gain crossover [rad/s]", crossover, 110.0),
+        ),
+        "payload [g]; shaded: design range",
+        "payload",
     )
 
 
@@ -235,41 +237,7 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None or not math.isfinite(value) else value
 
 
-# Kinds of loop, the most real one first: their places are those of their lines.
-_KINDS = {
-    "sampled": "sampled law",
-    "loop": "with delay",
-    "motor": "with motor loop",
-    "ideal": "ideal loop",
-}
-
-
-def margin_curves_figure(
-    curves: Sequence[MarginCurve],
-    payloads: tuple[float, float] | None,
-    wanted: float | None,
-) -> Figure:
-    """Draw phase margins over the payload, one line for each kind of loop (Fig. 10)."""
-    marks: list[Mark] = [Across(0.0, limit=False)]
-    if payloads is not None:
-        marks.insert(0, Zone(1e3 * payloads[0], 1e3 * payloads[1]))
-    for curve in curves:
-        line, name = line_of([*_KINDS].index(curve.kind)), _KINDS[curve.kind]
-        marks.append(
-            Curve(1e3 * curve.payload, np.degrees(curve.phase_margin), line, name)
-        )
-    if wanted is not None:
-        marks.append(Across(math.degrees(wanted), "requested"))
-    panel = Panel("phase margin [°]", marks, 280.0)
-    return Figure(
-        "margins",
-        "Phase margin over the payload, for loops from ideal to sampled",
-        (panel,),
-        "payload [g]; shaded: design range",
-    )
-
-
-def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
+def budget_figure(shares: Sequence[PhaseShare], payload: float) -> Figure:
     """Draw the phase budget as a waterfall: from 180° down to the phase margin."""
     # The margin is 180° + arg L: the sign of the feedback is the first element, and
     # lags reduce it.
@@ -292,8 +260,7 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
     # A quarter of the axis for the text behind the longest bar, on a telephone too.
     high = max(ends) / 0.75
     ticks = tuple((float(k), f"{k}°") for k in range(0, int(high) + 1, 45))
-    where = "" if payload is None else f" at {grams(payload)}"
-    description = f"Where the phase goes{where}: " + ", ".join(
+    description = f"Where the phase goes at {grams(payload)}: " + ", ".join(
         f"{name} {text}" for name, *_, text, _ in steps
     )
     return Figure(

@@ -8,7 +8,7 @@ import numpy as np
 
 from fraclink.errors import FieldError, MissingExtraError
 from fraclink.view._drawing import Figure
-from fraclink.view._marks import Across, Box, Curve, Mark, Point, Zone
+from fraclink.view._marks import Curve
 from fraclink.view._pages import DARK, DASHES, LIGHT, colours
 from fraclink.view._scales import Scale
 
@@ -16,16 +16,18 @@ __all__ = ["on_axes"]
 
 
 def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
-    """Draw the panels of `figure` into axes, new ones without `ax`, and return them.
+    """Draw the curves of `figure` into axes, one for each panel, new ones without `ax`,
+    and return them.
 
-    `style` applies to its named curves, as in `Axes.plot`. Existing curves in the axes
-    remain in view.
+    `style` applies to the curves, as in `Axes.plot`. Existing curves in the axes remain
+    in view.
     """
     axes = _axes(figure, ax)
     for panel, one in zip(figure.panels, axes, strict=True):
         limits = one.axis() if one.has_data() else None
-        for mark in panel.marks:
-            _draw(one, mark, style)
+        for curve in panel.marks:
+            if isinstance(curve, Curve):
+                one.plot(curve.x, curve.y, **_look(one, curve) | style)
         _scaled(one, "x", figure.x, limits and limits[:2])
         _scaled(one, "y", panel.y, limits and limits[2:])
         one.set_ylabel(panel.label)
@@ -34,7 +36,7 @@ def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
         if one.get_legend_handles_labels()[1]:
             one.legend(loc="best", fontsize="small")
     axes[-1].set_xlabel(figure.xlabel)
-    return axes if len(axes) > 1 else axes[0]
+    return axes
 
 
 def _axes(figure: Figure, ax: Any) -> Any:
@@ -69,50 +71,13 @@ def _colour(ax: Any, name: str) -> str:
     return colours(DARK if opacity and sum(colour) < 1.5 else LIGHT)[name]
 
 
-def _line(ax: Any, line: int) -> str:
-    return _colour(ax, f"line-{line}" if line else "ink")
-
-
-def _draw(ax: Any, mark: Mark, style: dict[str, Any]) -> None:
-    """Draw one mark: those of the figures that are drawn with matplotlib; of a point the
-    text.
-    """
-    match mark:
-        case Curve():
-            dashes = [float(size) for size in DASHES[mark.line].split()]
-            own = {
-                "color": _line(ax, mark.line),
-                "linestyle": (0, dashes or None),
-                "label": mark.name or None,
-            }
-            ax.plot(mark.x, mark.y, **own | style)
-        case Box():
-            size = mark.right - mark.left
-            ax.barh(
-                0.5 * (mark.low + mark.high),
-                size,
-                mark.high - mark.low,
-                mark.left,
-                color=_line(ax, mark.line),
-            )
-        case Zone():
-            ax.axvspan(mark.low, mark.high, color=_colour(ax, "zone"), zorder=0)
-        case Across():
-            dash = "--" if mark.limit else "-"
-            quiet = _colour(ax, "quiet")
-            ax.axhline(mark.value, color=quiet, linewidth=0.8, linestyle=dash)
-        case Point():
-            ax.annotate(
-                mark.text,
-                (mark.x, mark.y),
-                (5, 3),
-                textcoords="offset points",
-                fontsize=8,
-                color=_colour(ax, "quiet"),
-                annotation_clip=True,
-            )
-        case _:
-            raise TypeError(f"no drawing of {type(mark).__name__} in matplotlib")
+def _look(ax: Any, curve: Curve) -> dict[str, Any]:
+    dashes = [float(size) for size in DASHES[curve.line].split()]
+    return {
+        "color": _colour(ax, f"line-{curve.line}"),
+        "linestyle": (0, dashes or None),
+        "label": curve.name or None,
+    }
 
 
 def _scaled(ax: Any, name: str, scale: Scale, held: tuple[float, float] | None) -> None:
