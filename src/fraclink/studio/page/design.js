@@ -1,10 +1,9 @@
 // Step 4: the loop, its handles, and the requests they send.
 import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
 import {Around} from './around.js';
-import {$, capital, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
+import {$, capital, change, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
 
 const grams = (kg) => 1e3 * kg;
-const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
 const KINDS = ['light', 'nominal', 'heavy'];
 
 /** |S| [dB] of a loop from its gain [dB] and phase [°]; |T| is |S| times the gain. */
@@ -174,7 +173,7 @@ export class Design {
     const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
     const {names} = answer, named = Object.fromEntries(KINDS.map((kind, i) => [kind, names[i]]));
     for (const plot of this.all) plot.names = plot === this.margin ? {} : named;
-    KINDS.forEach((kind, i) => { for (const key of document.querySelectorAll(`.k-${kind}`)) key.textContent = names[i]; });
+    KINDS.forEach((kind, i) => { for (const key of document.querySelectorAll(`.k-${kind}`)) change(key, 'textContent', names[i]); });
     this.nichols.curve('band', 'area', [...c.phase[0], ...Array.from(c.phase[2]).reverse()], [...c.gain[0], ...Array.from(c.gain[2]).reverse()]);
     KINDS.forEach((kind, i) => this.loop(kind, kind, c.gain[i], c.phase[i], i === 1 ? '' : names[i]));
     const g = payloads.map(grams), [low, , high] = answer.three.map(grams);
@@ -197,13 +196,13 @@ export class Design {
 
   /** A preview is grey and marked with ≈ until the exact answer replaces it. */
   facts(answer, preview) {
-    const place = emptied('controller'), sign = preview ? '≈ ' : '';
+    const place = $('controller'), sign = preview ? '≈ ' : '';
     place.classList.toggle('preview', preview);
-    for (const [name, value] of answer.facts.slice(2)) {
-      const box = make('div', '', '', place);
-      symbol('dt', name, box);
-      make('dd', '', `${sign}${value}`, box);
-    }
+    answer.facts.slice(2).forEach(([name, value], i) => {
+      const box = place.children[i] || make('div', '', '', place);
+      if (!box.firstChild) { symbol('dt', name, box); make('dd', '', '', box); }
+      change(box.lastChild, 'textContent', `${sign}${value}`);
+    });
   }
   exact(answer) {
     if (this.last) this.facts(this.last, false);
@@ -283,7 +282,7 @@ export class Design {
     this.tip.axes({low: 0, high: until}, {low, high});
     const cut = few(found.reference.map((_, k) => k * found.period));
     this.tip.curve('reference', 'reference', cut, few(found.reference));
-    this.tip.curve('motor PID alone', 'alone', cut, few(found.alone[1]));
+    this.tip.curve('motor PID alone', 'alone', cut, few(found.alone));
     KINDS.forEach((kind, i) => this.tip.curve(kind, kind, cut, few(found.tips[i])));
     for (const {letter, seen} of this.around.others()) if (seen.blocks) this.tip.curve(letter, `other ${letter}`, cut, few(this.arm.runs([three[1]], seen.blocks).tips[0]), letter);
   }

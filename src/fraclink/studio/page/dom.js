@@ -13,8 +13,10 @@ export const make = (name, kind = '', text = '', parent = null) => {
 };
 /** A sentence with a capital. */
 export const capital = (text) => text[0].toUpperCase() + text.slice(1);
+/** Set a property only if it differs: the same text again would cost a layout. */
+export const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
 /** Set the text of the element with that id. */
-export const say = (id, text) => { $(id).textContent = text; };
+export const say = (id, text) => change($(id), 'textContent', text);
 /** Listen to an element, or to the one with that id. */
 export const on = (node, types, heard) => {
   const found = typeof node === 'string' ? $(node) : node;

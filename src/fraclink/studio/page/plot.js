@@ -1,5 +1,5 @@
 // Plots in screen pixels with fixed axes, curves from arrays, handles that are accessible sliders, and tables.
-import {$, button, emptied, make, on, put, table} from './dom.js';
+import {$, button, change, emptied, make, on, put, table} from './dom.js';
 import {savePlot} from './picture.js';
 
 /** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
@@ -27,6 +27,26 @@ export const ends = (list) => ({low: list[0], high: list[list.length - 1]});
 /** The path of a list of values, from left to right over that width. */
 export const line = (ys, width, y) => Array.from(ys, (v, i) => `${i ? 'L' : 'M'}${tenth((width * i) / Math.max(1, ys.length - 1))} ${tenth(y(v))}`).join('');
 
+/** The path of a curve, without points less than a tenth of a pixel off the straight line so far; NaN is a gap. */
+const pathOf = (xs, ys, X, Y) => {
+  // rounded to tenths: toFixed took half of the time of a drag
+  const parts = [], add = (pen, x, y) => parts.push(pen, Math.round(10 * x) / 10, ' ', Math.round(10 * y) / 10);
+  // the last point drawn, the direction of the line from there, and the previous point
+  let fromX = NaN, fromY = NaN, alongX = NaN, alongY = NaN, atX = NaN, atY = NaN;
+  for (let i = 0; i <= xs.length; i++) { // past the end is a gap, too
+    const x = X(xs[i]), y = limited(Y(ys[i]), -3e3, 3e3), gap = !(x === x && y === y), begins = !gap && atX !== atX;
+    const ahead = (x - atX) * alongX + (y - atY) * alongY >= 0, aside = Math.abs((x - fromX) * alongY - (y - fromY) * alongX);
+    if (begins) add('M', x, y);
+    else if (!(ahead && aside < 0.1)) {
+      if (alongX === alongX) add('L', atX, atY);
+      [fromX, fromY] = [atX, atY];
+      const size = Math.hypot(x - atX, y - atY);
+      [alongX, alongY] = [(x - atX) / size, (y - atY) / size];
+    }
+    [atX, atY] = gap ? [NaN, NaN] : [x, y];
+  }
+  return parts.join('');
+};
 /** Rows joined to one curve with gaps between them. */
 export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
 /** A circle about a point of the real axis. */
@@ -192,33 +212,25 @@ export class Plot {
       c = {path: el('path', {}, this.inside), tag: label ? el('text', {class: `end ${kind}`}, this.over) : null};
       this.curves.set(name, c);
     }
-    put(c.path, {class: `curve ${kind}`});
+    if (kind !== c.kind) put(c.path, {class: `curve ${c.kind = kind}`});
     if (!SILENT.test(kind)) Object.assign(c, {xs, ys});
     clearTimeout(this.later);
     this.later = setTimeout(() => this.tell(), 500);
     c.draw = () => {
       if (!this.W) return;
-      const parts = [], most = this.W - RIGHT - 30, foot = this.height - FOOT, X = this.scale(this.x, LEFT, this.W - RIGHT), Y = this.scale(this.y, foot, TOP);
-      let pen = 'M', tagged = null;
-      for (let i = 0; i < xs.length; i++) {
-        // rounded to tenths of a pixel: toFixed took half of the time of a drag
-        const x = Math.round(10 * X(xs[i])) / 10, y = Math.round(10 * limited(Y(ys[i]), -3e3, 3e3)) / 10;
-        if (!(x === x && y === y)) { pen = 'M'; continue; }
-        parts.push(pen, x, ' ', y);
-        pen = 'L';
-        if (c.tag && y > TOP + 10 && y < foot && x > LEFT + 30 && x < most) tagged = [x, y];
-      }
-      c.path.setAttribute('d', parts.join(''));
+      const most = this.W - RIGHT - 30, foot = this.height - FOOT, X = this.scale(this.x, LEFT, this.W - RIGHT), Y = this.scale(this.y, foot, TOP);
+      c.path.setAttribute('d', pathOf(xs, ys, X, Y));
       if (c.tag) {
         c.spot = null;
+        const tagged = Array.from(xs, (v, i) => [X(v), Y(ys[i])]).findLast(([x, y]) => y > TOP + 10 && y < foot && x > LEFT + 30 && x < most);
         const [x, at] = tagged || [0, 0], others = [...this.curves.values()].filter((o) => o !== c && o.spot && Math.abs(o.spot[0] - x) < 42);
         let y = at + (kind === 'heavy' ? 14 : -5), near;
         while ((near = others.find((o) => Math.abs(o.spot[1] - y) < 12))) y = near.spot[1] + 13; // always further down
         const shown = tagged && y < foot;
-        c.tag.textContent = shown ? label : '';
+        change(c.tag, 'textContent', shown ? label : '');
         if (!shown) return;
         c.spot = [x, y];
-        put(c.tag, {x: tenth(x), y: tenth(y)});
+        put(c.tag, {transform: `translate(${tenth(x)} ${tenth(y)})`});
       }
     };
     c.draw();

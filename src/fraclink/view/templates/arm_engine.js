@@ -264,13 +264,16 @@ function runLaw(block) {
   if (state.twin ? runTwin() : runModel()) throw new Error('the engine refused the run');
 }
 
-function run() {
+// `both`: also the run of the motor PID alone, which does not change with the law.
+function run(both = true) {
   follow();
-  runLaw(blocks[2 + Number(state.single)]);
-  alone.tip.set(tip);
-  alone.motor.set(motor);
-  alone.mode.set(mode);
-  alone.shown = true;
+  if (both) {
+    runLaw(blocks[2 + Number(state.single)]);
+    alone.tip.set(tip);
+    alone.motor.set(motor);
+    alone.mode.set(mode);
+    alone.shown = true;
+  }
   const begin = performance.now();
   runLaw(blocks[Number(state.single)]);
   milliseconds = performance.now() - begin;
