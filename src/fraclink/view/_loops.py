@@ -144,8 +144,8 @@ def certificate_figure(certificate: Certificate) -> Figure | None:
     turn = cmath.exp(1j * (math.pi - 2.0 * math.asin(min(1.0, 0.5 * modulus))))
     marks: list[Mark] = [
         Curve([0.0, turn.real], [0.0, -turn.imag], 1),
-        Point(turn.real, -turn.imag, "phase margin", 1, beside="right"),
-        Point(modulus - 1.0, 0.0, "1/gain margin", 1, beside="right"),
+        Point(turn.real, -turn.imag, "phase margin", 1, beside=True),
+        Point(modulus - 1.0, 0.0, "1/gain margin", 1, beside=True),
     ]
     return _around_critical(certificate.sentence, modulus, marks)
 
@@ -253,7 +253,7 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float) -> Figure:
     marks: list[Mark] = []
     for row, (_, start, end, text, line) in enumerate(steps):
         marks.append(Box(start, end, row + 0.15, row + 0.85, line))
-        marks.append(Point(max(start, end), row + 0.5, text, sign="", beside="right"))
+        marks.append(Point(max(start, end), row + 0.5, text, sign="", beside=True))
     names = tuple((row + 0.5, name) for row, (name, *_) in enumerate(steps))
     # The first element is at the top.
     y = Scale(float(len(steps)), 0.0, ticks=names)

@@ -126,13 +126,12 @@ class Curve:
     line: int = 1
     name: str = ""
     weight: Literal["", "thin", "wide", "fill", "dots"] = ""
-    dashed: bool | None = None  # None: according to its line
+    dashed: bool = False  # otherwise according to its line
 
     def drawn(self, frame: Frame) -> Layers:
         """The line, and the position of its name."""
         dots = self.weight == "dots"
-        plain = dots or self.dashed is False
-        dash = "" if plain else " w" if self.dashed else f" d{self.line}"
+        dash = "" if dots else " w" if self.dashed else f" d{self.line}"
         style = f"c{self.line}{dash} {self.weight}".strip()
         if self.weight == "fill":
             # A disk or a corridor has no end for a name and must not cover the curves:
@@ -165,7 +164,7 @@ def record(
     name: str = "",
     weight: Literal["", "thin", "wide"] = "",
     *,
-    dashed: bool | None = None,
+    dashed: bool = False,
 ) -> Curve:
     """Return a line through a record, thinned without the loss of a peak."""
     return Curve(*envelope(time, values), line, name, weight, dashed)
@@ -303,14 +302,16 @@ class Upright:
 
 @dataclass(frozen=True)
 class Point:
-    """A point with a sign, "dot", "cross", "ring" or none, and a label next to it."""
+    """A point with a sign, "dot", "cross" or none, and a label: above it on the side with
+    more room, or `beside` it on the right.
+    """
 
     x: float
     y: float
     text: str = ""
     line: int = 0
     sign: str = "dot"
-    beside: Literal["", "left", "right"] = ""  # "": on the side with more room
+    beside: bool = False
 
     def drawn(self, frame: Frame) -> Layers:
         """The sign in its own coordinates in dots, so that it keeps its shape."""
@@ -318,13 +319,11 @@ class Point:
         shapes = {
             "": "",
             "dot": f'<circle class="f{self.line}" r="4"/>',
-            "ring": f'<circle class="c{self.line} ring" r="6"/>',
             "cross": f'<path class="c{self.line} cross" d="M-6-6l12 12m0-12l-12 12"/>',
         }
         # The width of a text is unknown, since the reader chooses the typeface: the
         # side with more room rarely makes it run out of the drawing.
-        roomy = float(frame.x.share(self.x)) > 0.5
-        left = self.beside == "left" or (not self.beside and roomy)
+        left = not self.beside and float(frame.x.share(self.x)) > 0.5
         side = 'text-anchor="end" x="-9"' if left else 'x="9"'
         text = (
             f'<text class="halo name" {side} y="{4 if self.beside else -5}">{escaped(self.text)}</text>'
