@@ -188,7 +188,6 @@ def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
         fl.smooth_step(1000.0, duration=0.01),
         rig=RIG,
         model=RIG.model,
-        motor_loop="ideal",
         payload=0.020,
     )
     assert not run.verdict.passed
@@ -212,7 +211,6 @@ def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
                 fl.extend.hold(0.0),
                 rig=RIG,
                 model=LINK,
-                motor_loop="ideal",
                 payload=10**400,
             ),
             "payload",

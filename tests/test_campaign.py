@@ -150,7 +150,6 @@ def test_a_run_is_what_simulate_says_of_its_arm():
             rig=rig,
             model=link,
             duration=campaign.duration,
-            motor_loop="sampled",
             gauge_offset=own["gauge_offset"],
             noise=rig.gauge.noise * own["noise"],
             seed=replay_run(campaign, 2000 + at).about["seed"],

@@ -452,12 +452,13 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     design = design_without_filter()
     offset = 0.05 * rig.link.stiffness
     run = fl.simulate(
-        design,
+        replace(design.law(), motor_loop=None),
         fl.smooth_step(1.0, duration=0.5),
+        rig=rig,
+        model=design.model,
         payload=0.030,
         gauge_offset=offset,
         noise=0.0,
-        motor_loop="ideal",
         duration=8.0,
     )
     error = np.abs(run.tip_angle - run.reference)

@@ -366,7 +366,7 @@ def test_refusals(law):
     with pytest.raises(FieldError, match="events"):
         fl.simulate(law, MOVE, rig=RIG, events=[TipPulse(1.0, 0.5)])
     with pytest.raises(FieldError, match="motor_loop"):
-        fl.simulate(law, MOVE, arm=twin, motor_loop="ideal")
+        fl.simulate(replace(law, motor_loop=None), MOVE, arm=twin)
     with pytest.raises(FieldError, match="rig is required"):
         fl.simulate(law, MOVE)
     with pytest.raises(FieldError, match="voltage_delay"):

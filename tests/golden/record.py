@@ -252,12 +252,7 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
     move = fl.smooth_step(1.0, 0.5)
     for seed, grams in enumerate((8, 16, 20, 30, 40, 60)):
         for motor_loop, named in (("ideal", "outer"), ("sampled", "default")):
-            options: Plain = {
-                "payload": grams / 1e3,
-                "seed": seed,
-                "motor_loop": motor_loop,
-                "duration": 3.0,
-            }
+            options: Plain = {"payload": grams / 1e3, "seed": seed, "duration": 3.0}
             yield (
                 f"model {grams} g {motor_loop}",
                 partial(fl.simulate, law(named), move, rig=RIG, model=LINK, **options),
@@ -273,11 +268,10 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
         "single": ("default", "single", {"seed": 16}),
         "order 4": ("order-4", "double", {"seed": 17}),
         "ideal": ("ideal", "double", {"seed": 18}),
-        "substeps": ("default", "double", {"seed": 19, "substeps": 3}),
         "printed": ("printed", "double", {"payload": 0.040, "seed": 20}),
     }
     for title, (named, precision, options) in several.items():
-        made = {"motor_loop": "sampled", "duration": 3.0} | options
+        made = {"duration": 3.0} | options
         yield (
             f"model {title}",
             partial(
@@ -298,7 +292,6 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
                 move,
                 rig=RIG,
                 model=link,
-                motor_loop="ideal",
                 seed=21,
                 duration=3.0,
             ),
@@ -307,11 +300,10 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
         "model pulse",
         partial(
             fl.simulate,
-            law("default"),
+            law("outer"),
             fl.extend.pulse(0.4, 0.5, 1.5),
             rig=RIG,
             model=LINK,
-            motor_loop="ideal",
             seed=22,
             duration=3.0,
         ),
@@ -324,7 +316,6 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
             fl.extend.hold(0.0),
             rig=RIG,
             model=LINK,
-            motor_loop="ideal",
             seed=23,
             duration=3.0,
         ),

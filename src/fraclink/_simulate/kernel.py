@@ -128,20 +128,13 @@ class LumpedArms:
         return LumpedArms(self.links.rows(rows), self.numbers[rows], self.seed[rows])
 
 
-def shared_rig(
-    rig: Rig,
-    law: Law,
-    motor_loop: str,
-    *,
-    substeps: int = SUBSTEPS,
-    start: float = 0.0,
-) -> _kernels.LoopRig:
+def shared_rig(rig: Rig, law: Law, *, start: float = 0.0) -> _kernels.LoopRig:
     """Return the numbers common to all arms of a call; start: the angle at rest before
     the run [rad].
     """
     return _kernels.LoopRig(
-        sampled=motor_loop == "sampled",
-        substeps=substeps,
+        sampled=law.motor_loop is not None,
+        substeps=SUBSTEPS,
         period=law.period,
         pole=law.motor_loop_pole,
         encoder=rig.encoder.resolution,

@@ -38,7 +38,6 @@ from fraclink._simulate.events import (
     given_payload,
 )
 from fraclink._simulate.kernel import (
-    SUBSTEPS,
     LumpedArms,
     run_lumped,
     shared_rig,
@@ -53,7 +52,6 @@ from fracsys.checks import Between, Real, Seed, above, checked
 __all__ = ["link_at", "model_run", "simulate"]
 
 Part = TypeVar("Part", Twin, Gauge, MotorLoop)
-Drive = Literal["ideal", "sampled"]
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
 # [s] simulated after the reference has come to rest: 30 periods of the paper's slowest
@@ -75,20 +73,21 @@ def simulate(
     | Literal["estimated"]
     | PayloadEstimator = False,
     duration: Annotated[float, above(0.0, 1e300, "s")] | None = None,
-    motor_loop: Drive | None = None,
     events: Iterable[Event] = (),
     gauge_offset: Torque | None = None,
     noise: Annotated[float, Between(0.0, 1e6, "N·m")] | None = None,
     seed: Seed = 0,
     delay_samples: Annotated[int, Between(0, 100, "periods")] | None = None,
-    substeps: Annotated[int, Between(1, 1000)] = SUBSTEPS,
 ) -> Run:
     """Run the law that is shipped on an arm and return its signals, metrics and
     verdict.
 
     The law is law.c itself, compiled in. The arm is the model, whose link is exact and
     massless (see `fraclink._simulate.kernel`), or with `arm` the twin, whose link has
-    mass and several modes. What identification found, the gauge's delay and gain and a
+    mass and several modes. The law's PID drives the motor of the model through its
+    voltage, with friction, stiction and saturation; the coupling torque is taken as
+    compensated without error, as the paper assumes. Where the law has no motor loop,
+    the motor follows M(s) = 1/(1 + s/p)² (21). What identification found, the gauge's delay and gain and a
     second mode, is in the simulation.
 
     Parameters
@@ -118,11 +117,6 @@ def simulate(
     duration
         time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end
         where it is left out, long enough to see a vibration grow.
-    motor_loop
-        "sampled": the law's PID drives the motor through its voltage, with friction,
-        stiction and saturation; the coupling torque is taken as compensated without
-        error, as the paper assumes. "ideal": the motor follows M(s) = 1/(1 + s/p)²
-        (21). Default "sampled" where the law has a motor loop, or `arm` is given.
     events
         what happens: `SensorFault`, and to the twin also `PayloadChange`, `TipPulse`,
         `Obstacle`, `Restart`.
@@ -133,8 +127,6 @@ def simulate(
         of the noise. A seed gives the same noise on every machine.
     delay_samples
         periods between a sample and its effect; the rig's where it is left out.
-    substeps
-        of the model's friction in a period.
 
     Raises
     ------
@@ -162,12 +154,6 @@ def simulate(
     Between(law.period, math.inf, "s").check("duration", length)
     own_gauge: dict[str, Any] = {"offset": gauge_offset, "noise": noise}
     if arm is not None:
-        if motor_loop == "ideal":
-            raise _not_here(
-                "motor_loop",
-                "sampled",
-                "the twin has a motor; its motor loop is the law's",
-            )
         twin = arm if payload is None else arm.with_payload(payload)
         gauge = _changed(twin.gauge, **own_gauge)
         twin = _changed(twin, gauge=gauge, voltage_delay=delay_samples)
@@ -176,8 +162,10 @@ def simulate(
     # can fail.
     faults = tuple(event for event in events if isinstance(event, SensorFault))
     if len(faults) < len(events):
-        raise _not_here(
+        raise FieldError(
             "events",
+            "given",
+            "not an option of this arm",
             "SensorFault",
             "give arm=Twin.from_rig(rig): only the twin has other events",
         )
@@ -200,8 +188,9 @@ def simulate(
         link = link_at(link, own, payload)
     # A law without a motor loop outputs a motor angle: it is run with the M(s) for
     # which it was designed.
-    kind = motor_loop or ("ideal" if law.motor_loop is None else "sampled")
-    law = checked_motor_loop(law) if kind == "sampled" else law
+    kind = "ideal"
+    if law.motor_loop is not None:
+        kind, law = "sampled", checked_motor_loop(law)
     own = replace(
         own,
         gauge=_changed(own.gauge, **own_gauge),
@@ -218,7 +207,6 @@ def simulate(
         "gauge_noise": own.gauge.noise,
         "seed": seed,
         "delay_samples": own.motor_loop.delay_samples,
-        "substeps": substeps,
         "payload_given": ESTIMATED if estimator else given_payload(told, link.payload),
     }
     about |= {"events": "; ".join(map(repr, faults))} if faults else {}
@@ -228,11 +216,6 @@ def simulate(
 def _changed(part: Part, **values: Any) -> Part:
     """Return the part with the stated values."""
     return replace(part, **{k: v for k, v in values.items() if v is not None})
-
-
-def _not_here(option: str, allowed: str, remedy: str) -> FieldError:
-    """The error for an option that this arm does not have."""
-    return FieldError(option, "given", "not an option of this arm", allowed, remedy)
 
 
 # --- the model ------------------------------------------------------------------------
@@ -281,13 +264,7 @@ def _on_model(
         np.array([about["seed"]], np.uint64),
         **{name: np.array([value]) for name, value in values.items()},
     )
-    rig_constants = shared_rig(
-        rig,
-        law,
-        about["motor_loop"],
-        substeps=about["substeps"],
-        start=float(path[0, 0]),
-    )
+    rig_constants = shared_rig(rig, law, start=float(path[0, 0]))
     broken = fault_rows(faults, law.period, count) if faults else None
     rows = run_lumped(
         law,

@@ -14,7 +14,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import sampled
 from fraclink._arm.rig import Rig
 from fraclink._simulate.estimates import ESTIMATED
-from fraclink._simulate.kernel import SUBSTEPS, LumpedArms, run_lumped, shared_rig
+from fraclink._simulate.kernel import LumpedArms, run_lumped, shared_rig
 from fraclink._simulate.links import batch_links
 from fraclink._simulate.metrics import Signals, judge_many, measure_many
 from fraclink._simulate.run import Run
@@ -140,7 +140,7 @@ def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
     )
     rows = run_lumped(
         campaign.law,
-        shared_rig(campaign.rig, campaign.law, "sampled"),
+        shared_rig(campaign.rig, campaign.law),
         block.arms,
         path,
         block.chosen,
@@ -274,7 +274,6 @@ def replay_run(campaign: Campaign, run: int) -> Run:
             "gauge_noise": float(arms.column("noise")[0]),
             "seed": int(arms.seed[0]),
             "delay_samples": int(own["delay_samples"]),
-            "substeps": SUBSTEPS,
             "payload_given": float(arms.column("payload_given")[0])
             if estimator is None
             else ESTIMATED,
