@@ -187,7 +187,7 @@ CEILINGS = {
     "fracsys": 2616,
     "_arm": 1484,
     "_certify": 845,
-    "_cli": 814,
+    "_cli": 813,
     "_design": 1504,
     "_export": 425,
     "_files": 558,
@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 705,
     "studio": 1056,
     "trials": 1264,
-    "view": 1241,
+    "view": 1213,
 }
 
 

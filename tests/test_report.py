@@ -447,5 +447,5 @@ def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
         for (tag, names), count in found.found.items()
         if tag == "svg" and "data-x" in names
     )
-    assert drawn == 4  # log, Bode, margins, phase budget
+    assert drawn == 3  # log, Bode, margins
     assert 'data-ready="true"' in answer.stdout

@@ -21,7 +21,7 @@ from fraclink.view import _figures as figures
 from fraclink.view import _loops as loops
 from fraclink.view import _runs as runs
 from fraclink.view._drawing import Figure, Panel
-from fraclink.view._marks import Across, Curve, Mark, Upright, Zone
+from fraclink.view._marks import Across, Curve, Mark, Point, Upright, Zone
 from fraclink.view._scales import Scale
 from fraclink.view._sketches import arm_sketch
 
@@ -343,6 +343,35 @@ def stand_ins() -> Figure:
     )
 
 
+def budget() -> Figure:
+    """The phase budget as a waterfall: from 180° down to the phase margin."""
+    # The margin is 180° + arg L: the sign of the feedback is the first element, and
+    # lags reduce it.
+    steps, level = [("feedback", 0.0, 180.0, 4)], 180.0
+    for share in phase_budget(design(), 0.020):
+        size = math.degrees(share.phase)
+        steps.append((share.element, level, level + size, 2 if size < 0 else 1))
+        level += size
+    steps.append(("phase margin", 0.0, level, 3))
+    marks: list[Mark] = []
+    for row, (_, start, end, line) in enumerate(steps):
+        ends, sides = [start, end, end, start], [row + 0.15] * 2 + [row + 0.85] * 2
+        marks.append(Curve(ends, sides, line, weight="fill"))
+        text = f"{end - start:+.1f}°".replace("-", "−")
+        marks.append(Point(max(start, end), row + 0.5, text, sign="", beside=True))
+    names = tuple((row + 0.5, name) for row, (name, *_) in enumerate(steps))
+    # The first element is at the top.
+    y = Scale(float(len(steps)), 0.0, ticks=names)
+    return Figure(
+        "budget",
+        "What each element of the loop takes of the phase",
+        (Panel("", marks, 26.0 * len(steps), y),),
+        "phase at the crossover [°]",
+        scale=Scale(0.0, 1.33 * max(end for *_, end, _ in steps)),
+        left=168.0,
+    )
+
+
 def feasible() -> Figure:
     """Feasible requests by crossover and margin."""
     return loops.map_figure(
@@ -478,7 +507,7 @@ PICTURES: dict[str, Picture] = {
     "budget": Picture(
         "Where the phase goes",
         "explanation/margins",
-        lambda: loops.budget_figure(phase_budget(design(), 0.020), 0.020),
+        budget,
     ),
     "nyquist": Picture(
         "The disk around −1",

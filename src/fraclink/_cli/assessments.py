@@ -31,6 +31,7 @@ from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
+from fraclink.view._tables import budget_table
 from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import PhaseMarginDeg, above
 
@@ -58,13 +59,6 @@ class Assessment:
 
     def overview(self) -> Overview:
         """The least margin, the budget of the phase, and every kind of loop."""
-        budget = (
-            (
-                Row("", f"phase at {quantity(self.payloads[-1], 'g')}", share.element),
-                Row("", "share", share.phase, "rad"),
-            )
-            for share in self.budget
-        )
         margins = (
             (
                 Row("", "phase margin", curve.kind),
@@ -95,7 +89,7 @@ class Assessment:
             rows,
             (
                 Table.of("spillover", self.modes),
-                Table.of("", budget),
+                budget_table(self.budget, self.payloads[-1]),
                 Table.of("", margins),
             ),
             findings=self.design.findings,

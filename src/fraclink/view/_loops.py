@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from fraclink._design import Design
 from fraclink._design.assess import (
     CurveKind,
     FeasibilityMap,
-    PhaseShare,
     margin_curve,
 )
 from fraclink._design.pid_tuning import PidTuning
@@ -27,7 +25,6 @@ from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import (
     Across,
     Band,
-    Box,
     Cells,
     Curve,
     Mark,
@@ -42,7 +39,6 @@ from fracsys.checks import Real
 
 __all__ = [
     "bode_figure",
-    "budget_figure",
     "map_figure",
     "margin_band",
     "margins_figure",
@@ -235,42 +231,6 @@ def margin_band(design: Design, payloads: Real) -> tuple[Real, Real] | None:
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None or not math.isfinite(value) else value
-
-
-def budget_figure(shares: Sequence[PhaseShare], payload: float) -> Figure:
-    """Draw the phase budget as a waterfall: from 180° down to the phase margin."""
-    # The margin is 180° + arg L: the sign of the feedback is the first element, and
-    # lags reduce it.
-    steps = [("feedback", 0.0, 180.0, "180°", 0)]
-    level = 180.0
-    for share in shares:
-        size = math.degrees(share.phase)
-        text = f"{size:+.1f}°".replace("-", "−")
-        steps.append((share.element, level, level + size, text, 2 if size < 0 else 1))
-        level += size
-    steps.append(("phase margin", 0.0, level, f"{level:.1f}°", 3))
-    ends = [end for step in steps for end in step[1:3]]
-    marks: list[Mark] = []
-    for row, (_, start, end, text, line) in enumerate(steps):
-        marks.append(Box(start, end, row + 0.15, row + 0.85, line))
-        marks.append(Point(max(start, end), row + 0.5, text, sign="", beside=True))
-    names = tuple((row + 0.5, name) for row, (name, *_) in enumerate(steps))
-    # The first element is at the top.
-    y = Scale(float(len(steps)), 0.0, ticks=names)
-    # A quarter of the axis for the text behind the longest bar, on a telephone too.
-    high = max(ends) / 0.75
-    ticks = tuple((float(k), f"{k}°") for k in range(0, int(high) + 1, 45))
-    description = f"Where the phase goes at {grams(payload)}: " + ", ".join(
-        f"{name} {text}" for name, *_, text, _ in steps
-    )
-    return Figure(
-        "budget",
-        description,
-        (Panel("", marks, 26.0 * len(steps), y),),
-        "phase at the crossover",
-        scale=Scale(min(0.0, *ends), high, ticks=ticks),
-        left=168.0,
-    )
 
 
 @figure_of.register

@@ -20,7 +20,6 @@ __all__ = [
     "DOWN",
     "Across",
     "Band",
-    "Box",
     "Cells",
     "Curve",
     "Frame",
@@ -192,25 +191,6 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Box:
-    """A rectangle between values of both scales."""
-
-    left: float
-    right: float
-    low: float
-    high: float
-    line: int = 1
-
-    def drawn(self, frame: Frame) -> Layers:
-        """The rectangle on the panel, whose edges keep their width at any scale."""
-        left, right = (float(frame.x.share(v)) for v in (self.left, self.right))
-        top, bottom = sorted((frame.down(self.low), frame.down(self.high)))
-        place = f'x="{percent(min(left, right))}" width="{percent(abs(right - left))}"'
-        size = f'y="{top}" height="{round(bottom - top, 1)}"'
-        return Layers(above=f'<rect class="f{self.line}" {place} {size}/>')
-
-
-@dataclass(frozen=True)
 class Cells:
     """A table in colours: `levels` 0 to 3 of the palette, shape (rows, columns), below
     0 for none.
@@ -335,7 +315,7 @@ class Point:
         )
 
 
-Mark = Curve | Band | Box | Cells | Zone | Across | Upright | Point
+Mark = Curve | Band | Cells | Zone | Across | Upright | Point
 
 
 def reach(mark: Mark) -> tuple[tuple[ArrayLike, ...], tuple[ArrayLike, ...]]:

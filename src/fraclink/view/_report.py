@@ -190,6 +190,7 @@ def _tables(study: Study) -> Mapping[str, Figures]:
         sections["controller"] = (*study.design.overview().rows, *of_law)
         (sections["requirements"],) = study.design.overview().tables
         sections["margins"] = tables.margins_table(study.design, payloads)
+        sections["budget"] = _budget(study.design)
     if study.runs:
         sections["moves"] = Table.of("", study.runs)
     if study.arms is not None:
@@ -217,16 +218,14 @@ def _figures(study: Study) -> dict[str, Figure]:
         drawings["bode"] = loops.bode_figure(design)
         drawings["nyquist"] = loops.nyquist_figure(design, proved)
         drawings["margins"] = loops.margins_figure(design)
-        drawings["budget"] = _budget(design)
     if study.runs:
         drawings["moves"] = runs.moves_figure(study.runs)
     return {name: figure for name, figure in drawings.items() if figure is not None}
 
 
-def _budget(design: Design) -> Figure | None:
+def _budget(design: Design) -> Figures:
+    payload = design.payloads[0]
     try:
-        return loops.budget_figure(
-            phase_budget(design, design.payloads[0]), design.payloads[0]
-        )
+        return tables.budget_table(phase_budget(design, payload), payload)
     except FieldError:  # a loop without crossings has no phase budget
-        return None
+        return ()

@@ -5,9 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from fraclink._design import Design
-from fraclink._display import Row, Table, rows_of
+from fraclink._design.assess import PhaseShare
+from fraclink._display import Row, Table, quantity, rows_of
 
-__all__ = ["margins_table"]
+__all__ = ["budget_table", "margins_table"]
+
+
+def budget_table(shares: Iterable[PhaseShare], payload: float) -> Table:
+    """What each element of the loop gives at the crossover of a payload [kg]."""
+    heading = f"phase at {quantity(payload, 'g')}"
+    return Table.of(
+        "",
+        (
+            (Row("", heading, share.element), Row("", "share", share.phase, "rad"))
+            for share in shares
+        ),
+    )
 
 
 def margins_table(design: Design, payloads: Iterable[float]) -> Table:
