@@ -57,11 +57,6 @@ class Lines:
         """Lowest and highest frequency [rad/s] of the data."""
         return float(self.points[0].imag), float(self.points[-1].imag)
 
-    @property
-    def shortest(self) -> float:
-        """The shortest delay [s] that the data distinguish from zero."""
-        return 1.0 / self.band[1]
-
     @cached_property
     def measured(self) -> Real:
         """All measured values, weighted, shape (R,)."""
@@ -121,11 +116,6 @@ class Signals(Window):
         return np.ones(self.measured.size)
 
     @property
-    def shortest(self) -> float:
-        """See `Lines`."""
-        return self.period
-
-    @property
     def screen(self) -> Blocks:
         """The recording in blocks, for many candidates at once."""
         return Blocks(self, math.ceil(self.measured.size / _BLOCKS))
@@ -146,7 +136,7 @@ class Signals(Window):
             rows.append(exact[-self.samples :])
         return np.array(rows)
 
-    @property
+    @cached_property
     def band(self) -> Limits:
         """Lowest and highest frequency [rad/s] at which the input has power."""
         # Of the differences: a step excites all frequencies equally, but would appear
@@ -183,9 +173,9 @@ class Blocks:
         return np.full(self.measured.size, math.sqrt(self.width))
 
     @property
-    def shortest(self) -> float:
+    def band(self) -> Limits:
         """See `Lines`."""
-        return self.data.period
+        return self.data.band
 
     @cached_property
     def _lines(self) -> tuple[Complex, Complex, int]:

@@ -120,14 +120,12 @@ class StructureProblem(Problem):
     def value(self, name: str, coordinate: Any) -> Any:
         """The value at a coordinate."""
         if self.is_coefficient(name):
-            return _LEAST * np.sinh(coordinate)
+            coordinate = _LEAST * np.sinh(coordinate)
         return coordinate
 
     def slope(self, name: str, value: Any) -> Any:
         """The derivative of a value with respect to its coordinate."""
-        if self.is_coefficient(name):
-            return np.hypot(value, _LEAST)
-        return np.ones_like(value)
+        return np.hypot(value, _LEAST) if self.is_coefficient(name) else 1.0
 
     def places_of(self, values: Mapping[str, Any]) -> Real:
         """Places (M, p) of parameters (M,)."""
@@ -215,38 +213,27 @@ class StructureProblem(Problem):
 
     def _columns(self, places: Real) -> Real:
         """Responses and their slopes along the coordinates, shape (M, 1 + p, R)."""
-        values, count = self.values(places), len(places)
-        rows = {
-            name: np.tile(np.broadcast_to(value, (count, 1)), (1 + len(self.moving), 1))
-            for name, value in values.items()
-        }
-        steps = [self._step(name, values[name]) for name in self.moving]
-        for k, (name, step) in enumerate(zip(self.moving, steps, strict=True), start=1):
-            rows[name][k * count : (k + 1) * count] += step
-        response = self.data.response(self.structure, rows)
-        columns = response.reshape(1 + len(self.moving), count, -1)
+        steps = self._steps(places).T[:, :, None]
+        ahead = places + steps * np.eye(len(steps))[:, None, :]
+        rows = np.concatenate([places, *ahead])
+        response = self.data.response(self.structure, self.values(rows))
+        columns = response.reshape(1 + len(steps), len(places), -1)
         with np.errstate(all="ignore"):
-            for k, (name, step) in enumerate(
-                zip(self.moving, steps, strict=True), start=1
-            ):
-                slope = self.slope(name, values[name]) / step
-                columns[k] = np.nan_to_num((columns[k] - columns[0]) * slope)
+            columns[1:] = np.nan_to_num((columns[1:] - columns[0]) / steps)
         return columns.transpose(1, 0, 2)
 
-    def _step(self, name: str, value: Real) -> Real:
-        """Step of a difference.
+    def _steps(self, places: Real) -> Real:
+        """Steps (M, p) of differences along the coordinates.
 
         A held input jumps at a sample: the response is smooth up to a delay that ends
         there, and another piece begins beyond it. Delays are therefore decreased,
         except at zero.
         """
-        role = self.structure.roles[name]
-        if role == "coefficient":
-            return _STEP * self.slope(name, value)
-        if role == "order":
-            return np.full_like(value, _STEP)
-        step = _STEP * self.data.shortest
-        return np.where(value < step, step, -step)
+        delays = np.array(
+            [self.structure.roles[n] == "delay" for n in self.moving], bool
+        )
+        size = np.where(delays, _STEP / self.data.band[1], _STEP)
+        return np.where(delays & (places >= size), -size, size)
 
     def _projected(
         self, columns: Real, limits: Limits | None = None
