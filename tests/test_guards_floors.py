@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1504,
     "_export": 425,
     "_files": 558,
-    "_identify": 2442,
+    "_identify": 2394,
     "_law": 941,
     "_reading": 876,
     "_simulate": 1169,

@@ -7,7 +7,7 @@ show them and a program can act on their codes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,6 +25,7 @@ from fraclink._display import (
 __all__ = [
     "Finding",
     "Findings",
+    "Judged",
     "Scope",
     "Severity",
     "State",
@@ -65,6 +66,17 @@ def errors_of(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     ()
     """
     return tuple(finding for finding in findings if finding.severity == "error")
+
+
+class Judged:
+    """A result with findings: those of severity "error" are gates that failed."""
+
+    findings: Sequence[Finding]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no gate failed: no finding of severity "error"."""
+        return not errors_of(self.findings)
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:

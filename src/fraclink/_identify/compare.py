@@ -420,14 +420,16 @@ def _verdict(fits: Mapping[str, Fit], choice: Choice) -> str:
 
 def _reason(fits: Mapping[str, Fit], choice: Choice) -> str:
     best = fits[choice.preferred]
-    rivals = [
-        name for name, fit in fits.items() if abs(fit.mse - best.mse) > 1e-9 * best.mse
-    ]
-    if not rivals:
-        return "every other structure ended as the same model"
+    gap, other = min(
+        (
+            (choice.gap(name), name)
+            for name, fit in fits.items()
+            # Two descents to the same model agree only to within their tolerance.
+            if abs(fit.mse - best.mse) > 1e-9 * best.mse
+        ),
+        default=(0.0, ""),
+    )
     criterion = "AIC, corrected for the residual's colour,"
-    other = min(rivals, key=choice.gap)
-    gap = choice.gap(other)
     if gap <= 0:
         return f"no other structure has a clearly lower {criterion}"
     return f"its {criterion} is {gap:.1f} below that of {other}"

@@ -147,33 +147,25 @@ class DrivenLinkFit(StructureFit):
                 "a fit without errors",
                 "measure a band that shows anti-resonance and peak, and fit again",
             )
-        values, intervals = self.parameters, self.intervals
-        rows = []
-        if "l" in intervals:
-            order = (min(intervals["l"].low, 2.0), min(intervals["l"].high, 2.0))
-            rows.append(("order", *order))
-            if "z" in intervals:  # the uncertainty of ω₀ = z^(λ/2) comes from both
-                low, high = intervals["z"].low, intervals["z"].high
-                # All four corners: z^(λ/2) increases with λ for z above 1 rad/s and
-                # decreases below.
-                ends = [end ** (half / 2) for end in (low, high) for half in order]
-                rows.append(("natural_frequency", min(ends), max(ends)))
-        if "m" in intervals:
-            rows.append(
-                (
-                    "stiffness",
-                    intervals["m"].low * inertia,
-                    intervals["m"].high * inertia,
-                )
-            )
-        # z^λ = ω₀².
-        frequency = values["z"] ** (self.order / 2)
+        # A fit that passed has an interval for each of these.
+        orders, places, inertias = (
+            (self.intervals[name].low, self.intervals[name].high) for name in "lzm"
+        )
+        orders = min(orders[0], 2.0), min(orders[1], 2.0)
+        # All four corners: z^(λ/2) increases with λ for z above 1 rad/s and decreases
+        # below.
+        ends = [place ** (order / 2) for place in places for order in orders]
         return LinkModel(
-            values["m"] * inertia,
-            frequency,
+            self.parameters["m"] * inertia,
+            # z^λ = ω₀².
+            self.anti_resonance ** (self.order / 2),
             self.order,
             payload=payload,
-            intervals=tuple(rows),
+            intervals=(
+                ("order", *orders),
+                ("natural_frequency", min(ends), max(ends)),
+                ("stiffness", inertias[0] * inertia, inertias[1] * inertia),
+            ),
         )
 
 

@@ -172,7 +172,7 @@ def parse_expression(text: str) -> Expression:
     ...     parse_expression("1/sin(s)")
     ... except FieldError as error:
     ...     error.value, error.problem
-    ('sin(s)', 'a function that is not known')
+    ('sin(s)', 'a piece that is not known')
     """
     if not isinstance(text, str) or not text.strip():
         raise FieldError(

@@ -14,7 +14,7 @@ from fraclink._display import Overview, Row, displayed, number, rows_of
 from fraclink._files import Saved, document
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
-from fraclink.findings import Finding, Findings, errors_of
+from fraclink.findings import Finding, Findings, Judged
 from fracsys.checks import Real, checked
 from fracsys.checks.equality import compared
 
@@ -65,7 +65,7 @@ def aic(mse: float, samples: int, parameters: int) -> float:
 @compared
 @checked
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Saved):
+class Fit(Judged, Saved):
     """One structure fitted to one log.
 
         output(t) = gain · y(t − delay) + offset,    Y = (s^λ/(s^λ + μ s^α + ω₀²)) Θm
@@ -231,11 +231,6 @@ class Fit(Saved):
             findings=self.findings,
             notes=coincidence({self.structure: self}),
         )
-
-    @property
-    def passed(self) -> bool:
-        """Whether the model predicts: no finding of severity "error"."""
-        return not errors_of(self.findings)
 
     @property
     def samples(self) -> int:

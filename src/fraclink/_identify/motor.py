@@ -24,7 +24,7 @@ from fraclink._identify.fitting import check_motion
 from fraclink._identify.problem import CERTAIN, LEAST_EACH
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
-from fraclink.findings import Finding, errors_of
+from fraclink.findings import Finding, Judged
 from fracsys.checks import Array, Between, Real, above, checked
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
@@ -36,7 +36,7 @@ _NMSE_MOST = 0.5
 
 @displayed
 @dataclass(frozen=True)
-class MotorFit:
+class MotorFit(Judged):
     """The motor as its log shows it.
 
     Parameters
@@ -81,11 +81,6 @@ class MotorFit:
     windows: int
     findings: tuple[Finding, ...] = ()
     spring: float | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether the model explains the motion: no finding of severity "error"."""
-        return not errors_of(self.findings)
 
     def overview(self) -> Overview:
         """The motor's figures, each with its standard error."""

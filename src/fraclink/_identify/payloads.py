@@ -362,16 +362,15 @@ def _test(
     mse: Sequence[float],
     alone_mse: Sequence[float],
 ) -> LikelihoodRatio:
-    statistic = 0.0
-    for log, weight, together, own in zip(
-        logs, joint.weights, mse, alone_mse, strict=True
-    ):
-        if own > 0:  # weight · own is 1/k
-            # A coloured residual has fewer independent samples than samples: k divides
-            # their number.
-            statistic += (
-                log.output.size * weight * own * math.log(max(together / own, 1.0))
-            )
+    # A coloured residual has fewer independent samples than samples: k divides their
+    # number, and weight · own is 1/k.
+    statistic = sum(
+        log.output.size * weight * own * math.log(max(together / own, 1.0))
+        for log, weight, together, own in zip(
+            logs, joint.weights, mse, alone_mse, strict=True
+        )
+        if own > 0
+    )
     # The difference in the number of parameters between the separate fits and the joint
     # fit.
     degrees = joint.index.size - joint.low.size

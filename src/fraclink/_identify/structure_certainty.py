@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -134,14 +135,15 @@ def _is_known(
     `_COEFFICIENT_MOST`).
     """
     role = problem.structure.roles[name]
-    if interval.high_open or (interval.low_open and role != "delay"):
-        return False
     # A delay of zero is the usual result, and its interval begins at that limit: only
     # the upper end has to be closed.
-    half = (interval.high - interval.low) / 2
-    if role == "order":
-        return half <= ORDER_MOST
-    return role == "delay" or half <= _COEFFICIENT_MOST * abs(value)
+    is_open = interval.high_open or (interval.low_open and role != "delay")
+    most = {
+        "order": ORDER_MOST,
+        "delay": math.inf,
+        "coefficient": _COEFFICIENT_MOST * abs(value),
+    }
+    return not is_open and (interval.high - interval.low) / 2 <= most[role]
 
 
 def _straight_interval(

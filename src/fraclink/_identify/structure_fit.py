@@ -13,7 +13,7 @@ from fraclink._display import Overview, Row, Table, displayed, number, quantity,
 from fraclink._files import Saved, document
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.problem import Interval
-from fraclink.findings import Finding, errors_of
+from fraclink.findings import Finding, Judged
 from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks import Real, checked
 from fracsys.checks.equality import compared
@@ -29,7 +29,7 @@ from fracsys.checks.equality import compared
 @compared
 @checked
 @dataclass(frozen=True, eq=False, repr=False)
-class StructureFit(Saved):
+class StructureFit(Judged, Saved):
     """A structure of one's own, fitted to a recording or to a frequency response.
 
     Parameters
@@ -166,11 +166,6 @@ class StructureFit(Saved):
             self.findings,
             (f"G(s) = {self.transfer_function}",),
         )
-
-    @property
-    def passed(self) -> bool:
-        """Whether the data determine the parameters: no finding of severity "error"."""
-        return not errors_of(self.findings)
 
     @cached_property
     def transfer_function(self) -> FractionalTransferFunction:

@@ -29,7 +29,7 @@ from fraclink._identify.problem import CLEARLY_LESS, QUANTILE
 from fraclink._identify.shape import moving_angle
 from fraclink._identify.welch import EXCITED, mean_power, segments
 from fraclink.errors import FieldError
-from fraclink.findings import Finding, errors_of, worst_first
+from fraclink.findings import Finding, Judged, worst_first
 from fracsys.checks import Complex, Real, checked_noun
 from fracsys.checks.equality import compared
 
@@ -103,7 +103,7 @@ _UNITS = {
 @displayed
 @compared
 @dataclass(frozen=True, eq=False, repr=False)
-class Validation:
+class Validation(Judged):
     """A fit held against logs that it has not seen.
 
     Parameters
@@ -130,11 +130,6 @@ class Validation:
     findings: tuple[Finding, ...]
 
     __made_by__ = "fit.validate(log)"
-
-    @property
-    def passed(self) -> bool:
-        """Whether the fit predicts every log."""
-        return not errors_of(self.findings)
 
     @property
     def nmse(self) -> float:
@@ -331,9 +326,9 @@ def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
         if key in own and value.disagrees(own[key])
     ]
     if apart:
-        evidence: dict[str, float] = {}
-        for key in apart:
-            evidence |= {key: found.figures[key].value, f"{key}_here": own[key].value}
+        evidence = {key: found.figures[key].value for key in apart} | {
+            f"{key}_here": own[key].value for key in apart
+        }
         yield Finding(
             "W362",
             "warning",

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -43,20 +42,9 @@ def mean_power(transforms: Complex) -> Real:
     return np.mean(np.abs(transforms) ** 2, axis=0)
 
 
-@dataclass(frozen=True)
-class WelchResponse:
-    """Frequency [rad/s], responses of log and model from the motor's angle, the
-    coherence; shape (N,).
-    """
-
-    frequency: Real
-    measured: Complex
-    predicted: Complex
-    coherence: Real
-
-
-def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
-    """Return the averaged responses (Welch) of measurement and prediction.
+def welch_response(log: Experiment, fit: Fit) -> tuple[Real, Complex, Complex, Real]:
+    """Frequency [rad/s], the averaged responses (Welch) of measurement and prediction to
+    the motor's angle, and the coherence; shape (N,).
 
         H = P_yu / P_uu,    γ² = |P_yu|² / (P_uu P_yy)
 
@@ -67,9 +55,9 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     >>> from fraclink._identify import identify
     >>> from fraclink._reading.reading import bundled_log, read_log
     >>> log = read_log(bundled_log("prbs_30g"))
-    >>> found = welch_response(log, identify(log, details=False))
-    >>> told = found.coherence > 0.9  # elsewhere the noise has the peaks
-    >>> round(float(found.frequency[told][np.argmax(np.abs(found.measured[told]))]))
+    >>> frequency, measured, _, coherence = welch_response(log, identify(log, details=False))
+    >>> told = coherence > 0.9  # elsewhere the noise has the peaks
+    >>> round(float(frequency[told][np.argmax(np.abs(measured[told]))]))
     16
     """
     frequency, (u, y, model) = segments(
@@ -80,7 +68,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
     product = np.maximum(power * mean_power(y), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return WelchResponse(
+        return (
             frequency[usable],
             (cross / power)[usable],
             (other / power)[usable],

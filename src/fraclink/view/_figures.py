@@ -302,15 +302,15 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     """Draw the responses of log and model with the noise's 95 % band; None if fewer
     than two frequencies contain information about the link.
     """
-    welch = welch_response(log, fit)
+    w, measured, predicted, coherence = welch_response(log, fit)
     count = _independent(len(segments((log.output,), log.period)[1][0]))
     # With n segments, the coherence of noise alone exceeds this in only 1 % of cases:
     # lines below it contain no information about the link.
-    good = welch.coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
+    good = coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
     if np.count_nonzero(good) < 2:
         return None
-    w, coherence = welch.frequency[good], welch.coherence[good]
-    measured, predicted = welch.measured[good], welch.predicted[good]
+    w, coherence = w[good], coherence[good]
+    measured, predicted = measured[good], predicted[good]
     # The relative error of an averaged response is complex normal with variance (1/γ² −
     # 1)/n: with a probability of 95 % its magnitude is below sqrt(−ln 0.05) times the
     # root of that (Bendat and Piersol).
