@@ -14,8 +14,7 @@ import control
 import numpy as np
 
 from fracsys import FractionalTransferFunction, margins, s, to_control
-from fracsys._discrete import _target as discrete_target
-from fracsys._discrete import fit_discrete
+from fracsys._discrete import DiscreteFits
 from fracsys._minimax import PartialFractions, improve, score
 from fracsys._roots import log_zeros
 from harness import interleaved, line, median, sizes
@@ -82,9 +81,9 @@ FITS = {
 def fits(starts: int) -> None:
     for name, (response, band, order) in FITS.items():
         begin = time.perf_counter()
-        made = fit_discrete(
+        made = DiscreteFits(
             response, period=PERIOD, band=band, zeros_at_one=1, offset=1.0
-        )
+        ).fit()
         spent = time.perf_counter() - begin
         good = made.order <= order and made.error_db <= 0.1 and made.error_deg <= 0.5
         shown = f"{made.order}: {made.error_db:.3f} dB, {made.error_deg:.3f}°"
@@ -96,13 +95,13 @@ def fits(starts: int) -> None:
             spent <= 2,
         )
         _restarts(response, band, order, starts)
-    bare = fit_discrete(
+    bare = DiscreteFits(
         lambda w: 0.06988 * (1j * w) ** 0.6122,
         period=PERIOD,
         band=(0.05, 200.0),
         zeros_at_one=1,
         offset=1.0,
-    )
+    ).fit()
     shown = f"{bare.order}: {bare.error_db:.3f} dB, {bare.error_deg:.3f}°"
     line(
         "states without filter, 0.05 … 200 rad/s",
@@ -110,7 +109,9 @@ def fits(starts: int) -> None:
         "6",
         bare.order <= 6 and bare.error_db <= 0.1,
     )
-    ahead = fit_discrete(lambda w: (1j * w) ** -0.08, period=PERIOD, band=(0.05, 300.0))
+    ahead = DiscreteFits(
+        lambda w: (1j * w) ** -0.08, period=PERIOD, band=(0.05, 300.0)
+    ).fit()
     shown = f"{ahead.order}: {ahead.error_db:.3f} dB, {ahead.error_deg:.3f}°"
     line(
         "states of s^-0.08, 0.05 … 300 rad/s",
@@ -129,12 +130,8 @@ def _restarts(
     """The error of the growing fit relative to the best of random starts: 1 is equally
     good.
     """
-    target = discrete_target(
-        response, PERIOD, band, 1, 1.0, None, (0.1, 0.5), np.empty(0)
-    )
-    made = fit_discrete(
-        response, period=PERIOD, band=band, order=order, zeros_at_one=1, offset=1.0
-    )
+    grown = DiscreteFits(response, period=PERIOD, band=band, zeros_at_one=1, offset=1.0)
+    made, target = grown.fit(order), grown.target
     reached = max(made.error_db / 0.1, made.error_deg / 0.5)
     low, high = (
         math.log(math.tan(0.5 * band[0] * PERIOD)),

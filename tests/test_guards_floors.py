@@ -184,7 +184,7 @@ def test_only_extras_are_imported_late() -> None:
 # budget in DESIGN is not reached yet. Whoever removes code lowers the ceiling of its
 # package.
 CEILINGS = {
-    "fracsys": 2616,
+    "fracsys": 2607,
     "_arm": 1484,
     "_certify": 845,
     "_cli": 813,
@@ -192,7 +192,7 @@ CEILINGS = {
     "_export": 425,
     "_files": 558,
     "_identify": 2394,
-    "_law": 941,
+    "_law": 940,
     "_reading": 876,
     "_simulate": 1169,
     "lab": 1908,

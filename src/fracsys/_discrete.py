@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice, tee
 from typing import Annotated
 
 import numpy as np
@@ -32,23 +35,9 @@ _WITHIN = 0.97
 _GUARD = 2.0
 
 
-def fit_discrete(
-    response: Callable[[Real], Complex],
-    *,
-    period: float,
-    band: tuple[float, float],
-    order: int | None = None,
-    zeros_at_one: int = 0,
-    offset: float = 0.0,
-    weight: Callable[[Real], Real] | None = None,
-    tolerance_db: float = 0.1,
-    tolerance_deg: float = 0.5,
-    highest: int = 8,
-    pairs: int | None = None,
-    inside: ArrayLike = (),
-) -> DiscreteRational:
-    """Return the discrete rational whose worst error in a band of frequencies is
-    smallest.
+class DiscreteFits:
+    """The discrete rationals whose worst error in a band of frequencies is smallest, by
+    their order: each goes on from those of the orders below, which are kept.
 
     The largest of |Re ε|/tolerance and |Im ε|/tolerance over the band is minimised,
     with ε = weight · (H − F)/(offset + F), whose real part is an error in nepers and
@@ -65,9 +54,6 @@ def fit_discrete(
         Sampling period [s], > 0.
     band
         Lowest and highest frequency [rad/s] of the fit, 0 < low < high ≤ π/period.
-    order
-        Number of poles, 0 … 12. None: the lowest order that meets both tolerances, else
-        the best of those up to `highest`.
     zeros_at_one
         Zeros imposed at z = 1 as factors (1 − z⁻¹)^m; 1 makes H(1) = 0 exactly.
     offset
@@ -78,8 +64,6 @@ def fit_discrete(
     tolerance_db, tolerance_deg
         Tolerances [dB] and [°]; their ratio sets the balance between errors of modulus
         and phase.
-    highest
-        Highest order that order=None tries, 0 … 12.
     pairs
         Largest number of complex pairs among the poles; 0 for real poles only.
     inside
@@ -94,66 +78,109 @@ def fit_discrete(
     Examples
     --------
     >>> import numpy as np
-    >>> h = fit_discrete(lambda w: 0.148 * (1j * w) ** 0.65 / (1 + 0.16j * w) ** 2, period=0.004,
-    ...                  band=(0.05, 785.0), order=4, zeros_at_one=1, offset=1.0)
+    >>> fits = DiscreteFits(lambda w: 0.148 * (1j * w) ** 0.65 / (1 + 0.16j * w) ** 2, period=0.004,
+    ...                     band=(0.05, 785.0), zeros_at_one=1, offset=1.0)
+    >>> h = fits.fit(4)
     >>> h.order, h.error_db < 0.1, h.error_deg < 0.5
     (4, True, True)
     """
-    checked_band(band, period)
-    target = _target(
-        response,
-        period,
-        band,
-        zeros_at_one,
-        offset,
-        weight,
-        (tolerance_db, tolerance_deg),
-        np.asarray(inside, float),
-    )
-    # tan(ωT/2) is infinite at the Nyquist frequency; 1.55 rad limits the mapped
-    # frequency to 48.
-    plane = (
-        math.tan(0.5 * band[0] * period),
-        math.tan(min(0.5 * band[1] * period, 1.55)),
-    )
-    best = _grown(target, plane, order, highest, pairs)
-    approximation = DiscreteRational.from_fractions(
-        best, period=period, zeros_at_one=zeros_at_one, band=band
-    )
-    w = _grid(band, 400)
-    ratio = np.log((offset + approximation(w)) / (offset + response(w)))
-    return replace(
-        approximation,
-        error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
-        error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
-    )
 
+    def __init__(
+        self,
+        response: Callable[[Real], Complex],
+        *,
+        period: float,
+        band: tuple[float, float],
+        zeros_at_one: int = 0,
+        offset: float = 0.0,
+        weight: Callable[[Real], Real] | None = None,
+        tolerance_db: float = 0.1,
+        tolerance_deg: float = 0.5,
+        pairs: float = math.inf,
+        inside: ArrayLike = (),
+    ) -> None:
+        checked_band(band, period)
+        within, nyquist = np.union1d(_grid(band, 80), inside), math.pi / period
+        # Twenty points from the band up to the Nyquist frequency, none where the band
+        # ends next to it.
+        above = (
+            np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9)
+            if band[1] < 0.99 * nyquist
+            else np.empty(0)
+        )
+        # tan(ωT/2) is infinite at the Nyquist frequency
+        w = np.minimum(np.concatenate([within, above]), nyquist * (1 - 1e-6))
+        goal = np.asarray(response(w), complex)
+        fitted = np.arange(w.size) < within.size
+        # Inside the band the error is relative to the whole controller, which `offset`
+        # may dominate. Above it only the size of the fitted part is guarded, and the
+        # offset would mask it.
+        base = np.where(fitted, offset + goal, np.abs(goal))
+        if not np.all(np.isfinite(goal)) or not np.all(base):
+            raise FieldError(
+                "response",
+                "0 or infinite",
+                "not finite, or zero, at some frequency",
+                "finite values that are not zero",
+                "check it between the band's ends and the Nyquist frequency",
+            )
+        emphasis = np.where(fitted, 1.0 if weight is None else weight(w), 1.0)
+        turn, half = emphasis / base, 0.5 * w * period
+        factor = (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one
+        # The error is in nepers and radians; 20/ln 10 dB and 180/π degrees per unit turn
+        # it into multiples of the tolerance.
+        tolerance = 20 / (math.log(10) * tolerance_db), 180 / (math.pi * tolerance_deg)
+        weights = np.where(fitted, np.array(tolerance)[:, None], 1 / _GUARD)
+        self.target = Target(np.tan(half), factor, turn * factor, turn * goal, weights)
+        # tan(ωT/2) is infinite at the Nyquist frequency; 1.55 rad limits the mapped
+        # frequency to 48.
+        plane = (
+            math.tan(0.5 * band[0] * period),
+            math.tan(min(0.5 * band[1] * period, 1.55)),
+        )
+        # kept, and so every order is found once
+        (self._generations,) = tee(grow(self.target, plane, pairs=pairs), 1)
+        self._response, self._offset = response, offset
+        self._rational = partial(
+            DiscreteRational.from_fractions,
+            period=period,
+            zeros_at_one=zeros_at_one,
+            band=band,
+        )
 
-def _grown(
-    target: Target,
-    plane: tuple[float, float],
-    order: int | None,
-    highest: int,
-    pairs: int | None,
-) -> PartialFractions:
-    """The fractions of the order given; otherwise those of the lowest order that meets
-    the tolerances, or the best found.
-    """
-    generations: list[list[PartialFractions]] = []
-    for here in grow(target, plane, highest if order is None else order, pairs=pairs):
-        generations.append(here)
-        # The full sequence of norms lowers the error of the quick ones by 10 to 20 %.
-        if order is None and score(here[0], target) <= 1.3:
-            fit = finish(here, target)
-            if score(fit, target) <= _WITHIN:
-                return fit
-    if order is not None:
-        return finish(generations[-1], target)
-    # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
-    # change ranks.
-    likely = sorted(generations, key=lambda here: score(here[0], target))[:2]
-    fits = (finish(here, target) for here in likely)
-    return min(fits, key=lambda fit: score(fit, target))
+    def fit(self, order: int | None = None, highest: int = 8) -> DiscreteRational:
+        """Return the rational of an order; without one, that of the lowest order that
+        meets both tolerances, else the best of those up to `highest`.
+        """
+        made = self._rational(self._best(order, highest))
+        w = _grid(made.band, 400)
+        ratio = np.log((self._offset + made(w)) / (self._offset + self._response(w)))
+        return replace(
+            made,
+            error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
+            error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
+        )
+
+    def __iter__(self) -> Iterator[list[PartialFractions]]:
+        """Return an iterator over the best few fractions of order 0, 1, …"""
+        return copy(self._generations)
+
+    def _best(self, order: int | None, highest: int) -> PartialFractions:
+        if order is not None:
+            return finish(next(islice(self, order, None)), self.target)
+        for here in islice(self, highest + 1):
+            # The full sequence of norms lowers the error of the quick ones by 10 to 20 %.
+            if score(here[0], self.target) <= 1.3:
+                fit = finish(here, self.target)
+                if score(fit, self.target) <= _WITHIN:
+                    return fit
+        # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
+        # change ranks.
+        ranked = sorted(
+            islice(self, highest + 1), key=lambda here: score(here[0], self.target)
+        )
+        fits = (finish(here, self.target) for here in ranked[:2])
+        return min(fits, key=lambda fit: score(fit, self.target))
 
 
 def _grid(band: tuple[float, float], count: int) -> Real:
@@ -165,56 +192,6 @@ def _grid(band: tuple[float, float], count: int) -> Real:
         np.concatenate(
             [np.geomspace(low, high, count), np.linspace(0.25 * high, high, count // 2)]
         )
-    )
-
-
-def _target(
-    response: Callable[[Real], Complex],
-    period: float,
-    band: tuple[float, float],
-    zeros_at_one: int,
-    offset: float,
-    weight: Callable[[Real], Real] | None,
-    tolerance: tuple[float, float],
-    more: Real,
-) -> Target:
-    inside, nyquist = np.union1d(_grid(band, 80), more), math.pi / period
-    # Twenty points from the band up to the Nyquist frequency, none where the band ends
-    # next to it.
-    above = (
-        np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9)
-        if band[1] < 0.99 * nyquist
-        else np.empty(0)
-    )
-    w = np.concatenate([inside, above])
-    w = np.minimum(
-        w, nyquist * (1 - 1e-6)
-    )  # tan(ωT/2) is infinite at the Nyquist frequency
-    goal = np.asarray(response(w), complex)
-    within = np.arange(w.size) < inside.size
-    # Inside the band the error is relative to the whole controller, which `offset` may
-    # dominate. Above it only the size of the fitted part is guarded, and the offset
-    # would mask it.
-    base = np.where(within, offset + goal, np.abs(goal))
-    if not np.all(np.isfinite(goal)) or not np.all(base):
-        raise FieldError(
-            "response",
-            "0 or infinite",
-            "not finite, or zero, at some frequency",
-            "finite values that are not zero",
-            "check it between the band's ends and the Nyquist frequency",
-        )
-    emphasis = np.where(within, 1.0 if weight is None else weight(w), 1.0)
-    half = 0.5 * w * period
-    return Target(
-        np.tan(half),
-        (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
-        goal,
-        np.asarray(emphasis / base, complex),
-        # The error is in nepers and radians; 20/ln 10 dB and 180/π degrees per unit
-        # turn it into multiples of the tolerance.
-        np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
-        np.where(within, 180 / (math.pi * tolerance[1]), 1 / _GUARD),
     )
 
 
@@ -265,7 +242,7 @@ class DiscreteRational:
         Lowest and highest frequency [rad/s] of the fit.
     error_db, error_deg
         Largest error in the band of offset + H against offset + response, in decibels
-        and in degrees (see `fit_discrete`).
+        and in degrees (see `DiscreteFits`).
     """
 
     period: float
@@ -302,11 +279,9 @@ class DiscreteRational:
         """H(e^(jωT)) at frequencies ω [rad/s], in the shape of ω."""
         w = np.asarray(frequency, float)
         z = np.exp(1j * w * self.period)[..., None]
-        inner = self.feedthrough + (self.gains / (z - self.decays)).sum(-1)
-        inner = inner + 0.5 * (self.pole_gains / (z - self.pole_decays)).sum(-1)
-        inner = inner + 0.5 * (
-            self.pole_gains.conj() / (z - self.pole_decays.conj())
-        ).sum(-1)
+        pair = 0.5 * self.pole_gains
+        gains = np.concatenate([self.gains, pair, pair.conj()])
+        inner = self.feedthrough + (gains / (z - self.poles)).sum(-1)
         # 1 − e^(−jθ) = 2j sin(θ/2) e^(−jθ/2) keeps its relative precision at the lowest
         # frequencies.
         half = 0.5 * w * self.period

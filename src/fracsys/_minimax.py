@@ -12,12 +12,15 @@ ln(rows)/128 ≈ 4 % of the minimax error and never leaves the stable half plane
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fracsys import _kernels
 from fracsys._precision import BLUR
@@ -28,49 +31,42 @@ from fracsys.checks import Complex, Real
 # 32 costs 3 % of the error.
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
 
-Shapes = tuple[Complex, Complex, Complex]
-
 
 @dataclass(frozen=True)
 class Target:
-    """What is to be met: R(jΩ_k) = wanted_k, with the errors' real and imaginary parts
-    weighted.
+    """What is to be met, R(jΩ_k) = F_k, by relative errors whose real and imaginary
+    parts are weighted.
     """
 
     omega: Real  # Ω, the frequency in the x-plane
     factor: Complex  # P(jΩ)
+    # 1/(offset + F) times P and times F: the real part of the error is in nepers, its
+    # imaginary part in radians
+    whole: Complex
     wanted: Complex
-    # The error is multiplied by 1/(offset + wanted), so that its real part is in nepers
-    # and its imaginary part in radians.
-    turn: Complex
-    weight_real: Real
-    weight_imag: Real
+    weights: Real  # of the real and of the imaginary part, shape (2, K)
 
     @cached_property
-    def x(self) -> Complex:
-        """jΩ as a column."""
-        return np.asarray(1j * self.omega[:, None], complex)
+    def aim(self) -> Real:
+        """The rows that are wanted."""
+        return self.rows(self.wanted)
 
     @cached_property
-    def real_rows(self) -> tuple[Real, Real]:
-        """What makes a complex R/P real rows, as the kernel takes it, and the rows that
-        are wanted.
+    def real_rows(self) -> Real:
+        """What makes a complex R/P real rows, as the kernel takes it."""
+        real, imag = self.whole * self.weights
+        return np.stack([real.real, -real.imag, imag.imag, imag.real])
+
+    def rows(self, errors: Complex) -> Real:
+        """Real parts, then imaginary parts of relative errors, along the last axis:
+        tolerances are 1.
         """
-        whole = self.turn * self.factor
-        by_real, by_imag = whole * self.weight_real, whole * self.weight_imag
-        return np.stack(
-            [by_real.real, -by_real.imag, by_imag.imag, by_imag.real]
-        ), self.rows(self.wanted)
+        parts = np.stack([errors.real, errors.imag], axis=-2) * self.weights
+        return parts.reshape(*errors.shape[:-1], -1)
 
-    def rows(self, values: Complex) -> Real:
-        """Real rows of a complex error (or of columns of a Jacobian): tolerances are 1."""
-        own = (self.turn, self.weight_real, self.weight_imag)
-        turn, real, imag = own if values.ndim == 1 else (part[:, None] for part in own)
-        product, count = values * turn, len(values)
-        rows = np.empty((2 * count, *values.shape[1:]))
-        np.multiply(product.real, real, out=rows[:count])
-        np.multiply(product.imag, imag, out=rows[count:])
-        return rows
+    def columns(self, fractions: PartialFractions) -> Real:
+        """The basis of some fractions as real columns."""
+        return self.rows(self.whole * fractions.basis(self.omega)).T
 
 
 @dataclass(frozen=True)
@@ -88,38 +84,30 @@ class PartialFractions:
     pair_angles: Real  # η: ψ = (π/2) tanh η keeps every pair in the stable half plane
     pair_gains: Complex
 
-    def columns(self, x: Complex) -> Complex:
-        """The basis: 1, σ/(x+σ), and for each pair the columns of Re c and Im c; shape
-        (M, order + 1).
+    def basis(self, omega: Real) -> Complex:
+        """1, σ/(x+σ), and for each pair the factors of Re c and Im c, at x = jΩ; shape
+        (order + 1, K).
         """
-        real, pair, mirrored = self.shapes(x)
+        shapes, n, m = self.shapes(omega), len(self.real_logs), len(self.pair_logs)
+        pair, mirrored = shapes[n : n + m], shapes[n + m :]
         return np.concatenate(
             [
-                np.ones((len(real), 1)),
-                real,
+                np.ones((1, omega.size)),
+                shapes[:n],
                 0.5 * (pair + mirrored),
                 0.5j * (pair - mirrored),
-            ],
-            axis=1,
+            ]
         )
 
-    def shapes(self, x: Complex) -> Shapes:
-        """σ/(x + σ), q/(x + q) and q̄/(x + q̄) at a column x = jΩ, one column for each
-        pole.
-        """
-        sigma = np.exp(self.real_logs)
-        real = sigma / (x + sigma)
+    def shapes(self, omega: Real) -> Complex:
+        """s/(x + s) at x = jΩ, for σ of each real pole, then q of each pair, then q̄."""
         q = self.poles_of_pairs()
-        return real, q / (x + q), q.conj() / (x + q.conj())
+        s = np.concatenate([np.exp(self.real_logs), q, q.conj()])[:, None]
+        return np.asarray(s / (1j * omega + s))
 
     def poles_of_pairs(self) -> Complex:
         """q = e^(θ + jψ), so that the poles are −q and −q̄."""
         return np.exp(self.pair_logs + 0.5j * math.pi * np.tanh(self.pair_angles))
-
-    def linear(self) -> Real:
-        """The linear parameters in the order of `columns`."""
-        c = self.pair_gains
-        return np.concatenate([[self.direct], self.real_gains, c.real, c.imag])
 
     def with_linear(self, values: Real) -> PartialFractions:
         """The same poles with other residues."""
@@ -134,41 +122,20 @@ class PartialFractions:
             gains,
         )
 
-    def improved(self, target: Target, powers: Sequence[int]) -> PartialFractions:
-        """The result of Newton's method from here, norm by norm."""
-        n, m = len(self.real_logs), len(self.pair_logs)
-        values = np.concatenate(
-            [self.linear(), self.real_logs, self.pair_logs, self.pair_angles]
+    def figures(self, target: Target) -> tuple[float, float]:
+        """(worst weighted error, of which 1 is the tolerance; cancellation: the largest
+        sum of the moduli of all terms over the largest modulus of their sum, of which 1
+        is ideal).
+        """
+        shapes, c = self.shapes(target.omega), 0.5 * self.pair_gains
+        gains = np.concatenate([self.real_gains, c, c.conj()])
+        whole = self.direct + gains @ shapes
+        error = target.rows(target.whole * whole) - target.aim
+        parts = abs(self.direct) + np.abs(gains) @ np.abs(shapes)
+        factor = np.abs(target.factor)
+        return float(np.max(np.abs(error))), float(
+            np.max(parts * factor) / np.max(factor * np.abs(whole))
         )
-        _kernels.minimax_improve(target.omega, *target.real_rows, n, m, powers, values)
-        linear, logs, pairs, angles = np.split(values, np.cumsum([1 + n + 2 * m, n, m]))
-        return replace(
-            self, real_logs=logs, pair_logs=pairs, pair_angles=angles
-        ).with_linear(linear)
-
-    def error(self, target: Target) -> Real:
-        """Weighted error in rows."""
-        return target.rows(
-            target.factor * (self.columns(target.x) @ self.linear()) - target.wanted
-        )
-
-
-def log_spaced_start(
-    low: float, high: float, real: int, pairs: int
-) -> PartialFractions:
-    """Poles spread evenly on a logarithmic scale of Ω: real ones below, pairs at 45°
-    above.
-    """
-    count = real + pairs
-    logs = math.log(low) + (np.arange(count) + 0.5) / count * math.log(high / low)
-    return PartialFractions(
-        0.0,
-        logs[:real],
-        np.zeros(real),
-        logs[real:],
-        np.full(pairs, 0.55),
-        np.zeros(pairs, complex),
-    )
 
 
 def improve(
@@ -177,25 +144,30 @@ def improve(
     """The best fractions with the structure of the start, by Newton's method, norm by
     norm.
     """
-    return best_residues(start, target).improved(target, powers)
+    n, m = len(start.real_logs), len(start.pair_logs)
+    residues = _best_residues(start, target)
+    values = np.concatenate(
+        [residues, start.real_logs, start.pair_logs, start.pair_angles]
+    )
+    _kernels.minimax_improve(
+        target.omega, target.real_rows, target.aim, n, m, powers, values
+    )
+    linear, *poles = np.split(values, np.cumsum([1 + n + 2 * m, n, m]))
+    return _fractions(*poles).with_linear(linear)
 
 
-def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
-    columns = target.rows(target.factor[:, None] * at.columns(target.x))
+def _best_residues(at: PartialFractions, target: Target) -> Real:
+    columns = target.columns(at)
     size = np.linalg.norm(columns, axis=0)
     # Poles that coincide have columns that are equal to rounding. The cut-off gives
     # both poles the same residue instead of two huge ones of opposite sign, which no
     # single-precision law could run.
-    solution = (
-        np.linalg.lstsq(columns / size, target.rows(target.wanted), rcond=1e-12)[0]
-        / size
-    )
-    return at.with_linear(solution)
+    return np.linalg.lstsq(columns / size, target.aim, rcond=1e-12)[0] / size
 
 
 def score(fit: PartialFractions, target: Target) -> float:
     """Worst weighted error: 1 is the tolerance."""
-    return float(np.max(np.abs(fit.error(target))))
+    return fit.figures(target)[0]
 
 
 # --- From order to order: the best fractions found, started from those of the order below -------------
@@ -214,13 +186,12 @@ _NOISY = 20.0
 def grow(
     target: Target,
     band: tuple[float, float],
-    highest: int,
     *,
     resonances: Sequence[complex] = (),
-    pairs: int | None = None,
+    pairs: float = math.inf,
 ) -> Iterator[list[PartialFractions]]:
-    """Yield the best few fractions of order 0, 1, … `highest`, the best first; `finish`
-    makes one of them.
+    """Yield the best few fractions of order 0, 1, …, the best first; `finish` makes one
+    of them.
 
     `band` is the range of Ω to spread poles over, `resonances` are q (poles −q, −q̄)
     that are tried as they are, `pairs` is the largest number of pairs.
@@ -229,30 +200,40 @@ def grow(
     # with a filter takes 6 poles instead of 5, and the best fit of order 8 to an
     # unfiltered one of order 1.2 is 12 % worse.
     spots = np.linspace(math.log(band[0]), math.log(band[1]) + 3.0, 9)
-    most = highest if pairs is None else pairs
-    empty = np.zeros(0)
-    nothing = PartialFractions(0.0, empty, empty, empty, empty, empty.astype(complex))
-    best = [[best_residues(nothing, target)]]
-    yield best[0]
-    for order in range(1, highest + 1):
-        starts = [_with_real(c, x) for c in best[order - 1] for x in spots]
-        for c in best[order - 2][:2] if order > 1 else ():
-            starts += [_with_pair(c, x) for x in spots[3:]] + [
-                _with_known(c, q) for q in resonances
-            ]
-        spread = log_spaced_start(*band, order % 2, order // 2)
-        candidates = [
-            *_promising(starts, target, most),
-            relocate(spread, target),
+    # η = 0.7 lies 54° off the negative real axis: between two real poles and a
+    # resonance.
+    twos = [_fractions((), spot, 0.7) for spot in spots[3:]]
+    for q in resonances:
+        angle = min(abs(cmath.phase(q)) / (0.5 * math.pi), 1 - 1e-9)
+        twos.append(_fractions((), math.log(abs(q)), math.atanh(angle)))
+    # the additions to a fraction of one order less, and to one of two less
+    additions = [_fractions(spot) for spot in spots], twos
+    columns = [
+        np.stack(
+            [np.column_stack([target.columns(x)[:, 1:], target.aim]) for x in those]
+        )
+        for those in additions
+    ]
+    below: list[PartialFractions] = []
+    best = [_fractions().with_linear(_best_residues(_fractions(), target))]
+    for order in itertools.count(1):
+        yield best
+        starts = [
+            (square, base, one)
+            for bases, those, own in zip((best, below), additions, columns, strict=True)
+            for base in bases
+            for square, one in zip(_squares_left(base, own, target), those, strict=True)
         ]
+        starts.sort(key=itemgetter(0))
+        candidates = [_joined(base, one) for _, base, one in starts[:_TRIED]]
+        spread = _relocated(band, order, target)
+        candidates += [spread] if len(spread.pair_logs) <= pairs else []
         # The 8-norm ranks the candidates almost as their largest errors do. With least
         # squares alone, two of six controllers need one more pole, and a third misses
         # its tolerance.
-        fits = [
-            improve(c, target, (2, 8)) for c in candidates if len(c.pair_logs) <= most
-        ]
-        best.append(_distinct(fits, target))
-        yield best[order]
+        fits = [improve(one, target, (2, 8)) for one in candidates]
+        below = [one for one in best[:2] if len(one.pair_logs) < pairs]
+        best = _distinct(fits, target)
 
 
 def finish(candidates: list[PartialFractions], target: Target) -> PartialFractions:
@@ -260,53 +241,36 @@ def finish(candidates: list[PartialFractions], target: Target) -> PartialFractio
     return min((improve(c, target) for c in candidates), key=lambda c: _cost(c, target))
 
 
-def cancellation(fit: PartialFractions, target: Target) -> float:
-    """Largest sum of the moduli of all terms over the largest modulus of their sum: 1
-    is ideal.
-    """
-    real, pair, mirrored = fit.shapes(target.x)
-    parts = abs(fit.direct) + np.abs(fit.real_gains * real).sum(1)
-    parts = parts + 0.5 * (
-        np.abs(fit.pair_gains) * (np.abs(pair) + np.abs(mirrored))
-    ).sum(1)
-    factor = np.abs(target.factor)
-    whole = factor * np.abs(fit.columns(target.x) @ fit.linear())
-    return float(np.max(parts * factor) / np.max(whole))
-
-
 def _cost(fit: PartialFractions, target: Target) -> float:
-    return score(fit, target) * max(1.0, cancellation(fit, target) / _NOISY)
+    error, cancellation = fit.figures(target)
+    return error * max(1.0, cancellation / _NOISY)
 
 
-def _with_real(c: PartialFractions, log: float) -> PartialFractions:
-    return replace(
-        c,
-        real_logs=np.append(c.real_logs, log),
-        real_gains=np.append(c.real_gains, 0.0),
+def _fractions(
+    real_logs: ArrayLike = (), pair_logs: ArrayLike = (), pair_angles: ArrayLike = ()
+) -> PartialFractions:
+    """Fractions with these poles and no residues yet."""
+    reals, logs, angles = map(np.atleast_1d, (real_logs, pair_logs, pair_angles))
+    return PartialFractions(
+        0.0, reals, np.zeros(reals.size), logs, angles, np.zeros(logs.size, complex)
     )
 
 
-def _with_pair(c: PartialFractions, log: float, angle: float = 0.7) -> PartialFractions:
-    # η = 0.7 lies 54° off the negative real axis: between two real poles and a
-    # resonance.
-    return replace(
-        c,
-        pair_logs=np.append(c.pair_logs, log),
-        pair_angles=np.append(c.pair_angles, angle),
-        pair_gains=np.append(c.pair_gains, 0j),
+def _joined(one: PartialFractions, more: PartialFractions) -> PartialFractions:
+    return _fractions(
+        np.append(one.real_logs, more.real_logs),
+        np.append(one.pair_logs, more.pair_logs),
+        np.append(one.pair_angles, more.pair_angles),
     )
 
 
-def _with_known(c: PartialFractions, q: complex) -> PartialFractions:
-    angle = min(abs(cmath.phase(q)) / (0.5 * math.pi), 1 - 1e-9)
-    return _with_pair(c, math.log(abs(q)), math.atanh(angle))
-
-
-def _promising(
-    starts: list[PartialFractions], target: Target, pairs: int
-) -> list[PartialFractions]:
-    fits = [best_residues(c, target) for c in starts if len(c.pair_logs) <= pairs]
-    return sorted(fits, key=lambda c: float(np.sum(c.error(target) ** 2)))[:_TRIED]
+def _squares_left(base: PartialFractions, beyond: Real, target: Target) -> Real:
+    """The least sum of squares with the poles of `base` and each addition, by what is
+    left `beyond` the columns of the base: of those of the addition and, last, of the aim.
+    """
+    span, _ = np.linalg.qr(target.columns(base))
+    beyond = beyond - span @ (span.T @ beyond)
+    return np.asarray(np.linalg.qr(beyond, mode="r"))[:, -1, -1] ** 2
 
 
 def _distinct(
@@ -330,54 +294,47 @@ def _distinct(
 # the target asks.
 
 
-def relocate(start: PartialFractions, target: Target) -> PartialFractions:
+def _relocated(
+    band: tuple[float, float], order: int, target: Target
+) -> PartialFractions:
     """A fraction (poles only) after twelve rounds, each of which solves a linear
-    problem.
+    problem, from poles spread evenly on a logarithmic scale of Ω: a real one below
+    where the order is odd, pairs at 45° above.
 
     R = N/σ with N = d + Σ r φ and σ = 1 + Σ c φ over the present poles: P N − F Σ c φ =
     F is linear, and the zeros of σ are the next poles.
     """
-    here = start
+    pairs, real = divmod(order, 2)
+    places = (np.arange(real + pairs) + 0.5) / (real + pairs)
+    logs = math.log(band[0]) + places * math.log(band[1] / band[0])
+    here = _fractions(logs[:real], logs[real:], np.full(pairs, 0.55))
     for _ in range(12):
-        basis = here.columns(target.x)
-        columns = np.concatenate(
-            [target.factor[:, None] * basis, -target.wanted[:, None] * basis[:, 1:]],
-            axis=1,
-        )
-        rows = target.rows(columns)
-        size = np.linalg.norm(rows, axis=0) + 1e-300
+        basis = here.basis(target.omega)
+        both = [target.whole * basis, -target.wanted * basis[1:]]
+        columns = target.rows(np.concatenate(both)).T
+        size = np.linalg.norm(columns, axis=0) + 1e-300
         # Columns are scaled to equal length: poles three decades apart give columns of
         # very different size, and the cut-off at 1e-13 is meant for dependent columns,
         # not for small ones.
-        solution = (
-            np.linalg.lstsq(rows / size, target.rows(target.wanted), rcond=1e-13)[0]
-            / size
-        )
-        here = _from_poles(
-            _zeros_of_denominator(here, solution[basis.shape[1] :]), target
-        )
+        solution = np.linalg.lstsq(columns / size, target.aim, rcond=1e-13)[0] / size
+        here = _from_poles(_zeros_of_denominator(here, solution[len(basis) :]), target)
     return here
 
 
 def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
     """Eigenvalues of A − b c for σ(x) = 1 + c (x − A)^(-1) b."""
-    n, m = len(at.real_logs), len(at.pair_logs)
-    a = np.zeros((n + 2 * m, n + 2 * m))
-    c = np.empty(n + 2 * m)
-    b = np.ones(n + 2 * m)
     sigma, q = np.exp(at.real_logs), at.poles_of_pairs()
-    a[range(n), range(n)] = -sigma
-    c[:n] = weights[:n] * sigma
-    for k in range(m):
-        i = n + 2 * k
-        # Column Re c: ½[q/(x+q) + q̄/(x+q̄)], column Im c: ½j[q/(x+q) − q̄/(x+q̄)]. The
-        # block of −q with the state (Re, Im), driven by b = (1, 0), gives 1/(x+q) =
-        # first + j second.
-        gain = q[k] * (weights[n + k] + 1j * weights[n + m + k])
-        a[i : i + 2, i : i + 2] = [[-q[k].real, q[k].imag], [-q[k].imag, -q[k].real]]
-        b[i : i + 2] = [1.0, 0.0]
-        c[i : i + 2] = [gain.real, -gain.imag]
-    return np.asarray(np.linalg.eigvals(a - np.outer(b, c)), complex)
+    n, m = len(sigma), len(q)
+    a = np.diag(-np.concatenate([sigma, q.real, q.real]))
+    # Column Re c: ½[q/(x+q) + q̄/(x+q̄)], column Im c: ½j[q/(x+q) − q̄/(x+q̄)]. The block
+    # of −q with the states Re and Im, driven by b = (1, 0), gives 1/(x+q) = first + j
+    # second.
+    first = np.arange(n, n + m)
+    a[first, first + m], a[first + m, first] = q.imag, -q.imag
+    gain = q * (weights[n : n + m] + 1j * weights[n + m :])
+    c = np.concatenate([weights[:n] * sigma, gain.real, -gain.imag])
+    a[: n + m] -= c
+    return np.asarray(np.linalg.eigvals(a), complex)
 
 
 def _from_poles(x: Complex, target: Target) -> PartialFractions:
@@ -389,11 +346,8 @@ def _from_poles(x: Complex, target: Target) -> PartialFractions:
     # farther out the slope vanishes and Newton's method could not bring it back.
     low, high = target.omega[0] * 1e-3, target.omega[-1] * 1e3
     angle = np.clip(np.angle(q) * 2 / math.pi, 0.01, 0.995)
-    return PartialFractions(
-        0.0,
+    return _fractions(
         np.log(np.clip(real, low, high)),
-        np.zeros(len(real)),
         np.log(np.clip(np.abs(q), low, high)),
         np.arctanh(angle),
-        np.zeros(len(q), complex),
     )

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Annotated, Literal
 
 import numpy as np
@@ -196,13 +197,11 @@ def _fitted(
     values = system(1j * w)
     # 0.1 dB weighs as much as 0.5°, as in the fit of a law; the absolute scale does not
     # matter here.
-    nepers, radians = (
-        np.full(w.size, 20 / math.log(10) / 0.1),
-        np.full(w.size, 180 / math.pi / 0.5),
-    )
-    target = Target(w, np.ones(w.size, complex), values, 1 / values, nepers, radians)
-    generations = list(grow(target, band, order, resonances=[-p for p in near]))
-    fit = finish(generations[-1], target)
+    one = np.ones(w.size, complex)
+    weights = np.outer([20 / math.log(10) / 0.1, 180 / math.pi / 0.5], np.ones(w.size))
+    target = Target(w, one, 1 / values, one, weights)
+    generations = grow(target, band, resonances=[-p for p in near])
+    fit = finish(next(islice(generations, order, None)), target)
     sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
     pole_values = np.concatenate([-sigma, -q, -q.conj()])
     half = 0.5 * fit.pair_gains * q

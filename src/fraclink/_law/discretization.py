@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,11 +28,7 @@ from fraclink._law.law import Law
 from fraclink._law.limits import derive_limits
 from fraclink._law.tracking import following, forward_fit, tracking_for
 from fraclink.errors import FieldError, required
-from fracsys._discrete import (
-    DiscreteRational,
-    Order,
-    fit_discrete,
-)
+from fracsys._discrete import DiscreteFits, DiscreteRational, Order
 from fracsys.checks import Payload, Real, above, checked
 
 if TYPE_CHECKING:
@@ -403,48 +399,39 @@ def fit_correction(
     (or `order`), C alone is fitted.
     """
 
-    def fit(weight: Callable[[Real], Real] | None, highest: int) -> DiscreteRational:
-        return fit_discrete(
-            controller.response,
-            period=period,
-            order=order,
-            zeros_at_one=1,
-            offset=1.0,
-            band=band,
-            weight=weight,
-            tolerance_db=TOLERANCE_DB,
-            tolerance_deg=TOLERANCE_DEG,
-            highest=highest,
-            inside=_about_notch(controller, band),
-        )
-
-    def emphasised(emphasis: float, highest: int) -> DiscreteRational:
-        return fit(_weight(controller, centre, emphasis), highest)
-
+    fits = partial(
+        DiscreteFits,
+        controller.response,
+        period=period,
+        zeros_at_one=1,
+        offset=1.0,
+        band=band,
+        tolerance_db=TOLERANCE_DB,
+        tolerance_deg=TOLERANCE_DEG,
+        inside=_about_notch(controller, band),
+    )
     centre = _crossover(controller, link)
     inside = band[0] < centre < band[1]
-    first = emphasised(EMPHASES[0], STATES) if inside else None
-    if first is not None and _is_met(first):
+    near = fits(weight=_weight(controller, centre, EMPHASES[0]))
+    if inside and _is_met(first := near.fit(order, STATES)):
         return first
-    plain = fit(None, REAL_MODES)
+    plain = fits()
+    least = plain.fit(order, REAL_MODES)
     # An emphasis is a weight of at least one, so it cannot succeed where C alone fails
     # clearly. "Clearly", because the search is not global: on the paper's link at 16
     # rad/s and 50° it finds 0.11 dB with 6 states and an emphasis of 1, and 0.14 dB
     # with 7 states without one.
-    if inside and _is_met(plain, slack=1.2):
+    if inside and _is_met(least, slack=1.2):
         for emphasis in EMPHASES[1:]:
-            if _is_met(candidate := emphasised(emphasis, STATES)):
+            milder = fits(weight=_weight(controller, centre, emphasis))
+            if _is_met(candidate := milder.fit(order, STATES)):
                 return candidate
-    if _is_met(plain):
-        return plain
+    if _is_met(least):
+        return least
     # No fit meets the tolerance of C everywhere: the crossover then counts more than
     # the end of the band.
-    near = (
-        first
-        if first is not None and order is not None
-        else emphasised(EMPHASES[0], REAL_MODES)
-    )
-    return near if near.error_db <= 2.0 * plain.error_db else plain
+    nearest = near.fit(order, REAL_MODES)
+    return nearest if nearest.error_db <= 2.0 * least.error_db else least
 
 
 def _is_met(fit: DiscreteRational, slack: float = 1.0) -> bool:

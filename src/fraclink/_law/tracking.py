@@ -22,7 +22,7 @@ from fraclink._arm.motor import DiscretePid, MotorConstants
 from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, Modes, MotorModel, Tracking
-from fracsys._discrete import DiscreteRational, fit_discrete
+from fracsys._discrete import DiscreteFits, DiscreteRational
 from fracsys.checks import Complex, Real
 
 __all__ = [
@@ -233,12 +233,11 @@ def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
     high = min(200.0, 0.5 * math.pi / period)
     # 0.3 dB of the feed-forward is 3 % of the flexion, well below the effect of an
     # unknown payload.
-    return fit_discrete(
+    return DiscreteFits(
         link.lead,
         period=period,
         band=(min(FLEXIBLE * link.resonance, 0.1 * high), high),
         tolerance_db=0.3,
         tolerance_deg=1.5,
-        highest=FORWARD_MODES,
         pairs=0,
-    )
+    ).fit(highest=FORWARD_MODES)
