@@ -10,7 +10,7 @@ import struct
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Self, cast
 
 from fraclink._arm.motor import DiscretePid
@@ -333,7 +333,7 @@ def block_values(
         tracking.gauge_delay > 0 or tracking.gauge_gain != 1
     )
     return (
-        asdict(limits)
+        vars(limits)
         | correction_values(correction)
         | _tracking(tracking, period)
         | _motor_loop(motor_loop, limits, motor_loop_pole)
