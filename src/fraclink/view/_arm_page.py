@@ -117,23 +117,15 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
 def _simulated(design: Design) -> list[str]:
     """Sentences on the effects that a run in the page includes."""
     rig, model = design.rig, design.model
-    link = (
-        f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)} "
-        f"at {grams(model.payload)}, stiffness {number(model.stiffness, 4)} N·m/rad"
-    )
-    if model.second_mode is not None:
-        link += f", and a second mode at {number(model.second_mode.frequency, 4)} rad/s in the gauge"
     counts = rig.encoder.counts_per_revolution
-    gauge = f"a gauge with noise, offset and a range of ±{number(rig.gauge.limit)} N·m"
-    if model.gauge_delay > 0:
-        gauge += f", {number(1e3 * model.gauge_delay, 2)} ms late"
     return [
-        link,
+        f"the link, of order λ = {number(model.order, 4)} and stiffness "
+        f"{number(model.stiffness, 4)} N·m/rad: {model.sentence}",
         "a motor with inertia, viscous and Coulomb friction, driven by the law's own motor loop",
         f"an encoder with {counts} counts per revolution"
         if counts
         else "an encoder without steps",
-        gauge,
+        f"a gauge with noise, offset and a range of ±{number(rig.gauge.limit)} N·m",
         f"the shipped law (law.c) with its guards, run every {number(1e3 * rig.period)} ms",
     ]
 

@@ -80,8 +80,8 @@ export function findings(place, list) {
   for (const f of list || []) {
     const item = make('li', typeof f === 'string' ? 'info' : f.severity, '', place);
     if (typeof f === 'string') { item.textContent = f; continue; }
-    make('b', '', `${f.code} `, item);
-    item.append(`${f.message}.`);
+    if (f.code) make('b', '', `${f.code} `, item);
+    item.append(f.code ? `${f.message}.` : f.message); // an error without a code is a whole sentence
     if (f.remedy) make('span', 'remedy', ` ${capital(f.remedy)}.`, item);
   }
 }

@@ -180,7 +180,7 @@ export class Logs {
     const answer = await this.app.ask('columns', given);
     if (!answer.ok) {
       if (quiet) { this.app.toast('State the columns of this log in step 2'); return; }
-      findings($('log-findings'), [{severity: 'error', code: '', message: answer.error}]);
+      findings($('log-findings'), [{severity: 'error', message: answer.error}]);
       return;
     }
     this.app.took(answer);

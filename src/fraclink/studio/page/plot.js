@@ -175,7 +175,7 @@ export class Plot {
     this.frame.replaceChildren();
     el('rect', {class: 'ground', ...inside}, this.frame);
     const across = this.ticks(this.x, x, W / 75);
-    let last = -1e9;
+    let last = -Infinity; // a label that would touch the one before it is left out
     for (const t of across) {
       const x = this.X(t);
       el('line', {class: 'grid', x1: x, x2: x, y1: TOP, y2: height - FOOT}, this.frame);
@@ -183,9 +183,12 @@ export class Plot {
       last = x;
       el('text', {x, y: height - 5, 'text-anchor': x > W - 25 ? 'end' : 'middle'}, this.frame, plain(t) + this.x.unit);
     }
+    last = Infinity;
     for (const t of this.ticks(this.y, y, height / 40)) {
       const y = this.Y(t);
       el('line', {class: t ? 'grid' : 'grid zero', x1: LEFT, x2: W - RIGHT, y1: y, y2: y}, this.frame);
+      if (last - y < 12) continue;
+      last = y;
       el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, plain(t) + this.y.unit);
     }
     for (const c of this.curves.values()) c.draw();
