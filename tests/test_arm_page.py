@@ -44,10 +44,10 @@ def study() -> fl.trials.Study:
     return fl.trials.Study(rig=rig, design=design, law=design.law())
 
 
-def written(study: fl.trials.Study, title: str | None = None) -> str:
+def written(study: fl.trials.Study) -> str:
     """The page of a study."""
     with tempfile.TemporaryDirectory() as folder:
-        path = fl.view.write_arm_page(study, Path(folder) / "arm.html", title=title)
+        path = fl.view.write_arm_page(study, Path(folder) / "arm.html")
         return path.read_text("utf-8")
 
 
@@ -71,13 +71,13 @@ def named(study: fl.trials.Study, text: str) -> fl.trials.Study:
 
 @pytest.fixture(scope="module")
 def plain(study) -> Elements:
-    return parsed(written(named(study, "plain"), title="plain"))
+    return parsed(written(named(study, "plain")))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_from_outside_becomes_an_element(study, plain, text):
-    page = parsed(written(named(study, text), title=text))
+    page = parsed(written(named(study, text)))
     assert page.found == plain.found
     assert page.references == plain.references == []
 

@@ -157,13 +157,13 @@ def faults(text: str) -> FaultTable:
 
 @pytest.fixture(scope="module")
 def plain() -> Elements:
-    return parsed(rendered(study("plain"), title="plain"))
+    return parsed(rendered(study("plain")))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_from_outside_becomes_an_element(text: str, plain: Elements) -> None:
-    page = parsed(rendered(study(text), title=text))
+    page = parsed(rendered(study(text)))
     assert page.found == plain.found
     assert page.references == plain.references
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import fraclink as fl
@@ -28,7 +29,7 @@ def main() -> None:
 
 def photograph_arm(browser: str) -> None:
     """The page of the arm as a browser shows it, 1180 pixels wide."""
-    rig = fl.Rig.named("paper-2023")
+    rig = replace(fl.Rig.named("paper-2023"), name="Move the arm")
     assert rig.model is not None
     made = fl.design(
         rig.model,
@@ -41,7 +42,6 @@ def photograph_arm(browser: str) -> None:
         page = fl.view.write_arm_page(
             fl.trials.Study(rig=rig, design=made),
             Path(folder) / "arm.html",
-            title="Move the arm",
         )
         command = [
             browser,

@@ -24,7 +24,7 @@ __all__ = ["write_arm_page"]
 _LARGEST = 160_000  # bytes of a page
 
 
-def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
+def write_arm_page(study: Study, path: Path | str) -> Path:
     """Write a page in which the arm of `study` moves, one HTML file that loads nothing
     from the network, and return its path.
 
@@ -40,8 +40,6 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
         certificate are shown.
     path
         of the HTML file; it is written whole or not at all.
-    title
-        of the page; the rig's name where it is left out.
 
     Raises
     ------
@@ -70,7 +68,7 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
         )
     design, payloads, twin = study.design, MOST_PAYLOADS, True
     texts: dict[str, Any] = {
-        "title": title or design.rig.name,
+        "title": design.rig.name,
         "zone": grams_between(*design.payloads),
         "verdict": study.verdict,
         "headline": study.sentence,

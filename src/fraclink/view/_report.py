@@ -29,15 +29,14 @@ from fraclink.view._pages import rendered, squeezed
 from fraclink.view._sketches import arm_sketch
 from fraclink.view._text import grams_between
 
-__all__ = ["render_report", "write_report"]
+__all__ = ["write_report"]
 
 Figures = Table | tuple[Row, ...]
 
 
-def write_report(
-    study: Study, path: Path | str, *, title: str | None = None, script: bool = True
-) -> Path:
-    """Write the report of `study` to `path`, in one step, and return the path.
+def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path:
+    """Write the report of `study` to `path`, in one step, and return the path; the same
+    study gives the same bytes.
 
     With `script`, and where the study has a design, its first figure is the arm that
     moves, as in `write_arm_page`, and figures show their values under the pointer;
@@ -48,18 +47,6 @@ def write_report(
     >>> import tempfile
     >>> write_report(Study(), Path(tempfile.mkdtemp()) / "report.html").name
     'report.html'
-    """
-    write_text(path, render_report(study, title=title, script=script))
-    return Path(path)
-
-
-def render_report(
-    study: Study, *, title: str | None = None, script: bool = True
-) -> str:
-    """Return the report of `study` as HTML; the same study gives the same bytes.
-
-    >>> "Content-Security-Policy" in render_report(Study(), title="<script>")
-    True
     """
     name = study.rig.name if study.rig else "unnamed rig"
     source = source_name(study.experiment.source if study.experiment else "")
@@ -77,9 +64,9 @@ def render_report(
     # none.
     moves = study.law is not None or (design is not None and design.has_law)
     drawings = {name: figure.inline() for name, figure in _figures(study).items()}
-    return rendered(
+    text = rendered(
         "report.html",
-        title=title or f"{name}: {source}",
+        title=f"{name}: {source}",
         study=study,
         arm=arm_box(study, design) if script and design and moves else None,
         pointer=_pointer(script=script),
@@ -109,6 +96,8 @@ def render_report(
         power_on=words.power_on(design) if design else [],
         files=_files(study),
     )
+    write_text(path, text)
+    return Path(path)
 
 
 def _margin_rows(design: Design | None) -> list[Row]:
