@@ -23,6 +23,7 @@ from fraclink.lab._tune_guard import PLANNED, Guard, Record, largest
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
 from fraclink.lab._tune_motor import (
     FIRST,
+    ROUNDS,
     MotorResult,
     breakaway_voltage,
     closed_motor,
@@ -41,9 +42,6 @@ ENOUGH = {"order": 0.018, "natural_frequency": 0.012, "gain": 0.045, "delay": 0.
 # [s] of one excitation. Errors fall with the square root of the length, but in
 # proportion to the amplitude, which is therefore increased first.
 _SHORTEST, _LONGEST = 4.0, 16.0
-_LARGER = 3.0  # largest factor by which an excitation grows at once
-# Largest number of excitations: if three do not suffice, length is not the problem.
-_ROUNDS = 3
 # [s] at most; [s]; share of the speed limit. A random voltage that changes every T has
 # half of its power below 2.8/T: 250 rad/s for 12 ms, up to the second mode of a link
 # that weighs an eighth of its payload. The smooth moves end at a tenth of that. A
@@ -108,7 +106,7 @@ def tune_link(
     peak = np.abs(simulated_torque(model, path[0], guard.period, hold="first")).max()
     reach *= min(0.5 * PLANNED * limits.torque / float(peak), 1.0)
     rounds: list[tuple[float, float, float]] = []
-    for number in range(1, _ROUNDS + 1):
+    for number in range(1, ROUNDS + 1):
         if number > 1:
             tell(f"experiment {number} on the link, larger or longer")
         motion = partial(_excited, guard, wiring, motor, law, model, reach, duration)
@@ -135,7 +133,7 @@ def tune_link(
             break
         # Errors fall in proportion to the amplitude, so the shortfall is the missing
         # factor; another fifth allows for their scatter.
-        factor = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
+        factor = min(max(1.2 * short, 1.2), max(most, 1.0))
         # If the amplitude cannot grow enough, the length must: errors fall with its
         # square root.
         duration = min(duration * max(1.0, (1.2 * short / factor) ** 2), _LONGEST)

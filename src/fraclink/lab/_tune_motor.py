@@ -43,7 +43,9 @@ _SLOW, _FAST = (25.0, 60.0)
 # and an overcompensation would drive the motor by itself.
 _COMPENSATED = 0.8
 FIRST = 0.12  # [rad], 7°
-_ROUNDS = 4
+# Largest number of excitations of the motor, and of the link: if three do not suffice,
+# length is not the problem.
+ROUNDS = 3
 # [s] at most: the fit of the motor includes the torque, and the first fit of the link
 # works better with an arm at rest.
 _RINGING = 1.5
@@ -107,7 +109,7 @@ def tune_motor(
     # speed.
     reach, speed = min(FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
     fit: MotorFit | None = None
-    for number in range(1, _ROUNDS + 1):
+    for number in range(1, ROUNDS + 1):
         motion = partial(_moved, guard, wiring, law, loop.pole, reach, speed, number)
         record, size = guard.sized(motion, wiring.gauge_noise, tell)
         reach, speed = size * reach, size * speed
