@@ -159,7 +159,8 @@ def test_b39_the_papers_filter_costs_more_than_all_of_the_margin() -> None:
 def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_margin() -> (
     None
 ):
-    printed = fl.certify(PRINTED, model=LINK, rig=RIG, payloads=(0.020, 0.040))
+    law = fl.discretize(dataclasses.replace(PRINTED, link=LINK), RIG.period)
+    printed = fl.certify(law, model=LINK, rig=RIG, payloads=(0.020, 0.040))
     assert not printed.passed
     assert printed.payload == pytest.approx(0.040)
     found = fl.certify(planned(), modulus_margin=0.95)

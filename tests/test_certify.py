@@ -298,9 +298,8 @@ def test_claim_just_above_the_truth_is_not_proved(law: Law):
 
 def test_printed_controller_is_refused_with_its_payload():
     point = ParameterBox.at(RIG.model)
-    found = certify(
-        PRINTED, model=RIG.model, rig=RIG, payloads=(0.020, 0.040), box=point
-    )
+    law = fl.discretize(replace(PRINTED, link=RIG.model), RIG.period)
+    found = certify(law, model=RIG.model, rig=RIG, payloads=(0.020, 0.040), box=point)
     assert not found.passed and "unstable" in found.verdict
     assert found.payload == pytest.approx(0.040)
 

@@ -33,7 +33,7 @@ from fraclink_prove import (
     tools,
 )
 from fraclink_prove.norms import worst_gain
-from law_bench import default_controller, law, with_pair
+from law_bench import law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool
 from test_export import run
@@ -279,9 +279,7 @@ def test_what_is_missing_is_named_and_not_claimed(
 
 def test_a_certificate_of_another_law_proves_nothing(tmp_path: Path) -> None:
     rig = fl.Rig.named("paper-2023")
-    certificate = certify(
-        default_controller(), model=rig.model, rig=rig, law=law("double")
-    )
+    certificate = certify(law("double"), model=rig.model, rig=rig)
     assert loop_claim(law("double"), tmp_path, certificate).status == "proved"
     assert (
         "not about this one" in loop_claim(law("single"), tmp_path, certificate).reason
@@ -1277,8 +1275,7 @@ def test_a_certificate_is_no_claim_where_it_is_none(tmp_path: Path) -> None:
         "no certificate was given (`fraclink certify` makes one from the design)"
     )
     rig = fl.Rig.named("paper-2023")
-    wanted = {"model": rig.model, "rig": rig, "law": made}
-    failed = certify(default_controller(), modulus_margin=0.95, **wanted)
+    failed = certify(made, model=rig.model, rig=rig, modulus_margin=0.95)
     claim = loop_claim(made, tmp_path, failed)
     assert (claim.status, claim.reason) == ("failed", failed.verdict)
     assert not (tmp_path / "proof").exists()

@@ -12,7 +12,6 @@ from typing import Annotated
 from scipy.optimize import brentq
 
 from fraclink._arm.box import ParameterBox
-from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
@@ -21,7 +20,7 @@ from fraclink._certify.guards import check_guards
 from fraclink._certify.numeric import corner_loops, unstable_corner, worst_distance
 from fraclink._certify.search import MarginFailure, prove
 from fraclink._certify.statement import PARAMETERS, Certificate, Statement, state
-from fraclink._law import Law, discretize_controller
+from fraclink._law import Law
 from fraclink._law.design import Design
 from fraclink._law.limits import JUMP
 from fraclink._law.requirement import LEAST_MODULUS
@@ -44,7 +43,7 @@ _MOST = 1_000_000
 
 @checked
 def certify(
-    subject: Design | Controller | Law,
+    subject: Design | Law,
     *,
     model: LinkModel | None = None,
     rig: Rig | None = None,
@@ -70,7 +69,7 @@ def certify(
     Parameters
     ----------
     subject
-        a design; or a controller or a law, then `model` and `rig` are needed.
+        a design; or a law, then `model` and `rig` are needed.
     model, rig
         the link and the rig; the design's own when left out.
     payloads
@@ -212,7 +211,7 @@ def _refused(
 
 
 def _statement(
-    subject: Design | Controller | Law,
+    subject: Design | Law,
     model: LinkModel | None,
     rig: Rig | None,
     payloads: tuple[float, float] | None,
@@ -242,13 +241,10 @@ def _statement(
             None,
             "missing",
             "a link model and a rig",
-            "give both beside a controller or a law, or certify a design",
+            "give both beside a law, or certify a design",
         )
-    if isinstance(subject, Controller):
-        law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
     subject_law = law if law is not None else subject
-    # both branches above gave a law
-    assert not isinstance(subject_law, (Design, Controller))  # noqa: S101
+    assert isinstance(subject_law, Law)  # a design gave its own  # noqa: S101
     period = subject_law.period
     # The board may take between zero and one period to compute; the design assumed one,
     # after a whole number of periods of other delay.
