@@ -14,7 +14,6 @@ import fraclink as fl
 from fraclink import SecondMode
 from fraclink._design.procedure import request_of
 from fraclink._design.search import Search
-from fraclink._design.table import Figure
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.extend import Beam, PowerLaw
 
@@ -84,21 +83,18 @@ def test_gradients_are_those_of_differences(notch: tuple[float, float] | None) -
     bounds = {"max_sensitivity": 1.6, "noise_gain": 1.0, "phase_margin": fl.deg(40)}
     spec = {"payloads": RANGE, "gain_crossover": 12.0, **bounds}
     request = request_of(model, RIG, spec, None)
-    search = Search(request, request.first_links, 2, notch, ringing=True)
+    search = Search(request, request.first_links, 2, notch)
     x = np.array([-0.9, 1.3, -3.2, math.log(177.0), -1.2, -1.0][: 6 if notch else 3])
 
-    def kept(x: np.ndarray) -> Figure:
-        return search.kept(search.trial(x))
+    def slacks(x: np.ndarray) -> np.ndarray:
+        return search.least(search.trial(x))[0]
 
-    figure, checked = kept(x), 0
-    near = np.abs(figure.value) < 2.0  # the others are not binding
+    _, gradient, _ = search.least(search.trial(x))
     for k in range(x.size):
         step = 1e-6 * np.eye(x.size)[k]
-        slope = (kept(x + step).value - kept(x - step).value) / 2e-6
-        gradient = figure.gradient[k]
-        assert slope[near] == pytest.approx(gradient[near], rel=1e-2, abs=1e-2)
-        checked += int(near.sum())
-    assert checked > 20 * x.size
+        slope = (slacks(x + step) - slacks(x - step)) / 2e-6
+        assert slope == pytest.approx(gradient[k], rel=1e-3, abs=1e-3)
+    assert np.sum(np.any(gradient != 0.0, axis=0)) > 20
 
 
 @pytest.mark.slow

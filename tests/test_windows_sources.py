@@ -25,8 +25,8 @@ HEADERS = {
         #define NAN (-(float)(INFINITY * 0.0F))
         int isfinite(double), isnan(double), isinf(double);
         double fabs(double), floor(double), ceil(double), nearbyint(double), round(double);
-        double exp(double), expm1(double), log(double), sqrt(double), hypot(double, double);
-        double sin(double), cos(double), tan(double), asin(double), atan2(double, double);
+        double exp(double), expm1(double), log(double), log1p(double), sqrt(double), hypot(double, double);
+        double sin(double), cos(double), tan(double), asin(double), atan(double), atan2(double, double);
         double cosh(double), tanh(double), pow(double, double);
         double fmin(double, double), fmax(double, double);
         double copysign(double, double), fmod(double, double);

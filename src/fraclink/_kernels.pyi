@@ -5,6 +5,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+class Loops:
+    """The loops of a table beside Ĉ; see csrc/kernels/figures.h."""
+
+    def __init__(
+        self,
+        w: NDArray[np.float64],
+        rest: NDArray[np.complex128],
+        slope: NDArray[np.complex128],
+        noise_w: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        noise_rest: NDArray[np.complex128],
+        voltage: NDArray[np.float64],
+        modes_w: NDArray[np.float64],
+        modes_level: NDArray[np.complex128],
+        mode_points: int,
+        centre: NDArray[np.float64],
+        plant: NDArray[np.complex128],
+        loop: NDArray[np.complex128],
+        radius: float,
+        resonance: NDArray[np.float64],
+        highest: NDArray[np.float64],
+        band: NDArray[np.float64],
+        column: NDArray[np.int32],
+        /,
+    ) -> None: ...
+    def figures(
+        self, x: NDArray[np.float64], reference: float, order: int
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.complex128],
+        NDArray[np.complex128],
+    ]: ...
+
 class FitProblem:
     """A log on its grid of rates; see csrc/kernels/fit.h."""
 

@@ -90,6 +90,18 @@ class GaugedLink:
         )
         return inertia, drag, spring
 
+    def denominator(
+        self, frequency: ArrayLike, natural_frequency: ArrayLike
+    ) -> Complex:
+        """Return the denominators of G and H at jω, as a share of ω₀²: B times this has
+        no pole.
+        """
+        w = np.asarray(frequency)
+        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
+        own = (inertia + drag + spring) / spring
+        mode = self.second_mode
+        return own if mode is None else own * mode.denominator(1j * w)
+
     def parts(
         self, w: Real, natural_frequency: ArrayLike
     ) -> tuple[Complex, Real, Real]:

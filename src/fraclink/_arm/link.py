@@ -139,7 +139,12 @@ class SecondMode:
     def response(self, s: ArrayLike) -> Complex:
         """Return ``gain s²/(s² + 2 ζ ω₂ s + ω₂²)`` at complex `s` [rad/s], shape kept."""
         x = np.asarray(s, np.complex128) / self.frequency
-        return self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0)
+        return self.gain * x**2 / self.denominator(s)
+
+    def denominator(self, s: ArrayLike) -> Complex:
+        """Return ``1 + 2 ζ s/ω₂ + s²/ω₂²`` at complex `s` [rad/s], shape kept."""
+        x = np.asarray(s, np.complex128) / self.frequency
+        return x**2 + 2.0 * self.damping_ratio * x + 1.0
 
 
 @document("model", version=2)

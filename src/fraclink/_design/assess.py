@@ -178,10 +178,9 @@ class Links:
         """Return the smallest phase margin [rad] of each, π without a crossing, negative
         where the loop is unstable.
         """
-        figure = Trial(self._table, Outer.of(controller, 1.0), ()).margin
-        margins = np.full(self.payloads.size, math.pi)
-        np.minimum.at(margins, figure.link, figure.value)
-        return margins
+        trial = Trial(self._table, Outer.of(controller, 1.0))
+        margins = trial.figure("margin").value[0]
+        return np.where(np.isnan(margins), math.pi, margins)
 
 
 @checked

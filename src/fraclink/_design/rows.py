@@ -71,18 +71,20 @@ class Row:
 
     def kept(
         self, trial: Trial, request: Request, wanted: float, reserve: float = 0.0
-    ) -> Figure:
+    ) -> tuple[Real, Real]:
         """Return by how much more than a reserve the row is kept at every link, negative
-        where missed; relative, so that an easing of all rows is one number.
+        where missed, NaN where a link has no such figure, and the gradient; relative, so
+        that an easing of all rows is one number.
         """
         reserve += self.reserve
         if self.bound is not None:
-            return self.bound(trial, wanted).scaled(1.0, -reserve)
+            value, gradient = self.bound(trial, wanted).least
+            return value - reserve, gradient
         sign = 1.0 if self.sense == "at least" else -1.0
-        scale = (wanted or 1.0) if self.signed else 1.0
+        factor = sign / (wanted or 1.0) if self.signed else sign
         zero = wanted if self.signed else math.log(wanted)
-        figure = self.figure(trial, request)
-        return figure.scaled(sign / scale, -sign * zero / scale - reserve)
+        figure = self.figure(trial, request).scaled(factor, -factor * zero - reserve)
+        return figure.least
 
     def measured(
         self, trial: Trial, request: Request, wanted: float, payloads: Real
@@ -90,15 +92,20 @@ class Row:
         """Return what a trial achieves where it is worst, with the payload [kg] of that
         link; for each of its modes where it is their row.
         """
-        figure = self.figure(trial, request)
-        figure = figure.at(trial.table.empty[figure.link] == self.empty)
-        worst = np.argmin if self.sense == "at least" else np.argmax
-        achieved = {} if figure.value.size else {0: (self.absent, payloads[0])}
-        for mode in np.unique(figure.number):
-            one = figure.at(figure.number == mode)
-            k = worst(one.value)
-            value = one.value[k] if self.signed else math.exp(one.value[k])
-            achieved[int(mode)] = float(value), payloads[one.link[k]]
+        figure, judged = self.figure(trial, request), trial.table.empty == self.empty
+        value = figure.value if self.signed else np.exp(figure.value)
+        value = np.where(np.isnan(value), self.absent, value)
+        number = np.zeros(value.shape, int) if figure.number is None else figure.number
+        best, worst = (
+            (math.inf, np.argmin)
+            if self.sense == "at least"
+            else (-math.inf, np.argmax)
+        )
+        achieved = {}
+        for mode in np.unique(number[:, judged]):
+            one = np.where(judged & (number == mode), value, best)
+            k = np.unravel_index(worst(one), one.shape)
+            achieved[int(mode)] = float(one[k]), payloads[k[1]]
         assumed = self.empty and request.rig.payloads.empty is None
         note = " (assumed)" if assumed else ""
         return [
@@ -122,7 +129,7 @@ def _own(key: str) -> Callable[[Request], float | None]:
 def _noise_share(trial: Trial, request: Request) -> Figure:
     rig = request.rig
     size = rig.gauge.noise / request.model.stiffness / rig.motor.voltage_limit
-    return trial.voltage.scaled(1.0, math.log(size))
+    return trial.figure("voltage").scaled(1.0, math.log(size))
 
 
 def _gain_margin(request: Request) -> float:
@@ -137,8 +144,9 @@ ROWS = (
         "rad/s",
         "at least",
         lambda request: request.gain_crossover,
-        lambda trial, request: trial.crossover,
+        lambda trial, request: trial.figure("crossover"),
         bound=lambda trial, wanted: trial.crossed_beyond(wanted),
+        absent=0.0,
     ),
     Row(
         "highest_crossover",
@@ -146,8 +154,9 @@ ROWS = (
         "rad/s",
         "at most",
         lambda request: request.arms.highest,
-        lambda trial, request: trial.last_crossing,
-        bound=lambda trial, wanted: trial.quiet_beyond(wanted),
+        lambda trial, request: trial.figure("last crossing"),
+        bound=lambda trial, wanted: trial.figure("quiet"),
+        absent=0.0,
     ),
     Row(
         "settling_time",
@@ -155,7 +164,9 @@ ROWS = (
         "s",
         "at most",
         _own("settling_time"),
-        lambda trial, request: trial.crossover.scaled(-1.0, math.log(math.tau)),
+        lambda trial, request: trial.figure("crossover").scaled(
+            -1.0, math.log(math.tau)
+        ),
         bound=lambda trial, wanted: trial.crossed_beyond(math.tau / wanted),
     ),
     Row(
@@ -164,7 +175,7 @@ ROWS = (
         "rad",
         "at least",
         lambda request: request.phase_margin,
-        lambda trial, request: trial.margin,
+        lambda trial, request: trial.figure("margin"),
         signed=True,
         absent=math.pi,
     ),
@@ -174,7 +185,7 @@ ROWS = (
         "",
         "at most",
         lambda request: request.max_sensitivity,
-        lambda trial, request: trial.sensitivity,
+        lambda trial, request: trial.figure("distance").scaled(-1.0, 0.0),
         absent=1.0,
     ),
     Row(
@@ -183,7 +194,7 @@ ROWS = (
         "",
         "at least",
         _gain_margin,
-        lambda trial, request: trial.gain_margin,
+        lambda trial, request: trial.figure("gain margin"),
         implied=True,
     ),
     # A single sample delayed by a period must not make the loop unstable.
@@ -193,7 +204,7 @@ ROWS = (
         "s",
         "at least",
         lambda request: request.rig.period,
-        lambda trial, request: trial.delay,
+        lambda trial, request: trial.figure("delay"),
         signed=True,
     ),
     Row(
@@ -210,7 +221,7 @@ ROWS = (
         "",
         "at most",
         _own("noise_gain"),
-        lambda trial, request: trial.noise,
+        lambda trial, request: trial.figure("noise"),
     ),
     Row(
         "noise_voltage",
@@ -226,7 +237,7 @@ ROWS = (
         "",
         "at least",
         lambda request: _DAMPING,
-        lambda trial, request: trial.damping,
+        lambda trial, request: trial.figure("damping"),
         signed=True,
         absent=1.0,
         reserve=20.0 * RESERVE,
@@ -237,7 +248,7 @@ ROWS = (
         "rad",
         "at least",
         lambda request: 0.0,
-        lambda trial, request: trial.margin,
+        lambda trial, request: trial.figure("margin"),
         signed=True,
         empty=True,
         absent=math.pi,

@@ -19,7 +19,7 @@ from fraclink._arm.controller import Controller
 from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.table import Figure, Table, Trial
+from fraclink._design.table import Table, Trial
 from fraclink._law.requirement import Requirement
 from fracsys.checks import Mask, Real
 
@@ -88,8 +88,9 @@ def lowest(
     is bounded there; the first with no cost above `enough` and nothing missed.
 
     A descent is given up after twice as many points as it has unknowns without a gain:
-    at a kink, its line search makes no headway. Another one begins where it gained. All
-    of them together try twice as many points as the curvature has entries.
+    at a kink, its line search makes no headway. Another one begins where it ended, with
+    a curvature of its own, until one gains nothing. All of them together try twice as
+    many points as the curvature has entries.
     """
     best = last = start, bounded_at(start)
     idle, left = 0, 2 * (start.size + 1) ** 2
@@ -120,10 +121,10 @@ def lowest(
     direction = np.append(np.zeros(start.size), 1.0)
     gains = True
     while gains and left and not best[1].within(enough):
-        (x, bounded), idle, ended = best, 0, False
+        (x, bounded), idle = best, 0
         near = np.maximum(low, x - _REACH), np.minimum(high, x + _REACH)
         with np.errstate(all="ignore"), suppress(_Stalled):
-            ended = minimize(
+            minimize(
                 lambda z: z[-1],
                 np.append(x, bounded.largest),
                 jac=lambda z: direction,
@@ -131,9 +132,8 @@ def lowest(
                 bounds=[*zip(*near, strict=True), (None, None)],
                 constraints={"type": "ineq", "fun": kept, "jac": slopes},
                 options={"ftol": _KEPT},
-            ).success
-        inside = bool(np.all(np.abs(best[0] - x) < _REACH))
-        gains = best[1].better(bounded) and not (ended and inside)
+            )
+        gains = best[1].better(bounded)
     return best
 
 
@@ -142,8 +142,7 @@ class Search:
     """A request over some links of its table, with n and with a notch in an interval
     [rad/s], where there is one.
 
-    ``reserves`` is what is aimed at beyond a row, by its key. ``ringing`` says whether
-    the damping of the vibration is looked at: it costs as much as all the rest.
+    ``reserves`` is what is aimed at beyond a row, by its key.
     """
 
     request: Request
@@ -151,7 +150,6 @@ class Search:
     filter_order: int
     notch: tuple[float, float] | None = None
     reserves: dict[str, float] = field(default_factory=dict)
-    ringing: bool = False
 
     @cached_property
     def table(self) -> Table:
@@ -195,42 +193,34 @@ class Search:
     def rows(self) -> tuple[tuple[Row, float], ...]:
         """The rows of the search with their wanted values."""
         return tuple(
-            (row, goal)
-            for row, goal in self.request.wanted
-            if not row.implied and (row.key != "damping" or self.ringing)
+            (row, goal) for row, goal in self.request.wanted if not row.implied
         )
 
-    def kept(self, trial: Trial) -> Figure:
-        """Return by how much each row is kept at the links that it is asked of; the
-        number of an entry is that of its row.
+    @cached_property
+    def _asked(self) -> Mask:
+        """Which entries of `least` are asked of their link."""
+        empty = np.array([row.empty for row, _ in self.rows])
+        return np.ravel(self.table.empty == empty[:, None])
+
+    @cached_property
+    def _soft(self) -> Mask:
+        """Which of them may be eased."""
+        soft = [row.key in self.request.soft for row, _ in self.rows]
+        return np.repeat(soft, len(self.links))
+
+    def least(self, trial: Trial) -> tuple[Real, Real, Mask]:
+        """Return (the slack of each row at every link, its gradient, whether the row may
+        be eased); one where nothing is asked of a link.
         """
-        figures = [
+        pairs = [
             row.kept(trial, self.request, goal, self.reserves.get(row.key, 0.0))
             for row, goal in self.rows
         ]
-        number = np.repeat(np.arange(len(figures)), [f.value.size for f in figures])
-        value, gradient, link = (
-            np.concatenate([getattr(figure, part) for figure in figures], axis=-1)
-            for part in ("value", "gradient", "link")
-        )
-        empty = np.array([row.empty for row, _ in self.rows])[number]
-        every = Figure(value, gradient, link, number)
-        return every.at(trial.table.empty[link] == empty)
-
-    def least(self, trial: Trial) -> tuple[Real, Real, Mask]:
-        """Return (the smallest slack of each row at every link, its gradient, whether the
-        row may be eased); their number does not change when a loop gains a crossing.
-        """
-        kept, count = self.kept(trial), len(self.links)
-        place = kept.number * count + kept.link
-        least = np.ones(len(self.rows) * count)
-        slopes = np.zeros((len(kept.gradient), least.size))
-        # in falling order, so that the smallest entry of a link is written last
-        falling = np.argsort(-kept.value)
-        least[place[falling]] = kept.value[falling]
-        slopes[:, place[falling]] = kept.gradient[:, falling]
-        soft = [row.key in self.request.soft for row, _ in self.rows]
-        return least, slopes, np.repeat(soft, count)
+        value = np.concatenate([value for value, _ in pairs])
+        gradient = np.concatenate([gradient for _, gradient in pairs], axis=1)
+        absent = np.isnan(value) | ~self._asked
+        value[absent], gradient[:, absent] = 1.0, 0.0
+        return value, gradient, self._soft
 
     def easing(self, x: Real) -> Bounded:
         """Return by how much each row has to be eased that may be, and the others."""
@@ -244,7 +234,9 @@ class Search:
         """Return ln of the noise gain of every link, and all rows."""
         trial = self.trial(x)
         value, gradient, _ = self.least(trial)
-        return Bounded(trial.noise.value, trial.noise.gradient, value, gradient)
+        cost, slope = trial.figure("noise").least
+        judged = ~np.isnan(cost)
+        return Bounded(cost[judged], slope[:, judged], value, gradient)
 
     # ---- where a search begins
 
@@ -270,9 +262,13 @@ class Search:
         if not lag:
             spare = 0.5 * math.pi * (beta - least) / self.filter_order
             delta = np.log(np.maximum(np.tan(spare) / w, math.exp(bottom[2])))
-        x = np.array([np.zeros_like(beta), beta, delta])
-        level = [self.outer(one).log(np.array(crossover)).real for one in x.T]
-        x[0] = -np.array(level) - float(loop.log(crossover, low).real)
+        # what the filter leaves of a gain of one there, and of that at ω_r
+        left, right = (
+            0.5 * self.filter_order * np.log1p(np.square(np.exp(delta) * frequency))
+            for frequency in (crossover, request.reference)
+        )
+        level = left - right - beta * math.log(crossover / request.reference)
+        x = np.array([level - float(loop.log(crossover, low).real), beta, delta])
         if self.notch is not None:
             centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
             notch = np.array([[centre], [math.log(_WIDTH)], [math.log(_DEPTH)]])
@@ -303,8 +299,7 @@ class Search:
 @lru_cache(maxsize=1)
 def _trial(search: Search, x: tuple[float, ...]) -> Trial:
     """The links of a search under Ĉ of some parameters."""
-    outer = search.outer(np.array(x))
-    return Trial(search.table, outer, search.request.arms.loops)
+    return Trial(search.table, search.outer(np.array(x)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +319,9 @@ class Solution:
     @cached_property
     def lost(self) -> bool:
         """Whether rows are missed that may not be eased, or some loop does not cross."""
-        return self.missed > 0.0 or bool(np.isinf(self._trial.crossover.value).any())
+        return self.missed > 0.0 or bool(
+            np.isnan(self._trial.figure("crossover").value).any()
+        )
 
     def equals(self, other: Solution) -> bool:
         """Whether neither is lost, and both ease the rows by as much: with a notch, or
@@ -339,21 +336,21 @@ class Solution:
 
     @property
     def crossovers(self) -> tuple[float, float]:
-        """Of the heaviest and of the lightest payload [rad/s]."""
+        """Of the heaviest and of the lightest payload [rad/s]; 0 without one."""
         heavy, _, light, _ = self.search.request.first_links
-        frequencies = np.exp(self._trial.crossover.value)
+        frequencies = np.nan_to_num(np.exp(self._trial.figure("crossover").value[0]))
         return float(frequencies[heavy]), float(frequencies[light])
 
     def worst_arm(self, key: str) -> Arm:
         """Return the arm on which a row is kept least."""
-        _, link = self._worst.get(key) or self._damping[key]
+        _, link = self._worst[key]
         arms = self.search.request.arms
         return arms.cases[arms.table.arm[link]].arm
 
     @property
     def noise_gain(self) -> float:
         """The noise gain at the worst link."""
-        return math.exp(float(np.max(self._trial.noise.value)))
+        return math.exp(float(np.nanmax(self._trial.figure("noise").value)))
 
     @cached_property
     def controller(self) -> Controller:
@@ -381,17 +378,14 @@ class Solution:
 
     @cached_property
     def _every(self) -> Search:
-        """The search at every link of the table, all rows but the damping."""
+        """The search at every link of the table."""
         every = tuple(range(len(self.search.request.arms.table)))
-        if self.search.links == every and not self.search.ringing:
-            return self.search
-        return replace(self.search, links=every, ringing=False)
+        own = self.search.links == every
+        return self.search if own else replace(self.search, links=every)
 
     @cached_property
     def _worst(self) -> dict[str, tuple[float, int]]:
-        """(by how much it is kept, the link) where each row but the damping is kept
-        least.
-        """
+        """(by how much it is kept, the link) where each row is kept least."""
         rows = self._every.rows
         least = self._every.least(self._trial)[0].reshape(len(rows), -1)
         links = np.argmin(least, axis=1).tolist()
@@ -399,30 +393,6 @@ class Solution:
             row.key: (values[link], link)
             for (row, _), values, link in zip(rows, least, links, strict=True)
         }
-
-    @cached_property
-    def _ringing(self) -> Search:
-        """The search at the links whose damping is looked at: those that are worst in
-        another row, and its own.
-        """
-        links = sorted({*self.search.links, *(k for _, k in self._worst.values())})
-        return replace(self.search, links=tuple(links), ringing=True)
-
-    @cached_property
-    def _vibrations(self) -> Trial:
-        """The trial at these links, which takes a search for poles."""
-        return self._ringing.trial(self.x)
-
-    @cached_property
-    def _damping(self) -> dict[str, tuple[float, int]]:
-        """The same of the damping; empty where no vibration is left."""
-        ringing = self._ringing
-        row, goal = next(pair for pair in ringing.rows if pair[0].key == "damping")
-        figure = row.kept(self._vibrations, ringing.request, goal)
-        if not figure.value.size:
-            return {}
-        value, link = figure.least
-        return {"damping": (value, ringing.links[link])}
 
     def wider(self) -> Search | None:
         """Return the search with the links that are worse than its own; None where there
@@ -432,27 +402,23 @@ class Solution:
         soft = search.request.soft
         misses = {
             key: link
-            for key, (value, link) in (self._worst | self._damping).items()
+            for key, (value, link) in self._worst.items()
             if value + (easing if key in soft else 0.0) < -2.0 * _KEPT
         }
         links = set(misses.values()) - set(search.links)
-        ringing = search.ringing or "damping" in misses
-        if not links and ringing == search.ringing:
-            return None
-        return replace(search, links=(*search.links, *sorted(links)), ringing=ringing)
+        return replace(search, links=(*search.links, *sorted(links))) if links else None
 
     @cached_property
     def measured(self) -> tuple[tuple[Row, Requirement], ...]:
         """Every row, and what is achieved where it is worst."""
-        request, pairs = self.search.request, []
-        for row, goal in request.wanted:
-            trial, payloads = self._trial, request.arms.payloads_at
-            if row.key == "damping":
-                trial = self._vibrations
-                payloads = payloads[list(self._ringing.links)]
-            items = row.measured(trial, request, goal, payloads)
-            pairs += [(row, item) for item in items]
-        return tuple(pairs)
+        request = self.search.request
+        return tuple(
+            (row, item)
+            for row, goal in request.wanted
+            for item in row.measured(
+                self._trial, request, goal, request.arms.payloads_at
+            )
+        )
 
     def tightened(self, reserves: dict[str, float]) -> Solution:
         """Return the solution with more in reserve for some rows."""
