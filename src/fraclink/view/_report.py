@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._study import Study
 from fraclink.view import _figures as figures
-from fraclink.view import _fleets as fleets
 from fraclink.view import _loops as loops
 from fraclink.view import _runs as runs
 from fraclink.view import _tables as tables
@@ -87,7 +85,6 @@ def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path
             finding for finding in study.findings if not finding.code.startswith("W1")
         ],
         notes=study.comparison.overview().notes if study.comparison else (),
-        faults=_faults(study),
         figures=drawings,
         on_paper=[
             _copy(drawings[name]) for name in ("margins", "moves") if name in drawings
@@ -134,18 +131,6 @@ def _copy(drawing: str) -> str:
     return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
 
 
-def _faults(study: Study) -> Mapping[str, Any] | None:
-    if study.faults is None:
-        return None
-    return {
-        "columns": fleets.fault_columns(study.faults).values(),
-        "counts": fleets.fault_counts(study.faults),
-        "rows": fleets.fault_rows(study.faults),
-        "sentence": study.faults.sentence,
-        "command": study.faults.about.get("command", ""),
-    }
-
-
 def _files(study: Study) -> list[tuple[str, str]]:
     """The files of the folder that belong to this study."""
     parts = (
@@ -184,6 +169,8 @@ def _tables(study: Study) -> Mapping[str, Figures]:
         sections["moves"] = Table.of("", study.runs)
     if study.arms is not None:
         (sections["arms"],) = study.arms.summary.overview().tables
+    if study.faults is not None:
+        (sections["faults"],) = study.faults.overview().tables
     return sections
 
 
