@@ -264,7 +264,8 @@ def test_an_infeasible_design_is_told() -> None:
 def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> None:
     made = designed()
     (title,) = (fault.title for fault in CATALOGUE if fault.number == "F11")
-    saved = Study(rig=RIG, design=made, faults=faults("peak over clean"))
+    table = faults("peak over clean")
+    saved = Study(rig=RIG, design=made, faults=table)
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
     assert back.faults == saved.faults
@@ -278,6 +279,8 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
         "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
     )
     assert f"F11 {title}" in texts
+    alone = replace(table, about={})  # run in Python, by no command
+    assert 'id="faults"' in rendered(replace(back, faults=alone))
     assert 'id="faults"' not in rendered(replace(back, faults=None))
 
 
