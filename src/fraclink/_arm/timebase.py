@@ -18,6 +18,9 @@ from fraclink.errors import LogError
 from fraclink.findings import Finding
 from fracsys.checks import Real
 
+# Share of the samples of a log, or of a run in real time, that may be lost: interpolated,
+# they change ω₀ as said above.
+LOST_SHARE = 0.01
 PRINTED = 0.01  # fraction of a period: stamps printed with few digits
 # fraction of a period: jitter that changes no parameter, see the figures above
 _TOLERATED = 0.25

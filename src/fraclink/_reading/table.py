@@ -16,6 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from fraclink._arm.timebase import LOST_SHARE
 from fraclink._files.codec import suggestion
 from fraclink._reading.names import KNOWN, names_time, roles_of, unit_of_name
 from fraclink.errors import FileFormatError, LogError, SizeError
@@ -30,7 +31,6 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
 _FACTOR = r"(?:([0-9.]+(?:[eE][-+]?[0-9]+)?) *\* *)?"
 _COMBINED = re.compile(_FACTOR + r"(\S.*?)\s+([-+])\s+" + _FACTOR + r"(\S.*)")
-_INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
 
 
 def check_file(path: Path) -> None:
@@ -257,7 +257,7 @@ class LogTable:
         where, cell = f"sample {missing[0]}", repr(float(values[missing[0]]))
         problem, allowed = f"missing ({missing.size} of {values.size} cells)", "numbers"
         remedy = "record again"
-        if share <= _INTERPOLATED:
+        if share <= LOST_SHARE:
             remedy += ", or read with interpolate=True (--interpolate)"
         if faults is not None:
             line, cell = faults.first
@@ -268,7 +268,7 @@ class LogTable:
         # Never offered beyond one per cent: a straight line across a missing second of
         # vibration is a false torque that least squares would fit.
         bad = faults is not None and faults.bad
-        if bad or not interpolate or share > _INTERPOLATED:
+        if bad or not interpolate or share > LOST_SHARE:
             field, value = f"{where}, column {name}", cell or "(empty)"
             raise LogError(field, value, problem, allowed, remedy)
         good = np.flatnonzero(np.isfinite(values))

@@ -14,6 +14,7 @@ from fraclink._arm.rig_parts import Link as Link
 from fraclink._arm.rig_parts import Motor as Motor
 from fraclink._arm.rig_parts import Moves as Moves
 from fraclink._arm.rig_parts import Payloads as Payloads
+from fraclink._arm.timebase import LOST_SHARE as LOST_SHARE
 from fraclink._design.assess import feasibility_map as feasibility_map
 from fraclink._design.assess import margin_curve as margin_curve
 from fraclink._design.assess import mode_gains as mode_gains

@@ -15,11 +15,11 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink.errors import FieldError
+from fraclink.extend import LOST_SHARE
 from fracsys.checks import Between, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = [
-    "LOST_SHARE",
     "PRIORITY",
     "Priority",
     "Spread",
@@ -49,9 +49,6 @@ PERIOD = Between(
 # Longest time between two wake-ups [s]: their lateness hardly depends on the time
 # slept.
 _STEP = 0.002
-# Share of periods that may be late or lost: a machine with one in a hundred would have
-# some in every move of a second.
-LOST_SHARE = 0.01
 
 
 class Spread(NamedTuple):

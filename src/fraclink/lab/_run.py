@@ -33,8 +33,9 @@ from fraclink._law.limits import Limits
 from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
+from fraclink.extend import LOST_SHARE
 from fraclink.findings import Finding
-from fraclink.lab._machine import LOST_SHARE, Spread
+from fraclink.lab._machine import Spread
 from fracsys.checks import Real
 from fracsys.checks.equality import compared
 

@@ -18,9 +18,10 @@ from fraclink._files import load, output_path, save
 from fraclink._law import Law
 from fraclink._simulate.metrics import BAND
 from fraclink.errors import FieldError, FraclinkError
+from fraclink.extend import LOST_SHARE
 from fraclink.lab._connections import Connection
 from fraclink.lab._line import Stopped, open_line
-from fraclink.lab._machine import LOST_SHARE, measure_wake_ups, signals_held
+from fraclink.lab._machine import measure_wake_ups, signals_held
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
 from fraclink.lab._tune_causes import causes, unexplained
 from fraclink.lab._tune_guard import PLANNED, Guard, LimitReached
