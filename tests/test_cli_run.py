@@ -424,7 +424,7 @@ def test_the_stages_chain_through_files(
     text = Path("report.html").read_text("utf-8")
     # models, Bode, Nyquist, margins, moves: the log itself is not in the folder; two
     # more for print only
-    assert text.count("<figure><svg") == 9 + 2 and text.count('class="armbox"') == 1
+    assert text.count("<figure><svg") == 8 + 2 and text.count('class="armbox"') == 1
     assert Run.load("results/run.npz").payload == 0.020
 
 
