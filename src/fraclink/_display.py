@@ -111,7 +111,7 @@ def _in_unit(value: float | None, unit: str, digits: int) -> tuple[str, str]:
 
 
 def quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return a value in SI units with its unit, in which people read it.
+    """Return a value given in SI units as text in its display unit.
 
     >>> quantity(12.0, "rad/s"), quantity(math.pi / 4, "rad"), quantity(0.0305, "kg")
     ('12 rad/s', '45.0°', '30.5 g')
@@ -152,9 +152,9 @@ class Row:
     error
         its standard error, in SI units.
     digits
-        significant ones, where the error does not say how many there are.
+        significant digits, where the error does not determine them.
     infinite
-        the word for a value that is.
+        the word for an infinite value.
 
     >>> Row("delay", "gauge delay", 0.002064, "ms", digits=3).text
     '2.06 ms'
@@ -214,8 +214,9 @@ class Row:
 
 
 def rows_of(result: object, *rows: Row | str | tuple[Any, ...]) -> tuple[Row, ...]:
-    """Return the rows of a result: of an attribute by its name, which is the key, too,
-    for programs alone, or by its name, label, unit and digits; others as they are.
+    """Return the rows of a result. A name gives the attribute to programs alone, with
+    the name as its key; a name with label, unit and digits gives it to people, too; a
+    `Row` is taken as it is.
 
     >>> [row.text for row in rows_of(0.02 + 1.0j, ("real", "width", "ms", 2), "imag")]
     ['20 ms', '1']
@@ -230,8 +231,8 @@ def rows_of(result: object, *rows: Row | str | tuple[Any, ...]) -> tuple[Row, ..
 
 @dataclass(frozen=True)
 class Table:
-    """Like things, each by the same rows: under `key` for programs, below one heading
-    for people.
+    """Similar objects, each with the same rows: under `key` for programs, below one
+    heading for people.
     """
 
     key: str
@@ -239,7 +240,7 @@ class Table:
 
     @staticmethod
     def of(key: str, records: Iterable[Any]) -> Table:
-        """The table of such records, or of things with `rows`."""
+        """The table of such records, or of objects with `rows`."""
         return Table(
             key, tuple(tuple(getattr(record, "rows", record)) for record in records)
         )
@@ -325,7 +326,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Overview:
-    """What people and programs read of a result.
+    """The whole content of a result, for people and programs.
 
     Parameters
     ----------
@@ -336,7 +337,7 @@ class Overview:
     rows
         its own figures.
     tables
-        of the parts that it has several of.
+        of those parts of which there are several.
     findings
         what its checks noticed.
     notes
@@ -361,7 +362,7 @@ def source_name(source: str) -> str:
 
 
 def state_of(passed: bool) -> str:
-    """The word of a verdict that is no better than failed where it is not passed."""
+    """The word of a verdict that is either passed or failed."""
     return "passed" if passed else "failed"
 
 
@@ -379,7 +380,7 @@ _MARKS = {
 
 
 def marked(text: str) -> str:
-    """A verdict's word behind its sign, which is there without colours, too.
+    """A verdict's word after its sign, which also tells it without colours.
 
     >>> marked("passed"), marked("failed"), marked("20 g")
     ('✓ passed', '✗ failed', '20 g')

@@ -42,7 +42,7 @@ def mittag_leffler(
     and, where |arg z| ≥ απ/2, for every z. Beyond, E grows like exp(z^(1/α)) and its
     relative error like 1e-15·|z|^(1/α): the argument of the exponential is rounded. For
     α > 2 E oscillates between large values, and the bound is relative to that
-    amplitude, not to what is left of E beside its zeros. What exceeds the range of
+    amplitude, not to E itself near its zeros. What exceeds the range of
     doubles is infinite. Real points give real values.
 
     Parameters

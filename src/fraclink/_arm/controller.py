@@ -21,9 +21,8 @@ from fracsys.checks import Between, Complex, Period, above, checked
 __all__ = ["Controller"]
 
 
-# here and not next to the class: the classes of systems must not depend on the codec
+# Registered here and not beside the classes, which must not depend on the file format.
 document("margins")(Margins)
-# and a reference is needed, because mypy has not seen the codec yet
 document("reference")(Path)
 
 
@@ -33,8 +32,8 @@ class Controller:
     """The fractional outer controller and what it was designed for.
 
     ``C(s) = 1 + Ĉ(s)``, ``Ĉ(s) = k_d s^β / (1 + δ s)^n`` (eqs. (28), (56), (57)).
-    ``C(0) = 1`` removes the gauge's offset from the tip (eq. (27)). Where the link's
-    second mode would sound, a `Notch` N(s) is a factor of Ĉ.
+    ``C(0) = 1`` removes the gauge's offset from the tip (eq. (27)). Where the loop gain
+    at the link's second mode would be too high, a `Notch` N(s) is a factor of Ĉ.
 
     Parameters
     ----------

@@ -178,7 +178,7 @@ class Experiment:
         the same numbers back.
 
         Findings are not written: reading and `diagnose` find them again. Nor is
-        `earlier_angle`, of which a table of samples has no place; `fraclink.save` keeps
+        `earlier_angle`, for which a table of samples has no place; `fraclink.save` keeps
         both.
 
         >>> log = Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], payload=0.03)

@@ -68,7 +68,7 @@ class Channel:
     ----------
     column
         its name in the log, or two names with ``" - "`` or ``" + "`` between them, each
-        behind a factor if there is one (``"enc - 179 * tip"``). ``"#2"`` is the second
+        after its factor, if it has one (``"enc - 179 * tip"``). ``"#2"`` is the second
         column where the log names none; as the time ``"#row"`` is the number of the
         sample, for a log without stamps: its scale is the period.
     unit
@@ -78,7 +78,7 @@ class Channel:
     scale
         units for one raw unit, not 0.
     offset
-        raw reading that means zero; ``"first"`` takes the first sample of the log.
+        raw reading at zero; ``"first"`` takes the first sample of the log.
 
     Raises
     ------
@@ -134,7 +134,7 @@ class LogColumns:
     Raises
     ------
     FieldError
-        where there is not one output, or a unit does not measure its quantity.
+        where there is not exactly one output, or a unit is not one of its quantity.
 
     Examples
     --------
@@ -218,7 +218,7 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
             f'"{role}={channel.column} * 1/0.32 [rad]" for metres'
         )
     if unit in _ACCELERATIONS and angle:
-        return "an accelerometer is no angle: fit it by identify --structure, as k*s**2/(s**a + w)/(T*s + 1)"
+        return "an accelerometer measures no angle: fit it by identify --structure, as k*s**2/(s**a + w)/(T*s + 1)"
     # Its scale need not be known: frequency and order of a link do not depend on the
     # gain of the gauge.
     if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in (
@@ -253,8 +253,8 @@ _STATED = re.compile(
 
 @dataclass(frozen=True)
 class ColumnStatement:
-    """The statement of a text such as ``motor_angle=-pot * 36.79 [deg]`` about one
-    column; None for missing parts.
+    """What a text such as ``motor_angle=-pot * 36.79 [deg]`` states about one column; a
+    part that is not stated is None.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ def _factor(text: str | None, whole: str) -> float | None:
         return float(above) / float(below or 1)
     except (ValueError, ZeroDivisionError):
         raise _not_understood(
-            whole, f"with a factor {text} that is no number"
+            whole, f"with a factor {text} that is not a number"
         ) from None
 
 

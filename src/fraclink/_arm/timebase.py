@@ -21,10 +21,10 @@ from fracsys.checks import Real
 # Share of the samples of a log, or of a run in real time, that may be lost: interpolated,
 # they change ω₀ as said above.
 LOST_SHARE = 0.01
-PRINTED = 0.01  # fraction of a period: stamps printed with few digits
+PRINTED = 0.01  # fraction of a period: the rounding of stamps printed with few digits
 # fraction of a period: jitter that changes no parameter, see the figures above
 _TOLERATED = 0.25
-# [s] no vibrating arm is sampled this slowly: milliseconds labelled as seconds
+# [s] no vibrating arm is sampled this slowly: the stamps are milliseconds
 _SLOWEST = 1.0
 
 
@@ -66,7 +66,7 @@ def time_base(
         raise LogError(
             "time",
             f"{typical:.6g} s between samples",
-            "too slow for a vibrating arm; it looks like milliseconds called seconds",
+            "too slow for a vibrating arm; they look like milliseconds labelled as seconds",
             f"< {slowest:g} s",
             'state unit = "ms" for the time column',
         )
@@ -96,7 +96,8 @@ def time_base(
         )
         period = _rounded(float(slope))
         start = float(middle - period * (stamps.size - 1) / 2)
-        # A line leaves N - 2 of N stamps free: it fits almost any three.
+        # A fitted line takes two of N degrees of freedom: it fits almost any three
+        # stamps.
         spare = math.sqrt(stamps.size / max(stamps.size - 2, 1))
         worst = spare * _distance(stamps, start, period)
         return TimeBase(start, period, _jitter(worst, period, resample))

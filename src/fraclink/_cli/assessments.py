@@ -40,8 +40,8 @@ app = group()
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a design is worth: phase budget, margins, higher modes; passed no better
-    than the design itself.
+    """What a design is worth: phase budget, margins, higher modes; it passes only if
+    the design itself does.
     """
 
     design: Design

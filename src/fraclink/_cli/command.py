@@ -49,7 +49,7 @@ class Answer:
 
     `text` takes the place of the overview. `values` are added to the JSON of the
     result, or are the whole JSON where there is no result. `doubts` are errors of the
-    input: whatever the result, nothing is shown by it. `remarks` go to standard error
+    input: whatever the result, it shows nothing. `remarks` go to standard error
     and are left out with --json. `saved` are results by the file that each is saved to,
     `written` the files that the command wrote itself, `following` the command that a
     user would give next.
@@ -67,7 +67,7 @@ class Answer:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that there is of it."""
+        """Every file that the answer was written to."""
         return (*self.saved, *self.written)
 
 
@@ -174,12 +174,12 @@ def _option(parameter: Parameter) -> inspect.Parameter:
 
 
 def argument(word: str) -> Any:
-    """Mark a parameter as an argument that the help calls so."""
+    """Mark a parameter as an argument, which the help calls `word`."""
     return typer.Argument(metavar=word)
 
 
 def option(word: str) -> Any:
-    """Mark an option whose value the help calls so."""
+    """Mark an option whose value the help calls `word`."""
     return typer.Option(metavar=word)
 
 
@@ -198,7 +198,7 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
     """
 
     def add(function: Callable[..., Answer]) -> Callable[..., int]:
-        # Stated, as click cuts the first sentence off behind some fifty characters.
+        # Stated, as click cuts the first sentence off after some fifty characters.
         sentence, _, _ = (inspect.getdoc(function) or "").partition("\n\n")
         return app.command(short_help=" ".join(sentence.split()))(_command(function))
 

@@ -1,4 +1,4 @@
-"""The controller's second term Ĉ by the parameters of a search."""
+"""The controller's second term Ĉ as a function of the parameters of a search."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["Outer"]
 
 @dataclass(frozen=True, eq=False)
 class Outer:
-    """Ĉ by parameters `x` in which its rows are nearly linear: ln|Ĉ| without a notch at
-    a frequency ω_r, β and ln δ,
+    """Ĉ in terms of parameters `x` in which the rows of a design are nearly linear: ln|Ĉ|
+    at a frequency ω_r (of Ĉ without its notch), β and ln δ,
 
         ln Ĉ = x₀ + β ln(s/ω_r) − n (ln(1 + δs) − ln|1 + jδω_r|) + ln N(s; x₃, x₄, x₅)
 
@@ -35,7 +35,7 @@ class Outer:
     def of(controller: Controller, reference: float) -> Outer:
         """Return Ĉ of a controller."""
         order, notch = controller.filter_order, controller.notch
-        # no filter is one far above every frequency
+        # no filter is one whose corner lies far above every frequency
         lag = max(controller.filter_time, np.finfo(float).tiny)
         level = math.log(controller.derivative_gain)
         level += controller.derivative_order * math.log(reference)

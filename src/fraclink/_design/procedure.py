@@ -33,15 +33,15 @@ __all__ = ["design", "link_of", "request_of", "sketched"]
 
 Goal = Literal["noise", "settling", "margin"]
 
-# The loss in the law is added to the reserve of each row; it is nearly the same in each
-# round.
+# In each round, what a row loses in the law is added to its reserve; the loss is nearly
+# the same in every round.
 _ROUNDS = 4
 # Share of the fastest crossover or of the largest margin: the last tenth costs most,
 # since the fastest loop has no filter at all. (The published procedure also leaves a
 # tenth to its filter.)
 _SHARES = 0.9, 0.75, 0.5
-# Relative distance beyond the limit that an offer may have in order to pass with its
-# law.
+# Shares by which an offer asks for less than the nearest controller achieves, so that it
+# also passes with its law.
 _LOOSER = (0.0, 0.01, 0.1)
 
 
@@ -82,8 +82,8 @@ def design(
         arms that must keep every requirement: a `ParameterBox`; True for
         ``ParameterBox.of(model, rig)``, the fit's intervals and at least the rig's
         ``[tolerances]``; False for the model alone, which None means, too, where a
-        crossover or a margin is asked for. Finding W407 says what it costs, and of
-        which parameter. The design remembers it, and `certify` proves it.
+        crossover or a margin is asked for. Finding W407 says what the box costs, and
+        which parameter costs most. The design remembers it, and `certify` proves it.
     goal
         "settling": the highest crossover, where none is asked for; "margin": the largest
         phase margin. A tenth of either is given for less noise. "noise": the least, with
@@ -95,7 +95,7 @@ def design(
         knows no other requirement.
     law
         whether to fit the law that ships, too: its margins are requirements like any
-        other. Without it nothing is said of the law.
+        other. Without it nothing is said about the law.
     nearest
         False: a refusal does not look for the nearest request that passes.
     wanted
@@ -108,8 +108,8 @@ def design(
         a value is out of its range.
     InfeasibleError
         no controller of this form meets the request; names the requirement that is in
-        the way, and the nearest request that passes; first of all, and without such a
-        request, a contradiction of model or payloads to the rig.
+        the way, and the nearest request that passes. A contradiction between the rig
+        and the model or the payloads comes first, and without such a request.
 
     Examples
     --------
@@ -258,9 +258,10 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
 
 
 def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]]:
-    """The requests for nine tenths of the highest feasible crossover or margin, from the
-    solution that has it and anew, and for less in case the law does not keep it; the
-    request itself without such a goal, or if no loop meets the other rows.
+    """The requests to try, each with the solution to begin at: nine tenths of the highest
+    feasible crossover or margin, from the solution that reaches it and then anew, and
+    less in case the law does not keep it. The request itself without such a goal, or if
+    no loop meets the other rows.
     """
     if goal == "noise":
         return [(request, None)]
@@ -270,7 +271,7 @@ def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]
         else ("gain_crossover", request.arms.highest, 1.0, request.arms.resonance)
     )
     best = solved(request.aiming(key, most))
-    # the easing of a crossover is one of its logarithm
+    # a crossover is eased on a logarithmic scale
     eased = 1.0 - best.easing if goal == "margin" else math.exp(-best.easing)
     highest = most / unit * eased
     if best.missed or highest <= least:
@@ -322,7 +323,7 @@ def _design_of(
 
 
 def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
-    """(the row that is missed by most, the sentence that states the amount).
+    """The row that is missed by most, and the sentence that says by how much.
 
     The nearest controller eases every requested row, so its figure is the best one only
     in combination with the eased values of the other rows.
@@ -336,8 +337,8 @@ def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
         ("more", "at most") if worst.bound == "at least" else ("less", "at least")
     )
     sentence = f"{most} {achieved}"
-    # A law whose loop is unstable has neither a margin nor a distance from -1; its rows
-    # are none of the search.
+    # A law whose loop is unstable has neither a margin nor a distance from -1, and the
+    # rows of the law are not among those of the search.
     searched = [item for _, item in solution.measured]
     unstable = [x for x in missed if x not in searched and x.achieved <= 0.0]
     if worst in unstable:
@@ -378,7 +379,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
     """The nearest request in the user's own quantities, rounded inwards to three
     digits; empty if no such request passes when followed, with the law as it ships.
     """
-    # The gain at a mode is not eased: beyond one, its phase has to keep it from -1.
+    # The bound on the gain at a mode is not eased: with a gain above one, the phase of
+    # the mode has to keep the loop from -1.
     soft = request.soft - {"mode_gain"}
     values: dict[str, float] = {}
     for share in _LOOSER:
@@ -392,7 +394,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
             continue
         request = replace(
             request.asking(**values),
-            # what passes with a phase-stabilised mode needs no search with a quiet one
+            # what passes with a phase-stabilised mode needs no search with a
+            # gain-stabilised one
             loud=solution.search.request.loud,
         )
         trial, ended = _best(request, goal, law=True)

@@ -19,8 +19,8 @@ from fracsys.checks import Complex, Real
 Values = Mapping[str, float]
 
 # Below 0.02 a term is constant over any band that can be measured; above 4 no
-# fractional model of a machine is known (`bounds` allows more). Coefficients of either
-# sign in any unit: 24 decades, since a wide range of the logarithm costs nothing.
+# fractional model of a machine is known (`bounds` allows more). Coefficients may have
+# either sign and any unit: 24 decades, which cost nothing on a logarithmic scale.
 ORDER_LIMITS = (0.02, 4.0)
 POSITIVE_LIMITS = _LEAST, _MOST = (1e-12, 1e12)
 COEFFICIENT_LIMITS = (-_MOST, _MOST)
@@ -60,10 +60,10 @@ class StructureProblem(Problem):
         return None
 
     def _changed(self, name: str, factor: float) -> Complex:
-        """The factor (K,) of the response for a factor of one parameter."""
-        # No two values are equal, and no sum of two equals another; all are positive if
-        # they may be, since a negative base has no real powers. The points are in
-        # general position, more than a structure has parameters.
+        """The factor (K,) by which the response changes with a factor of one parameter."""
+        # No two values are equal, and no sum of two equals another; all are positive
+        # where the limits allow it, since a negative base has no real powers. The
+        # points lie in general position, and there are more than parameters.
         values: dict[str, Any] = {
             other: np.clip(0.6 + 0.17 * k, *self.limits[other])
             for k, other in enumerate(self.names)
@@ -179,7 +179,7 @@ class StructureProblem(Problem):
 
     @property
     def precision(self) -> float:
-        """See `Problem`: a thousandth of the cost of one sample, a thirtieth of a
+        """See `Problem`: a thousandth of the cost of one sample is a thirtieth of a
         standard error, the accuracy of slopes by differences.
         """
         return 1e-3 / self.samples

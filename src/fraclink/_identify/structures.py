@@ -96,8 +96,8 @@ def identify_structure(
     Raises
     ------
     FieldError
-        an expression with a piece that is not known, a name that is none of it, too few
-        data, an option that says nothing of these data (`heldout` beside a frequency
+        an unknown piece in the expression, a name that does not occur in it, too few
+        data, an option that does not apply to these data (`heldout` beside a frequency
         response).
     NotConvergedError
         no candidate has a response.
@@ -275,7 +275,7 @@ def _check_names(
                 f"bounds[{name!r}]",
                 bounds[name],
                 f"given beside fixed[{name!r}]",
-                "one of both",
+                "one of the two",
                 "leave one of them out",
             )
 
@@ -303,7 +303,7 @@ def _problem(
                 pair,
                 "empty",
                 "low < high",
-                "give the lower one first; a known value belongs into fixed",
+                "give the lower one first; a known value belongs in fixed",
             )
         limits[name] = (low, high)
     fixed = {

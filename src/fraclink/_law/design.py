@@ -87,7 +87,7 @@ class Specification(TypedDict, total=False):
     settling_time
         bound on 2π/ω_c [s].
     phase_margin
-        least φ_m [rad] over the range; the one that `max_sensitivity` leaves when left
+        least φ_m [rad] over the range; the one that `max_sensitivity` implies when left
         out.
     max_sensitivity
         bound on Ms = max 1/|1 + L|; 2 where no margin is asked for.
@@ -97,8 +97,8 @@ class Specification(TypedDict, total=False):
         bound on the loop gain at the higher modes of the link. Below one no phase
         of the mode can destabilise it. Where the model knows a second mode or the rig
         the link's mass, the bound is 0.5 unless another is given; where no controller
-        keeps it at a second mode that the model knows, that one may be loud with a
-        phase that keeps the loop from -1, wherever the payload moves it.
+        keeps it at a second mode that the model knows, that mode may exceed it with a
+        phase that keeps the loop from -1, wherever the payload moves the mode.
     filter_time
         δ [s], 0 for no filter; chosen with the controller when left out.
     filter_order
@@ -204,8 +204,8 @@ class Design(Saved):
 
     @property
     def sentence(self) -> str:
-        """What decides: what it carries and how fast, what more delay it stands, and
-        which requirement is the tightest.
+        """What decides: what it carries and how fast, how much more delay it tolerates,
+        and which requirement is the tightest.
         """
         masses = span(*self.payloads, "g")
         parts = [
@@ -263,8 +263,8 @@ class Design(Saved):
 
     @property
     def passed(self) -> bool:
-        """Whether every requirement is met over the whole payload range, by a model
-        that nothing speaks against; False where none was measured.
+        """Whether every requirement is met over the whole payload range, and no finding
+        casts doubt on model or rig; False where no requirement was measured.
         """
         return bool(self.requirements) and not self.missed and not self.doubts
 
@@ -282,8 +282,8 @@ class Design(Saved):
 
     @property
     def has_law(self) -> bool:
-        """Whether a law follows the controller, as far as that was looked at: False
-        behind W410.
+        """Whether a law can follow the controller, as far as that was tried: False with
+        finding W410.
         """
         return all(finding.code != "W410" for finding in self.findings)
 

@@ -53,7 +53,7 @@ BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 LOWEST = 0.05
 # largest multiple of the Coulomb friction: a motor that sticks beyond it has a fault
 STICTION = 3.0
-# Weight of an error of C around the crossover, over |1 + Ĉ|/|Ĉ|: an error of 0.5° of C
+# Weight of an error of C around the crossover, relative to |1 + Ĉ|/|Ĉ|: an error of 0.5° of C
 # changes the margin by 1.2° where |Ĉ| is 0.4; a third of 0.5° of Ĉ changes it by 0.2°.
 # The largest weight that keeps C within 0.1 dB is used.
 EMPHASES = (3.0, 2.0, 1.0)
@@ -63,7 +63,9 @@ REACH = 2.5
 # weight of the relative error of Ĉ inside its notch, relative to 0.1 dB and 0.5°: 1 dB
 # is enough there
 _NOTCHED = 0.1
-STATES = 6  # largest number spent on the margin; more only where C itself needs them
+STATES = (
+    6  # most states for the sake of the margin; more only where C itself needs them
+)
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
 
 
@@ -294,9 +296,10 @@ def discrete_motor_loop(
     """Return the motor loop of `rig` with this PID, and the compensations its motor
     needs.
 
-    The coupling torque is compensated by what the gauge of `link` says of it, its gain
-    undone; not at all where that comes so late, with hold and computation, that what is
-    left of the torque, ``|1 − e^(−jφ)|``, exceeds it at the resonance (φ > 60°).
+    The coupling torque is compensated from the gauge's reading, divided by the gauge's
+    gain. It is not compensated where the reading, with hold and computation, comes so
+    late that the remainder ``|1 − e^(−jφ)|`` exceeds the torque itself at the resonance
+    (φ > 60°).
     """
     motor = rig.motor
     late = link.gauge_lag + 1.5 * rig.period

@@ -64,7 +64,7 @@ def read_columns(path: Path | str) -> dict[str, Real]:
     file's own units.
 
     For tables that are not logs, such as a frequency response. Every format of `read_log`
-    is read. Raises FileFormatError, LogError (a cell is no number, a name stands twice)
+    is read. Raises FileFormatError, LogError (a cell is not a number, a name occurs twice)
     or SizeError.
 
     >>> sorted(read_columns(bundled_log("prbs_30g")))[:2]
@@ -170,7 +170,7 @@ def read_log(
         check_size(int(float(np.ptp(stamps)) / base.period))
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[channels.output_kind]
-    # One that moves by a billionth is left to `diagnose`.
+    # A motor that moves by a billionth is left to `diagnose`.
     check_motion(motor_angle=data["motor_angle"], **{channels.output_kind: output})
     mass, payload_findings = stated_payload(table, payload)
     earlier = whole_angle[uniform_before(recorded, first, base.period)]

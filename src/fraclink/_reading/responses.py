@@ -55,13 +55,13 @@ def read_frequency_response(
         as ``frequency_Hz``, ``omega``, ``gain``, ``mag [dB]``,
         ``phase_deg``, ``real``, ``imag``, ``coherence``.
     columns
-        says it instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase": "p
+        states it instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase": "p
         [deg]"}``; ``"#1 [Hz]"`` is the first column, in Hz.
 
     Raises
     ------
     LogError
-        a column that is needed is not there, its unit is not stated or is none of its
+        a column that is needed is not there, its unit is not stated or not one of its
         quantity: rad/s, Hz or kHz; rad, deg or mrad; 1 or dB. A unit is never guessed.
     FileFormatError, SizeError
         the file is damaged, or too large.
@@ -161,7 +161,7 @@ def _role(name: str) -> str:
 
 
 def _unit(name: str, role: str, in_file: str) -> str:
-    """The unit that the file or a name states, that of a name which needs none, or ""."""
+    """The unit that the file or a name states or that the name implies, or ""."""
     factors, words = _UNITS[role], words_of(name)
     # "freqHz" is split after the word of its role and not at the capital, so that
     # "fkHz" is f in kHz and not "fk" in Hz.
@@ -197,7 +197,8 @@ def read_recording(
     input, output
         names of columns; ``"#2"`` is the second one.
     time
-        the column of stamps; by default the one that never decreases and is named so.
+        the column of stamps; by default the one that never decreases and is named as
+        a time.
         Its unit is the one that its name or the file states: s, ms, us or ns, as in
         ``time_ms`` or ``t [us]``; s without one.
     period
@@ -225,7 +226,7 @@ def read_recording(
             "period",
             period,
             "given beside a time column",
-            "one of both",
+            "one of the two",
             "leave one of them out",
         )
     place = Path(path)

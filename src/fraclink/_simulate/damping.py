@@ -119,7 +119,7 @@ def _chain(
     )
 
 
-_ENERGY = "a negative one would make energy: check its sign"
+_ENERGY = "a negative one would generate energy: check its sign"
 _Time = Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
 
 
@@ -129,8 +129,8 @@ class KelvinVoigt:
     """Viscous damping, D = 1 + η s: modal damping ratio ηω/2, so ∝ ω² in the modal
     equation.
 
-    time: η [s], >= 0; 0 is the undamped link. Negative η makes energy and is refused.
-    higher: η of the modes beyond the first [s], where theirs is another than the material's.
+    time: η [s], >= 0; 0 is the undamped link. Negative η generates energy and is rejected.
+    higher: η of the modes beyond the first [s], where it is not the material's.
 
     A mode at ω has the damping ratio ζ = η ω/2.
 
@@ -142,7 +142,7 @@ class KelvinVoigt:
     higher: _Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
-        """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
+        """Return D(s) as a passive chain, accurate up to `highest` [rad/s]."""
         return Chain(1.0, self.time, np.zeros(0), np.zeros(0))
 
     @property
@@ -158,7 +158,7 @@ class FractionalKelvinVoigt:
 
     coefficient: η [s^α], >= 0; order: α, 0 < α < 1. Outside of it the element is no
     damper of a material (α = 1 is `KelvinVoigt`, α > 1 is partly an inertia), and η < 0
-    makes energy. higher: as in `KelvinVoigt`.
+    generates energy. higher: as in `KelvinVoigt`.
 
     >>> FractionalKelvinVoigt(coefficient=0.012, order=0.9).label
     'fractional, D = 1 + 0.012 s^0.9'
@@ -172,7 +172,7 @@ class FractionalKelvinVoigt:
     higher: _Time | None = None
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
-        """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
+        """Return D(s) as a passive chain, accurate up to `highest` [rad/s]."""
         return _chain(1.0, self.coefficient, self.order, tolerance, highest)
 
     @property
@@ -191,7 +191,7 @@ class PowerLaw:
     Newton's law with a link whose stiffness is a springpot. D is in units of s^(λ−2),
     with the second as its reference time.
 
-    order: λ, 1 < λ < 2; λ = 2 is `KelvinVoigt(0)`. λ > 2 makes energy and is refused.
+    order: λ, 1 < λ < 2; λ = 2 is `KelvinVoigt(0)`. λ > 2 generates energy and is rejected.
     higher: as in `KelvinVoigt`.
     dashpot: η of a dashpot beside the springpot, D = s^(2−λ) + η s, >= 0.
 
@@ -206,14 +206,14 @@ class PowerLaw:
             2.0,
             "(λ)",
             high_open=True,
-            remedy="use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy",
+            remedy="use KelvinVoigt(0.0) for λ = 2; beyond it the link would generate energy",
         ),
     ]
     higher: _Time | None = None
     dashpot: _Time = 0.0
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
-        """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
+        """Return D(s) as a passive chain, accurate up to `highest` [rad/s]."""
         # A springpot has no parallel spring: at rest its slowest element bears the
         # load, and creeps.
         return replace(

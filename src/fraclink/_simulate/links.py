@@ -38,8 +38,8 @@ __all__ = ["LinkWeights", "batch_links", "link_weights", "second_mode_weights"]
 # Degree 5: angle, speed and acceleration of the motor at both ends of a period are six
 # conditions.
 POWERS = 6
-# |pole|·T [rad]: beyond, with three samples per vibration, the power series cancels and
-# no loop passes.
+# |pole|·T [rad]: beyond it, at three samples per vibration, the terms of the power
+# series cancel, and no loop passes.
 LONGEST = 2.0
 # Truncation of the step response, as e^(−x): three digits below the accuracy promised
 # for a move; for a campaign, whose metrics are accurate to 1e-4, three digits below
@@ -70,7 +70,7 @@ class LinkWeights:
         # Every array has one row per link: a field added later must not be forgotten
         # here.
         own = {field.name: getattr(self, field.name) for field in fields(self)}
-        # No link has a second mode, so there are no rows to select.
+        # An empty array: no link has a second mode, so there are no rows to select.
         return LinkWeights(
             **{
                 name: value[rows] if len(value) else value
@@ -155,7 +155,7 @@ def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
     side = np.where(2.0 * alpha >= order, 1j, -1j) * np.minimum(ratio, 1.0)
     steps = math.ceil(6.0 * math.log1p(ratio.max()))
     growing = [(k / steps, 1.0) for k in range(1, steps + 1)]
-    # Where the poles nearly meet, each iteration halves the error only.
+    # Where the poles nearly meet, each iteration only halves the error.
     turning = [(1.0, turn) for turn in (0.8, 0.6, 0.4, 0.2, 0.0, 0.0, 0.0)]
     for share, turn in growing + turning:
         size = np.expm1(share * np.log1p(ratio)) * np.exp(turn * side)
@@ -183,8 +183,8 @@ def batch_links(
     Parameters
     ----------
     model
-        has the damping's order α and the second mode of all the links: a log shows that
-        mode at one payload, and nothing tells how it moves with another.
+        gives the damping's order α and the second mode of all the links: a log shows
+        that mode at one payload only, and not how it changes with the payload.
     stiff
         ω₀² of each run [s^−λ], shape (R,), > 0.
     order
@@ -194,9 +194,9 @@ def batch_links(
     period
         control period [s]; |pole|·period < 2, beyond that no loop at that period holds.
     span
-        for which the recursions are valid [s].
+        time for which the recursions are valid [s].
     digits
-        natural ones, to which they are.
+        x, where the recursions are accurate to e^(−x).
 
     Raises
     ------

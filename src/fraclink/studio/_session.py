@@ -363,8 +363,8 @@ def opened(
 def begun(path: Path, rig: Rig | None = None) -> Study:
     """Return the study that begins with a rig, a design or a model.
 
-    A model is that of any `identify`: of a log, of a frequency response, or of a
-    transfer function that was brought into the form of a link.
+    A model may come from any `identify`: from a log, a frequency response, or a
+    transfer function brought into the form of a link.
     """
     if path.suffix == ".toml":
         rig = Rig.load(path)

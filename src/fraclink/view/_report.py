@@ -98,7 +98,7 @@ def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path
 
 
 def _margin_rows(design: Design | None) -> list[Row]:
-    """The least phase margin over the arms that are left open, below that of the model."""
+    """A row with the least phase margin of every arm left open, beside the model's."""
     band = design and loops.margin_band(design, np.array(design.payloads))
     label = "Phase margin of every arm that fit and rig leave open"
     return [Row("", label, f"at least {number(band[0].min(), 3)}°")] if band else []
@@ -145,7 +145,7 @@ def _files(study: Study) -> list[tuple[str, str]]:
 
 
 def _tables(study: Study) -> Mapping[str, Figures]:
-    """The tables of the existing sections."""
+    """The tables of the sections that this study has."""
     sections: dict[str, Figures] = {}
     if study.rig is not None:
         sections["rig"] = study.rig.overview().rows

@@ -201,7 +201,7 @@ def _read_only(value: Any) -> Any:
     return value
 
 
-# --- values that no annotation of the caller stands for -----------------------------------------------
+# --- values without an annotation of their own --------------------------------------------------------
 
 
 def checked_choice(
