@@ -30,9 +30,7 @@ def write(app: Sphinx, error: Exception | None) -> None:
         phase_margin=fl.deg(50),
     )
     study = fl.trials.Study(rig=rig, design=design)
-    fl.view.write_arm_page(
-        study, Path(app.outdir) / "_static" / "arm.html", title="Move the arm"
-    )
+    fl.view.write_arm_page(study, Path(app.outdir) / "_static" / "arm.html")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
