@@ -192,7 +192,7 @@ CEILINGS = {
     "_export": 425,
     "_files": 558,
     "_identify": 2394,
-    "_law": 940,
+    "_law": 941,
     "_reading": 875,
     "_simulate": 1169,
     "lab": 1905,

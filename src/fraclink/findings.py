@@ -106,7 +106,7 @@ class Scope:
 _SCOPES = {
     "promise": "requirements and proof",
     "model": "simulated moves of the model",
-    "twin": "arm with distributed mass, varied arms, faults",
+    "twin": "distributed mass; varied arms, faults if run",
     "arm": "records of the real arm",
 }
 

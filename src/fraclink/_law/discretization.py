@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from fraclink._law.design import Design
 
 __all__ = [
-    "TOLERANCE_DB",
     "TOLERANCE_DEG",
     "check_rigs_period",
+    "correction_fits",
     "discrete_motor_loop",
     "discretize",
     "discretize_controller",
@@ -67,6 +67,14 @@ STATES = (
     6  # most states for the sake of the margin; more only where C itself needs them
 )
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
+# Ĉ as it runs, fitted until 1 + Ĉ is met: with a zero at z = 1, where it is at rest.
+correction_fits = partial(
+    DiscreteFits,
+    zeros_at_one=1,
+    offset=1.0,
+    tolerance_db=TOLERANCE_DB,
+    tolerance_deg=TOLERANCE_DEG,
+)
 
 
 @checked
@@ -403,14 +411,10 @@ def fit_correction(
     """
 
     fits = partial(
-        DiscreteFits,
+        correction_fits,
         controller.response,
         period=period,
-        zeros_at_one=1,
-        offset=1.0,
         band=band,
-        tolerance_db=TOLERANCE_DB,
-        tolerance_deg=TOLERANCE_DEG,
         inside=_about_notch(controller, band),
     )
     centre = _crossover(controller, link)

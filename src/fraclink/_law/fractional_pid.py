@@ -29,11 +29,11 @@ from fraclink._law.block import (
     correction_values,
     mode_norms,
 )
-from fraclink._law.discretization import TOLERANCE_DB, TOLERANCE_DEG, modes_from
+from fraclink._law.discretization import correction_fits, modes_from
 from fraclink._law.law import Law
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError
-from fracsys._discrete import Band, DiscreteFits, Order, checked_band
+from fracsys._discrete import Band, Order, checked_band
 from fracsys.checks import Complex, Positive, Real, above, checked
 
 __all__ = ["discretize_pid", "pid_response"]
@@ -147,15 +147,7 @@ def _fitted(
 
     # 1 + Ĉ = C/P is 1 at rest only if P has the entire integral of C: Ĉ has a zero at z
     # = 1, and a lasting error only reaches the integer integral.
-    fit = DiscreteFits(
-        rest,
-        period=period,
-        zeros_at_one=1,
-        offset=1.0,
-        band=band,
-        tolerance_db=TOLERANCE_DB,
-        tolerance_deg=TOLERANCE_DEG,
-    ).fit(order)
+    fit = correction_fits(rest, period=period, band=band).fit(order)
     return modes_from("order", fit, REAL_MODES, PAIR_MODES), (
         fit.error_db,
         fit.error_deg,
