@@ -337,6 +337,8 @@ def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
     result: list[tuple[str, int]] = []
     for name in sorted(sizes):
         for _ in range(fewest + round(left * sizes[name] / total)):
+            if not places[name]:
+                break  # a small room: all of its places are drawn
             kind = rng.choice(sorted(places[name]))
             spot = rng.choice(sorted(places[name][kind]))
             result.append(rng.choice(places[name][kind].pop(spot)))
