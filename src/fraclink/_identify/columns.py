@@ -18,6 +18,12 @@ COPIED_LEAST = 0.98
 # Share of the samples at the limits of the amplifier: 6 % change the identified gain by
 # 0.6 %, 13 % by 8 %.
 STOPPED_MOST = 0.1
+# Share of the samples at an extreme from which on it counts as a limit: half a per cent
+# changes the gain by a twentieth of one.
+_HELD = 0.005
+# Ratio of the number of samples at the extreme value to that at the level beside it; at
+# the crest of a sine in a coarse converter it is 2.4.
+_PILE = 4.0
 
 
 def column_findings(log: Experiment) -> Iterator[Finding]:
@@ -59,7 +65,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             {"first": float(angle[0]), "last": float(angle[-1])},
             "check the column of the motor angle, or excite the arm: a pulse, a PRBS or a square wave",
         )
-    share = _at_stops(output)
+    share = sum(held for _, held in rails(output)) / output.size
     if share > STOPPED_MOST:
         yield Finding(
             "W213",
@@ -87,27 +93,21 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
         )
 
 
-def lead_of(output: Real) -> int:
-    """Samples at the beginning of a log that show whether it begins at rest."""
+def motion_at_start(
+    angle: Real, vibration: Real, spread: float
+) -> tuple[int, str | None]:
+    """The number of samples that show whether a log begins at rest, and what moves in
+    them, None if the arm rests; `vibration` is without offset.
+    """
     # At least ten samples: the mean of fewer is noise of the gauge and not the
     # deflection of the link.
-    return max(10, round(0.01 * output.size))
-
-
-def motion_at_start(angle: Real, vibration: Real, spread: float) -> str | None:
-    """What moves in the first samples of a log, None if the arm is at rest; `vibration`
-    is without offset.
-    """
-    lead = lead_of(vibration)
+    lead = max(10, round(0.01 * vibration.size))
     # A fiftieth of the motion: encoder noise and the creep of a brake stay below it, a
     # move does not.
     if float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle)):
-        return "the motor moves"
-    return (
-        "the link is bent"
-        if abs(float(vibration[:lead].mean())) > 0.5 * spread
-        else None
-    )
+        return lead, "the motor moves"
+    bent = abs(float(vibration[:lead].mean())) > 0.5 * spread
+    return lead, "the link is bent" if bent else None
 
 
 def _explained(values: Real, source: Real) -> float:
@@ -136,18 +136,15 @@ def _is_ramp(values: Real) -> bool:
     )
 
 
-def _at_stops(output: Real) -> float:
-    """Share of the samples at the extremes; 0 if it is small or if the neighbouring
-    levels are nearly as frequent.
-
-    The crest of a sine in a coarse converter has 2.4 times as many samples as the level
-    below it.
+def rails(output: Real) -> Iterator[tuple[float, int]]:
+    """The extreme values at which an amplifier has stopped, each with its number of
+    samples: far more than at the level beside it.
     """
-    at_ends = (output == output.min()) | (output == output.max())
-    if (
-        np.count_nonzero(at_ends) <= STOPPED_MOST * output.size
-    ):  # sorting all samples takes longer than a fit
-        return 0.0
-    _, (low, *between, high) = np.unique(output, return_counts=True)
-    beside = between[0] + between[-1] if between else 0
-    return float((low + high) / output.size) if low + high > 4 * beside else 0.0
+    low, high = output.min(), output.max()
+    for end in (low, high):
+        held = np.count_nonzero(output == end)
+        if held > _HELD * output.size:
+            apart = np.abs(output[(output > low) & (output < high)] - end)
+            beside = np.count_nonzero(apart == np.min(apart, initial=np.inf))
+            if held > _PILE * beside:
+                yield float(end), int(held)

@@ -152,7 +152,7 @@ def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
     vibration; otherwise the fit takes it for delay and damping.
     """
     output = log.output - fit.offset
-    begins = motion_at_start(log.motor_angle, output, float(output.std()))
+    _, begins = motion_at_start(log.motor_angle, output, float(output.std()))
     length = round(_START * 2 * math.pi / (abs(fit.model.pole) * fit.period))
     if begins is None or 2 * length > fit.fitted_samples:
         return

@@ -82,10 +82,11 @@ class MotorFit(Judged):
     findings: tuple[Finding, ...] = ()
     spring: float | None = None
 
-    def overview(self) -> Overview:
+    @property
+    def rows(self) -> tuple[Row, ...]:
         """The motor's figures, each with its standard error."""
         errors = self.standard_errors
-        rows = rows_of(
+        return rows_of(
             self,
             Row("gain", "K/J", self.gain, "rad/(V·s²)", errors["gain"]),
             Row("decay", "ν/J", self.decay, "1/s", errors["decay"]),
@@ -104,10 +105,13 @@ class MotorFit(Judged):
             ("nmse", "error (NMSE)", "%", 3),
             "windows",
         )
+
+    def overview(self) -> Overview:
+        """The motor in words, and its figures."""
         return Overview(
             f"motor K/J = {number(self.gain)} rad/(V·s²), ν/J = {number(self.decay)} 1/s",
             "passed" if self.passed else "not shown",
-            rows,
+            self.rows,
             findings=self.findings,
         )
 

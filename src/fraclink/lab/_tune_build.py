@@ -35,7 +35,7 @@ from fraclink._law import Law
 from fraclink._simulate.arm import Twin, damping_of
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
-from fraclink.errors import FieldError, InfeasibleError
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.lab._tune_guard import PLANNED, MotionLimits, largest
 from fraclink.lab._tune_judged import judged, settling_band
 from fraclink.lab._tune_link import LinkResult
@@ -121,7 +121,11 @@ def measured_rig(
     in m. Values that motion does not show, and the goals of a design, are as stated.
     """
     fit, motor = link.fit, link.motor.fit
-    assert motor.inertia is not None  # set by the link's stage  # noqa: S101
+    if motor.inertia is None:
+        raise FraclinkError(
+            "the motion of the motor does not show the link's torque, and so neither its inertia: a shorter "
+            "period, or limits that allow faster moves, help"
+        )
     inertia, model = motor.inertia, fit.model
     mass = _shown_mass(model, payload)
     if not mass and stated is not None:
@@ -269,23 +273,11 @@ def _designs(rig: Rig, model: LinkModel) -> Iterator[tuple[Design, tuple[str, ..
         except InfeasibleError as error:
             preamble = (f"what the rig asks for is not feasible ({error}); instead:",)
     fastest = design(model, rig, **options)
-    yield fastest, (*preamble, *_words(fastest))
+    yield fastest, (*preamble, fastest.sentence)
     options |= {"gain_crossover": fastest.gain_crossover, "goal": "margin"}
     with contextlib.suppress(InfeasibleError):
         candidate = design(model, rig, **options)
-        yield candidate, (*preamble, *_words(candidate))
-
-
-def _words(made: Design) -> tuple[str, ...]:
-    margin = min(
-        math.degrees(item.achieved)
-        for item in made.requirements
-        if item.name == "phase margin"
-    )
-    return (
-        f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {margin:.3g}°, which the whole "
-        "box keeps",
-    )
+        yield candidate, (*preamble, candidate.sentence)
 
 
 def _proved(

@@ -11,6 +11,7 @@ import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._identify import Fit, simulated_torque
+from fraclink._identify.columns import rails
 from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_link import second_torque
 from fraclink.lab._tune_motor import MotorResult, unlimited_pole
@@ -27,7 +28,6 @@ _LATE = math.radians(15.0)
 # and is held for one. These 1.5 periods cost the phase allowed for a gauge if a period
 # is 1/36 of the vibration period.
 _PERIODS = round(1.5 * 2.0 * math.pi / _LATE)
-_CLIPPED = 5  # samples at the extreme; fewer are a peak
 
 
 def causes(
@@ -45,7 +45,7 @@ def causes(
     model = link.model if link is not None and link.passed else None
     return (
         *(_sticking(motor, record.period) if motor is not None and hunts else ()),
-        *_clipping(record.torque, wiring.gauge_noise),
+        *_clipping(record.torque),
         *_long_period(
             wiring.natural_frequency if model is None else model.resonance,
             record.period,
@@ -55,20 +55,15 @@ def causes(
     )
 
 
-def _clipping(torque: Real, noise: float) -> tuple[str, ...]:
-    """A saturated gauge repeats its extreme value, with few samples just below it."""
-    for extreme, inwards in (
-        (torque.max(), torque.max() - torque),
-        (torque.min(), torque - torque.min()),
-    ):
-        at_rail = int(np.count_nonzero(inwards == 0.0))
-        below = int(np.count_nonzero((inwards > 0.0) & (inwards <= 2.0 * noise)))
-        if noise > 0.0 and at_rail >= _CLIPPED and at_rail > below:
-            return (
-                f"the gauge clips: {at_rail} samples read exactly {extreme:.3g} N·m; a smaller gain of its "
-                "amplifier, or a limit of the torque below that, helps",
-            )
-    return ()
+def _clipping(torque: Real) -> tuple[str, ...]:
+    """A saturated gauge repeats its extreme value."""
+    ends = [f"{held} samples read exactly {end:.3g} N·m" for end, held in rails(torque)]
+    if not ends:
+        return ()
+    return (
+        f"the gauge clips: {' and '.join(ends)}; a smaller gain of its amplifier, or a limit of the torque "
+        "below that, helps",
+    )
 
 
 def _slow_loop(

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop
-from fraclink._arm.reference import hold, prbs, smooth_step
+from fraclink._arm.reference import prbs, smooth_step
 from fraclink._arm.rig_parts import Moves
 from fraclink._law import MODES, REASONS, Law, LawInputs
 from fraclink._law.block import DiscreteMotorLoop, Modes
@@ -248,14 +249,18 @@ def random_moves(
         to = 0.0 if last else to
         # 15/8 is the ratio of peak to mean speed of the quintic.
         time = max(1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), least)
-        move = smooth_step(to - at, time)
-        grid = period * np.arange(math.ceil(time / period))
-        parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
+        parts.append(_move(at, to, time, math.ceil(time / period), period))
         at, total = to, total + time
         if last:
             break
-    parts.append(np.tile([[at], [0.0]], (1, round(0.3 / period))))
+    parts.append(_move(at, at, 0.3, round(0.3 / period), period))
     return np.concatenate(parts, axis=1)
+
+
+def _move(at: float, to: float, duration: float, count: int, period: float) -> Real:
+    """The first `count` samples of a smooth move from one angle to another [rad]."""
+    move, grid = smooth_step(to - at, duration), period * np.arange(count)
+    return np.array([at + move.angle(grid), move.acceleration(grid)])
 
 
 def random_steps(
@@ -272,20 +277,15 @@ def random_steps(
     """
     levels = _random_levels(reach, bit, bits)
     # It starts at rest, because an identification takes the first samples as rest.
-    parts = [np.tile([[start], [0.0]], (1, round(0.2 / period)))]
+    parts = [_move(start, start, 0.2, round(0.2 / period), period)]
     if start:
         # An edge is at most 2 reach; a larger distance is covered at the same speed.
         slow = rise * max(1.0, abs(start) / reach)
-        back, grid = smooth_step(-start, slow), period * np.arange(round(slow / period))
-        parts.append(np.array([start + back.angle(grid), back.acceleration(grid)]))
+        parts.append(_move(start, 0.0, slow, round(slow / period), period))
     count = max(round(bit / period), 2)
-    grid = period * np.arange(count)
-    at = 0.0
-    for to in (*levels.tolist(), 0.0):
-        move = smooth_step(to - at, min(rise, bit)) if to != at else hold(0.0)
-        parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
-        at = to
-    parts.append(np.zeros((2, round(0.3 / period))))
+    edges = pairwise((0.0, *levels.tolist(), 0.0))
+    parts += [_move(at, to, min(rise, bit), count, period) for at, to in edges]
+    parts.append(_move(0.0, 0.0, 0.3, round(0.3 / period), period))
     return np.concatenate(parts, axis=1)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from fraclink._arm.rig import Rig
 from fraclink._display import Overview, Row, Table, displayed, rows_of
 from fraclink._files import document
-from fraclink._identify.fit import SYMBOLS
 from fraclink.errors import FieldError
 from fraclink.findings import Scope, Verdict
 from fraclink.lab._machine import PERIOD
@@ -265,51 +265,13 @@ class Tuning:
             notes=self.wiring.evidence if self.wiring else (),
         )
 
-    def _measured(self) -> tuple[Row, ...]:
-        """Rows of motor and link with their standard errors."""
-        rows: list[Row] = []
+    def _measured(self) -> Iterator[Row]:
+        """The fits of motor and link, and their figures with standard errors."""
+        for part, stage in (("motor", self.motor), ("link", self.link)):
+            if stage is not None:
+                yield Row(part, "", stage.fit)
+                yield from (replace(row, key="") for row in stage.fit.rows)
         if self.motor is not None:
-            # The motor measured together with its link is the later and better one; the
-            # errors are those of its own experiments, which are larger.
-            motor_errors = self.motor.fit.standard_errors
-            fit = (self.link.motor if self.link else self.motor).fit
-            friction = fit.coulomb_voltage + fit.dead_zone
-            rows += [
-                Row("motor.gain", "K/J", fit.gain, "rad/(V·s²)", motor_errors["gain"]),
-                Row("motor.decay", "ν/J", fit.decay, "1/s", motor_errors["decay"]),
-                Row(
-                    "motor.friction",
-                    "friction",
-                    friction,
-                    "V",
-                    motor_errors["coulomb_voltage"],
-                ),
-                Row("motor.delay", "delay of the voltage", fit.delay, "ms", digits=3),
-                Row("motor.pole", "motor loop", self.motor.loop.pole, "rad/s"),
-            ]
-        if self.link is not None:
-            model, errors = self.link.fit.model, self.link.fit.standard_errors
-            rows += [
-                Row(f"model.{name}", symbol, getattr(model, name), unit, errors[name])
-                for name, (symbol, unit) in SYMBOLS.items()
-                if name in errors
-            ]
-            rows += [
-                Row(
-                    "model.stiffness",
-                    "torque over bend",
-                    model.stiffness,
-                    "N·m/rad",
-                    errors.get("gain"),
-                ),
-                Row(
-                    "model.gauge_delay",
-                    "delay of the gauge",
-                    model.gauge_delay,
-                    "ms",
-                    errors.get("delay"),
-                ),
-            ]
-            if (mode := model.second_mode) is not None:
-                rows.append(Row("model.mode", "second mode", mode.frequency, "rad/s"))
-        return tuple(rows)
+            yield Row("motor_pole", "motor loop", self.motor.loop.pole, "rad/s")
+        if self.link is not None and (mode := self.link.fit.model.second_mode):
+            yield Row("second_mode", "second mode", mode.frequency, "rad/s")

@@ -13,7 +13,7 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._identify import Fit, identify
-from fraclink._identify.columns import lead_of, motion_at_start
+from fraclink._identify.columns import motion_at_start, rails
 from fraclink._identify.problem import CLEARLY_LESS
 from fraclink._identify.shape import moving_angle
 from fraclink._reading.columns import converter_step
@@ -23,10 +23,6 @@ from fracsys.checks import Real, checked
 
 # Findings of a one-mode fit that concern the columns and not the model.
 _OF_COLUMNS = ("W209", "W211", "W324")
-_CLIPPED = 0.005  # share of samples at the extreme value
-# Ratio of the number of samples at the extreme value to that one step inside; at the
-# crest of a sine it is 2.4.
-_PILE = 4.0
 # multiple of the range that holds 99 % of the samples; no motion reaches that far
 _FAR = 8.0
 # fractions of the standard deviation of the motion
@@ -204,26 +200,19 @@ def _limits(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
     data.
     """
     values = log.output
-    # A continuous signal has no levels: a five-hundredth of its range is used instead,
-    # for which the crest of a sine also holds 2.4 times as many samples as the next
-    # level.
-    step = converter_step(values) or float(np.ptp(values)) / 500
-    for side, sign in (("largest", 1), ("smallest", -1)):
-        depth = ((sign * values).max() - sign * values) / step
-        top, inside = depth <= 0.5, (depth > 0.5) & (depth <= 1.5)
-        piled = top.sum() > _PILE * max(int(inside.sum()), 1)
-        if piled and top.mean() > _CLIPPED:
-            yield Finding(
-                "W213",
-                "warning",
-                f"{100 * top.mean():.3g} % of the samples lie at the {side} output: it seems clipped",
-                {
-                    "value": float(values[np.argmax(top)]),
-                    "samples": int(top.sum()),
-                    "time_s": float(np.argmax(top)) * log.period,
-                },
-                "move less or lower the amplifier's gain; a clipped torque biases every fit",
-            )
+    for value, held in rails(values):
+        yield Finding(
+            "W213",
+            "warning",
+            f"{100 * held / values.size:.3g} % of the samples read exactly {value:.4g} {log.output_unit}: "
+            "the output seems clipped",
+            {
+                "value": value,
+                "samples": held,
+                "time_s": float(np.argmax(values == value)) * log.period,
+            },
+            "move less or lower the amplifier's gain; a clipped torque biases every fit",
+        )
     if rig is None:
         return
     # The gauge's limit is a torque; the converter of a deflection has its own limit,
@@ -351,8 +340,7 @@ def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
             {"offset": offset, "motion": moving},
             "it is fitted with the model; balance the gauge bridge if it grows",
         )
-    begins = motion_at_start(log.motor_angle, log.output - offset, moving)
-    lead = lead_of(log.output)
+    lead, begins = motion_at_start(log.motor_angle, log.output - offset, moving)
     if begins is None:
         return
     # `identify` uses the motion of the motor before a cut if it is known back to a

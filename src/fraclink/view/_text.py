@@ -223,8 +223,8 @@ def _object(rows: Sequence[Row]) -> dict[str, Any]:
             place = place.setdefault(part, {})
         if name:
             place[name] = plain(row.value)
-        if row.error is not None:
-            values.setdefault("standard_errors", {})[name] = plain(row.error)
+            if row.error is not None:
+                values.setdefault("standard_errors", {})[name] = plain(row.error)
     return values
 
 
