@@ -26,21 +26,23 @@ output_array owned(std::vector<double> values, std::initializer_list<size_t> sha
     return output_array(held->data(), shape, owner);
 }
 
-// The log on its grid of rates; the samples are copied once, since the input needs zeros on both sides. Increments
-// beyond the number of measured samples are those before the first one.
+// The log on its grid of rates; the increments of the input are computed once, with zeros on both sides. Motion
+// beyond the number of measured samples is that before the first one.
 struct Problem {
     fit_problem p{};
     std::vector<double> input, output;
 
-    Problem(input_array increments, input_array measured, double period, int hold, double grid_start,
+    Problem(input_array motion, input_array measured, double period, int hold, double grid_start,
             double grid_step, int modes, int tail, ptrdiff_t pad) {
-        if (increments.shape(0) < measured.shape(0) || measured.shape(0) < 1)
-            throw std::invalid_argument("increments must not be fewer than measured");
-        size_t before = increments.shape(0) - measured.shape(0);
+        if (motion.shape(0) < measured.shape(0) || measured.shape(0) < 1)
+            throw std::invalid_argument("motion must not be shorter than measured");
+        size_t samples = motion.shape(0), before = samples - measured.shape(0);
         if (modes < 1 || modes > FIT_MODES_MAX || tail < 0 || tail > FIT_TAIL_MAX || pad < 2 * FIT_LANES)
             throw std::invalid_argument("grid out of range");
-        input.assign(increments.shape(0) + 2 * pad + FIT_GROUP * FIT_LANES, 0.0);
-        std::memcpy(input.data() + pad, increments.data(), increments.shape(0) * sizeof(double));
+        input.assign(samples + 2 * pad + FIT_GROUP * FIT_LANES, 0.0);
+        // A jump is that at its sample, a slope that after it.
+        double *increment = input.data() + pad + (hold ? 0 : 1), unit = hold ? period : 1.0;
+        for (size_t k = 0; k + 1 < samples; k++) increment[k] = (motion.data()[k + 1] - motion.data()[k]) / unit;
         output.assign(measured.data(), measured.data() + measured.shape(0));
         p = {(ptrdiff_t)measured.shape(0), period, hold, input.data() + pad + before, (ptrdiff_t)before, pad,
              output.data(), grid_start, grid_step, modes, tail};

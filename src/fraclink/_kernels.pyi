@@ -44,7 +44,7 @@ class FitProblem:
 
     def __init__(
         self,
-        increments: NDArray[np.float64],
+        motion: NDArray[np.float64],
         measured: NDArray[np.float64],
         period: float,
         hold: int,

@@ -262,7 +262,7 @@ def fit_from(
     if details:
         # On the fitted part: the held-out part is for judging the prediction, not the
         # noise.
-        motion = window.increments()[-window.samples :]
+        motion = np.ediff1d(window.input, to_end=0.0)[-window.samples :]
         tests = residual_tests(residual[: window.samples], motion)
         intervals = link_intervals(search, solution, covariance)
     mode: tuple[SecondMode | None, float | None] = (None, None)

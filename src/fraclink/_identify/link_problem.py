@@ -132,9 +132,9 @@ class LinkProblem(Problem):
         """Shapes (M, 5) and their derivatives with respect to the coordinates (M, 5,
         p).
         """
-        shapes = np.repeat(self._start[None, :], len(places), axis=0)
+        shapes, chain = np.empty((len(places), 5)), np.empty((len(places), 5, 5))
+        shapes[:], chain[:] = self._start, np.eye(5)
         shapes[:, list(self.free)] = places
-        chain = np.tile(np.eye(5), (len(places), 1, 1))
         if self.turned:
             share = shapes[:, 3].copy()
             # Below that ζ, α has no meaning.

@@ -17,6 +17,7 @@ from fraclink._identify.problem import CLEARLY_LESS, FIRST_STEPS
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     COORDINATE,
+    DIGITS,
     ORDER_LIMITS,
     Window,
     columns_of,
@@ -81,7 +82,7 @@ class Solution:
             and self.shape[2] >= (1 - BLUR) * largest_ratio(other)
         )
 
-    @property
+    @cached_property
     def at_bound(self) -> tuple[int, ...]:
         """Free coordinates that ended on a limit."""
         near = BLUR * (self.upper - self.lower)
@@ -130,18 +131,18 @@ class Search:
         low, high = self.window.frequency_limits
         return math.log(low) - 0.5, math.log(high) + 0.3
 
-    @property
+    @cached_property
     def kernel(self) -> FitProblem:
         """The kernel for all frequencies and delays within reach of the search."""
-        return self.averages(1)[0]
+        return self.kernel_of(self.window)
 
-    def kernel_of(self, window: Window) -> FitProblem:
+    def kernel_of(self, window: Window, digits: float = DIGITS) -> FitProblem:
         """The same kernel for another stretch of the log."""
         lowest = math.exp(self._range[0])
         # Slightly more than a fit may use (`_DELAY_LIMITS`).
         longest = max(0.36 * 2 * math.pi / lowest, abs(self.fixed.get("delay", 0.0)))
         span = self.window.samples * self.window.period
-        return window.kernel(lowest, longest_delay=min(longest, span))
+        return window.kernel(lowest, longest_delay=min(longest, span), digits=digits)
 
     def averages(self, width: int) -> tuple[FitProblem, float]:
         """The kernel on averages of `width` samples, a power of two, and the power of
@@ -153,7 +154,8 @@ class Search:
                 coarse = coarse.halved
             centred = coarse.output - coarse.output.mean()
             power = max(float(centred @ centred), 1e-300)
-            self.kernels[width] = self.kernel_of(coarse), power
+            # Half of the digits: the first step on all samples doubles them.
+            self.kernels[width] = self.kernel_of(coarse, DIGITS / 2), power
         return self.kernels[width]
 
     def _shares(self, links: Real) -> Real:
@@ -172,10 +174,11 @@ class Search:
         """Undamped links (K, 5) at given ln Ω, each with a fraction of its period as
         delay.
         """
-        order = self.fixed.get("order", order)
         delays = self.fixed.get("delay", parts * math.tau * np.exp(-places))
-        coordinates = np.broadcast_arrays(order, places, 0.0, 1.0, delays)
-        return np.stack(coordinates, axis=1)
+        links = np.empty((max(places.size, np.size(delays)), 5))
+        links[:] = self.fixed.get("order", order), 0.0, 0.0, 1.0, 0.0
+        links[:, 1], links[:, 4] = places, delays
+        return links
 
     @cached_property
     def _scanned(self) -> list[Real]:
@@ -289,9 +292,11 @@ class Search:
             first += self._valleys(
                 [self._descended(name, row, first=True) for row in rows]
             )
-        # On all samples, where the costs of different averages compare.
+        # On averages that show them all, where their costs compare.
         shapes = np.array([end.shape for end in first])
-        costs = self.kernel.costs(shapes, self.gain, self.offset).tolist()
+        width = int(self.window.widths(np.exp(shapes[:, 1])).min())
+        kernel = self.averages(width)[0]
+        costs = kernel.costs(shapes, self.gain, self.offset).tolist()
         if not math.isfinite(min(costs)):
             raise NotConvergedError(
                 f"the fit of {name}",
@@ -346,7 +351,8 @@ class Search:
         start = row.copy()
         start[4] = self.fixed.get("delay", row[4])
         start[free] = np.clip(start[free], lower[free], upper[free])
-        status, shape, gain, offset, cost, gram = self.averages(width)[0].solve(
+        kernel = self.averages(width)[0] if first else self.kernel
+        status, shape, gain, offset, cost, gram = kernel.solve(
             start[None],
             mask_of(free),
             lower,

@@ -53,9 +53,7 @@ HISTORY = 200_000
 
 LEAST_SAMPLES = 50  # of a fit
 
-# Share of the response that the sum over rates may miss, for parameters to 1e-8; in
-# digits of base e.
-_DIGITS = 8 * math.log(10)
+DIGITS = 8.0  # of the response, for parameters to 1e-8
 _TAIL = 6.0  # rates e^6 above those that decay within a sample are negligible
 _MODES_MAX = 64
 
@@ -114,13 +112,12 @@ def link_parameters(shapes: Real) -> tuple[Real, Real]:
     whole = np.exp(order * log_resonance)
     unit = 2 * np.exp((order - other) * log_resonance) / sine
     damping, square = ratio * unit, whole * (1 - 2 * ratio * cosine / sine)
-    values, slopes = shapes.copy(), np.tile(np.eye(5), (len(shapes), 1, 1))
+    values, slopes = shapes.copy(), np.zeros((len(shapes), 5, 5))
     values[:, 0], values[:, 1], values[:, 2] = np.maximum(square, 0.0), order, damping
-    slopes[:, :3] = 0.0
+    slopes[:, 1, 0] = slopes[:, 3, 3] = slopes[:, 4, 4] = 1.0
     slopes[:, 0, 0], slopes[:, 0, 1] = log_resonance * square, order * square
     slopes[:, 0, 2] = -2 * whole * cosine / sine
     slopes[:, 0, 3] = whole * ratio * math.pi / sine**2
-    slopes[:, 1, 0] = 1.0
     slopes[:, 2, 0], slopes[:, 2, 1] = (
         log_resonance * damping,
         (order - other) * damping,
@@ -284,24 +281,19 @@ class Window:
         )
         return Window(angle, output, 2 * self.period, "first")
 
-    def increments(self) -> Real:
-        """Jump at each sample of `input` (held input) or slope after it; the link rests
-        before the first.
-        """
-        if self.hold == "zero":
-            return np.ediff1d(self.input, to_begin=0.0)
-        return np.ediff1d(self.input, to_end=0.0) / self.period
-
-    def kernel(self, resonance: float, *, longest_delay: float) -> FitProblem:
+    def kernel(
+        self, resonance: float, *, longest_delay: float, digits: float = DIGITS
+    ) -> FitProblem:
         """The kernel with a grid of rates for resonances from `resonance` [rad/s]
-        upwards.
+        upwards, whose sum has so many `digits` of the response.
         """
+        exponent = digits * math.log(10)
         # The error of the trapezoidal rule in ln(rate) is exp(−π²/step), and a rate of
-        # _DIGITS/Ts decays within a sample. Below the resonance a rate r weighs (r/Ω)^λ:
+        # exponent/Ts decays within a sample. Below the resonance a rate r weighs (r/Ω)^λ:
         # λ = 1.5 has ζ = 0.5, and hardly vibrates.
-        step = math.pi**2 / _DIGITS
-        start = math.log(resonance) - _DIGITS / 1.5
-        modes = math.ceil((math.log(_DIGITS / self.period) - start) / step)
+        step = math.pi**2 / exponent
+        start = math.log(resonance) - exponent / 1.5
+        modes = math.ceil((math.log(exponent / self.period) - start) / step)
         # Sixty rates cover e^30 above the slowest; only a period of twenty million
         # samples would need more.
         modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
@@ -310,7 +302,7 @@ class Window:
         pad = math.ceil(longest_delay / self.period) + 32
         ramps = int(self.hold == "first")
         return FitProblem(
-            self.increments(),
+            self.input,
             self.output,
             self.period,
             ramps,

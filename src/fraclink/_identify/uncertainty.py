@@ -97,29 +97,29 @@ class Covariance:
         inverse, wide = (gradients @ x @ gradients.T for x in (self.inverse, self.wide))
         return replace(self, names=names, inverse=inverse, wide=wide)
 
-    @property
-    def white(self) -> Real:
-        """Covariance for independent residuals."""
-        return self.variance * self.inverse
-
     @cached_property
-    def inflation(self) -> dict[str, float]:
-        """The factor by which the residual's colour widens each variance.
+    def _variances(self) -> tuple[Real, Real]:
+        """Of every parameter, for independent residuals and with the colour accounted
+        for.
 
         Colour may also reduce a variance, but the sandwich covariance is too noisy to
         be trusted there.
         """
-        white, wide = np.diag(self.white), np.diag(self.wide)
+        # Rounding may leave a variance slightly below zero.
+        white = np.maximum(self.variance * np.diag(self.inverse), 0.0)
+        return white, np.maximum(white, np.diag(self.wide))
+
+    @cached_property
+    def inflation(self) -> dict[str, float]:
+        """The factor by which the residual's colour widens each variance."""
+        white, wide = self._variances
         ratios = np.clip(wide / np.where(white > 0, white, np.inf), 1.0, 1e12)
         return dict(zip(self.names, ratios.tolist(), strict=True))
 
     @cached_property
     def errors(self) -> dict[str, float]:
         """Standard errors, with the colour accounted for."""
-        # Rounding may leave a variance slightly below zero.
-        white = np.maximum(np.diag(self.white), 0.0)
-        rows = zip(self.inflation.items(), white.tolist(), strict=True)
-        return {name: math.sqrt(ratio * own) for (name, ratio), own in rows}
+        return dict(zip(self.names, np.sqrt(self._variances[1]).tolist(), strict=True))
 
 
 def link_covariance(
