@@ -282,7 +282,11 @@ def _free_steps(
     values, vectors, size = _axes(normal, held)
     along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
     visible = values > _UNSEEN
-    gain = np.where(visible, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
+    # A start without much of a response may have a slope beyond the range of squares.
+    with np.errstate(over="ignore"):
+        gain = np.where(visible, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(
+            axis=1
+        )
     # Along an undetermined direction any step is equally good, and rounding would
     # choose it.
     step = np.where(visible, along / (values + damping[:, None]), 0.0)

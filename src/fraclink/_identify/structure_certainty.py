@@ -61,8 +61,7 @@ def certainty_of(
     problem = replace(searched, fixed={**searched.fixed, **held})
     if not problem.names:
         return Certainty({}, {}, stuck, (), ())
-    linear = () if problem.gain is None else (problem.gain,)
-    free, values = (*problem.moving, *linear), best.values
+    free, values = problem.names, best.values
     place = problem.place_of(values)
     rows, residual = problem.linearised(place)
     perfect = best.cost <= RESOLUTION * problem.power
@@ -87,11 +86,10 @@ def certainty_of(
         for name, error in errors.items()
     }
     # A profile cannot determine a parameter that is undetermined by its standard error,
-    # and its valley takes long to follow. The gain is linear in the output: its profile
-    # is a parabola, and the standard error suffices.
+    # and its valley takes long to follow.
     indices = [
         k
-        for k, name in enumerate(problem.moving)
+        for k, name in enumerate(problem.names)
         if name in intervals and _is_known(problem, name, values[name], intervals[name])
     ]
     if details and best.converged and not perfect and indices:

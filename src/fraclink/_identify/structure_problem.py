@@ -14,7 +14,7 @@ from fraclink._identify.expression import Expression
 from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.structure_data import Limits, Samples
 from fracsys._precision import RESOLUTION
-from fracsys.checks import Complex, Real
+from fracsys.checks import Real
 
 Values = Mapping[str, float]
 
@@ -32,10 +32,9 @@ _STEP = math.sqrt(RESOLUTION)
 class StructureProblem(Problem):
     """The least-squares problem of a structure in its free parameters.
 
-    A place has the coordinates of `moving`: for a coefficient c the inverse hyperbolic
-    sine of c/1e-12, a logarithm with either sign; else the value itself. The `gain`, a
-    coefficient that multiplies everything, is no coordinate but is projected out with
-    the offset; `offset` is NaN if it is free.
+    A place has the coordinates of `names`: for a coefficient c the inverse hyperbolic
+    sine of c/1e-12, a logarithm with either sign; else the value itself. A free
+    `offset`, which is NaN, is projected out.
     """
 
     structure: Expression
@@ -50,64 +49,46 @@ class StructureProblem(Problem):
         return tuple(name for name in self.structure.names if name not in self.fixed)
 
     @cached_property
-    def gain(self) -> str | None:
-        """The free coefficient that multiplies everything, or None."""
-        for name in self.names:
-            # Tested numerically instead of on the tree: k/(k·s + k) does not depend on
-            # k, whatever the form of its text.
-            if np.allclose(self._changed(name, 2.0), 2.0, rtol=1e-12, atol=0.0):
-                return name
-        return None
-
-    def _changed(self, name: str, factor: float) -> Complex:
-        """The factor (K,) by which the response changes with a factor of one parameter."""
-        # No two values are equal, and no sum of two equals another; all are positive
-        # where the limits allow it, since a negative base has no real powers. The
-        # points lie in general position, and there are more than parameters.
-        values: dict[str, Any] = {
-            other: np.clip(0.6 + 0.17 * k, *self.limits[other])
-            for k, other in enumerate(self.names)
-        }
-        values |= self.fixed
-        points = np.linspace(0.5, 2.3, 16) * np.exp(1j * np.linspace(0.3, 1.4, 16))
-        once, changed = (
-            self.structure.response(each, points)
-            for each in (values, {**values, name: factor * values[name]})
-        )
-        # Where the bounds leave no response, no parameter has an effect.
-        with np.errstate(all="ignore"):
-            return np.nan_to_num(changed / once, nan=1.0, posinf=1.0, neginf=1.0)
-
-    @cached_property
     def _scaling(self) -> Real:
         """Exponents (p,) such that coefficients · κ^exponents make the response κ times
         as large; zero if there are none.
         """
-        step = 1.0 + _STEP
-        rates = [
-            np.log(self._changed(name, step)) / np.log(step) * self.is_coefficient(name)
-            for name in self.names
-        ]
-        rows = np.concatenate([np.real(rates), np.imag(rates)], axis=1).T
-        wanted = np.repeat([1.0, 0.0], len(rows) // 2)
+        # No two values are equal, and no sum of two equals another; all are positive
+        # where the limits allow it, since a negative base has no real powers. The
+        # points lie in general position, and there are more than parameters.
+        values: dict[str, Any] = {
+            name: np.clip(0.6 + 0.17 * k, *self.limits[name])
+            for k, name in enumerate(self.names)
+        }
+        values |= self.fixed
+        points = np.linspace(0.5, 2.3, 16) * np.exp(1j * np.linspace(0.3, 1.4, 16))
+        # Where the bounds leave no response, no parameter has an effect.
+        with np.errstate(all="ignore"):
+            responses = [
+                self.structure.response(
+                    {**values, name: values[name] * (1 + _STEP)}, points
+                )
+                for name in self.names
+            ]
+            ratios = responses / self.structure.response(values, points)
+        rates = np.log(np.nan_to_num(ratios, nan=1.0, posinf=1.0, neginf=1.0)) / _STEP
+        rates[[not self.is_coefficient(name) for name in self.names]] = 0.0
+        rows = np.concatenate([rates.real, rates.imag], axis=1).T
+        wanted = np.repeat([1.0, 0.0], len(points))
         exponents = np.linalg.lstsq(rows, wanted, rcond=None)[0]
-        own = exponents[[self.names.index(name) for name in self.moving]]
-        return own * np.allclose(rows @ exponents, wanted, atol=1e-4)
+        return exponents * np.allclose(rows @ exponents, wanted, atol=1e-4)
 
     def sized(self, places: Real) -> Real:
-        """Places whose coefficients are scaled such that the response has the size of
-        what was measured.
+        """Places whose coefficients are scaled such that the response has the size and
+        the sign of what was measured.
         """
         columns = self.data.response(self.structure, self.values(places))[:, None]
-        size = np.abs(self._projected(columns, (-math.inf, math.inf))[0].gain)
-        # A coordinate is a logarithm with a sign.
-        shift = np.log(np.where(size > 0, size, 1.0))[:, None] * self._scaling
-        return self.clip(places + np.sign(places) * shift)
-
-    @cached_property
-    def moving(self) -> tuple[str, ...]:
-        """Free parameters that are coordinates."""
-        return tuple(name for name in self.names if name != self.gain)
+        gain = self._projected(columns, (-math.inf, math.inf))[0].gain[:, None]
+        # A coordinate is a logarithm with a sign; (−1)^exponent of an odd one is −1.
+        shift = np.log(np.where(gain == 0, 1.0, np.abs(gain))) * self._scaling
+        turned = (gain < 0) & (np.round(self._scaling) % 2 == 1)
+        scaled = places + np.sign(places) * shift
+        return self.clip(np.where(turned, -scaled, scaled))
 
     def is_coefficient(self, name: str) -> bool:
         """Whether a parameter is a coefficient, with a logarithmic coordinate."""
@@ -129,22 +110,17 @@ class StructureProblem(Problem):
 
     def places_of(self, values: Mapping[str, Any]) -> Real:
         """Places (M, p) of parameters (M,)."""
-        columns = [
-            self.coordinate(name, np.ravel(values[name])) for name in self.moving
-        ]
-        # With the gain alone, one place without coordinates.
-        return np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+        columns = [self.coordinate(name, np.ravel(values[name])) for name in self.names]
+        return np.stack(columns, axis=1)
 
     def place_of(self, values: Mapping[str, float]) -> Real:
         """The place (p,) of single values."""
         return self.places_of(values)[0]
 
     def values(self, places: Real) -> dict[str, Any]:
-        """Parameters (M, 1) at places (M, p); a gain is 1."""
+        """Parameters (M, 1) at places (M, p)."""
         values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
-        if self.gain is not None:
-            values[self.gain] = np.ones((len(places), 1))
-        for name, column in zip(self.moving, places.T, strict=True):
+        for name, column in zip(self.names, places.T, strict=True):
             values[name] = self.value(name, column)[:, None]
         return values
 
@@ -169,7 +145,7 @@ class StructureProblem(Problem):
     def reach(self) -> Real:
         """See `Problem`."""
         return np.array(
-            [1.0 if self.is_coefficient(n) else math.inf for n in self.moving]
+            [1.0 if self.is_coefficient(n) else math.inf for n in self.names]
         )
 
     @property
@@ -185,7 +161,7 @@ class StructureProblem(Problem):
         return 1e-3 / self.samples
 
     def fitted(self, places: Real) -> Quadratic:
-        """Costs, gains and offsets at places, without slopes."""
+        """Costs and offsets at places, without slopes."""
         columns = self.data.response(self.structure, self.values(places))[:, None]
         return self._projected(columns)[0]
 
@@ -196,20 +172,17 @@ class StructureProblem(Problem):
         # From the residual itself: with a Gram matrix a perfect fit would lose half of
         # its digits.
         slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
-        return replace(quadratic, slope=quadratic.gain[:, None] * np.nan_to_num(slope))
+        return replace(quadratic, slope=np.nan_to_num(slope))
 
     def linearised(self, place: Real) -> tuple[Real, Real]:
-        """∂(measured)/∂(coordinates, then those of gain and offset if free), shape (q,
-        R), and the residual (R,).
+        """∂(measured)/∂(coordinates, then the offset if free), shape (q, R), and the
+        residual (R,).
         """
         columns = self._columns(place[None, :])
-        quadratic, residual = self._projected(columns)
-        rows = [*(quadratic.gain * columns[0, 1:])]
-        if self.gain is not None:
-            rows.append(self.slope(self.gain, quadratic.gain) * columns[0, 0])
+        rows, residual = columns[0, 1:], self._projected(columns)[1][0]
         if math.isnan(self.offset):
-            rows.append(self.data.constant)
-        return np.array(rows), residual[0]
+            rows = np.vstack([rows, self.data.constant])
+        return rows, residual
 
     def _columns(self, places: Real) -> Real:
         """Responses and their slopes along the coordinates, shape (M, 1 + p, R)."""
@@ -230,13 +203,13 @@ class StructureProblem(Problem):
         except at zero.
         """
         delays = np.array(
-            [self.structure.roles[n] == "delay" for n in self.moving], bool
+            [self.structure.roles[n] == "delay" for n in self.names], bool
         )
         size = np.where(delays, _STEP / self.data.band[1], _STEP)
         return np.where(delays & (places >= size), -size, size)
 
     def _projected(
-        self, columns: Real, limits: Limits | None = None
+        self, columns: Real, limits: Limits = (1.0, 1.0)
     ) -> tuple[Quadratic, Real]:
         """The quadratic model of columns (M, 1 + p, R), and the residuals (M, R)."""
         measured, constant = self.data.measured, self.data.constant
@@ -250,8 +223,6 @@ class StructureProblem(Problem):
             ],
             axis=1,
         )
-        if limits is None:
-            limits = (1.0, 1.0) if self.gain is None else self.limits[self.gain]
         with np.errstate(all="ignore"):
             gram = rows @ rows.transpose(0, 2, 1)
             quadratic = reduced(gram, limits, self.offset)

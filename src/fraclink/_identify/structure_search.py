@@ -89,7 +89,7 @@ def best_places(
     if isinstance(data, Signals) and data.hold == "zero":
         ends += [
             descend_within_samples(problem, ends[0].places[0], k, data.period)
-            for k, name in enumerate(problem.moving)
+            for k, name in enumerate(problem.names)
             if problem.structure.roles[name] == "delay"
         ]
     best = min(
@@ -105,7 +105,7 @@ def _drawn_places(problem: StructureProblem, data: Signals | Lines) -> Real:
     generator = np.random.default_rng(0)
     slowest, fastest = data.band
     values = {}
-    for name in problem.moving:
+    for name in problem.names:
         low, high = problem.limits[name]
         even, other, chance = generator.random((3, _DRAWS))
         if problem.structure.roles[name] == "order":
@@ -134,8 +134,6 @@ def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
         name: float(np.ravel(value)[0])
         for name, value in problem.values(found.places[k : k + 1]).items()
     }
-    if problem.gain is not None:
-        values[problem.gain] = float(at.gain[0])
     ordered = {name: values[name] for name in problem.structure.names}
     return Place(
         ordered, float(at.offset[0]), float(at.cost[0]), bool(found.converged[k])

@@ -74,7 +74,7 @@ def identify_structure(
         several times; what stands in an exponent of s is an order, in ``exp`` a delay,
         elsewhere a coefficient.
     start
-        values to begin at besides those that are tried anyway.
+        values of all free parameters to begin at, besides those that are tried anyway.
     fixed
         values of parameters that are known; ``"offset"`` is the output's constant part.
     bounds
@@ -334,18 +334,19 @@ def _check_start(
             f">= {least} numbers for {len(problem.names)} parameters",
             "measure more, or fix parameters that are known",
         )
-    for name in problem.moving if start is not None else ():
-        if start is None or name not in start:
-            raise FieldError(
-                "start",
-                name,
-                "without a parameter that is free",
-                ", ".join(problem.moving),
-                "give all of them, or leave start out",
-            )
+    for name, value in (start or {}).items():
         low, high = problem.limits[name]
         Between(low, high, remedy="begin inside the bounds").check(
-            f"start[{name!r}]", start[name]
+            f"start[{name!r}]", value
+        )
+    missing = {*problem.names} - {*(start or problem.names)}
+    if missing:
+        raise FieldError(
+            "start",
+            ", ".join(sorted(missing)),
+            "without a parameter that is free",
+            ", ".join(problem.names),
+            "give all of them, or leave start out",
         )
 
 
