@@ -48,7 +48,7 @@ struct Loops {
     Loops(table_of<double> own_w, table_of<complex> own_rest, table_of<complex> own_slope, table_of<double> own_noise_w,
           table_of<double> own_weight, table_of<complex> own_noise_rest, table_of<double> own_voltage,
           table_of<double> own_modes_w, table_of<complex> own_modes_level, int mode_points, table_of<double> own_centre, table_of<complex> own_plant,
-          table_of<complex> own_loop, double radius, vector_of<double> own_resonance,
+          table_of<complex> own_loop, double radius, double lowest, double furthest, vector_of<double> own_resonance,
           vector_of<double> own_highest, table_of<double> own_band, vector_of<int> own_column) {
         const size_t k = own_w.shape(0), n = own_w.shape(1), m = own_noise_w.shape(1), r = own_modes_w.shape(1);
         const size_t j = own_centre.shape(1), terms = j ? own_plant.shape(1) / j : 0;
@@ -68,7 +68,7 @@ struct Loops {
         auto pairs = [](const std::vector<complex> &values) { return reinterpret_cast<const cx *>(values.data()); };
         table = {(int)k, (int)n, (int)m, (int)r / mode_points, mode_points, (int)j, (int)terms, w.data(), log_w.data(), pairs(rest), pairs(slope),
                  noise_w.data(), noise_log_w.data(), weight.data(), pairs(noise_rest), voltage.data(), modes_w.data(),
-                 modes_log_w.data(), pairs(modes_level), centre.data(), pairs(plant), pairs(loop), radius, resonance.data(), highest.data(), band.data(), column.data()};
+                 modes_log_w.data(), pairs(modes_level), centre.data(), pairs(plant), pairs(loop), radius, {lowest, furthest}, resonance.data(), highest.data(), band.data(), column.data()};
     }
     Loops(const Loops &) = delete; // the table points into its own vectors
 
@@ -95,6 +95,6 @@ struct Loops {
 void bind_figures(nb::module_ &m) {
     nb::class_<Loops>(m, "Loops")
         .def(nb::init<table_of<double>, table_of<complex>, table_of<complex>, table_of<double>, table_of<double>, table_of<complex>,
-                      table_of<double>, table_of<double>, table_of<complex>, int, table_of<double>, table_of<complex>, table_of<complex>, double, vector_of<double>, vector_of<double>, table_of<double>, vector_of<int>>())
+                      table_of<double>, table_of<double>, table_of<complex>, int, table_of<double>, table_of<complex>, table_of<complex>, double, double, double, vector_of<double>, vector_of<double>, table_of<double>, vector_of<int>>())
         .def("figures", &Loops::figures, nb::arg("x"), nb::arg("reference"), nb::arg("order"));
 }

@@ -331,12 +331,13 @@ static void damping_from(const link *l, int column)
     const figures_table *table = l->table;
     const ptrdiff_t row = (ptrdiff_t)l->number * table->expansions;
     const double *centre = table->centre + row;
-    const double spacing = (centre[table->expansions - 1] - centre[0]) / (table->expansions - 1);
+    const int last = table->expansions - 1;
+    const double spacing = (centre[last] - centre[0]) / last, log_resonance = log(table->resonance[l->number]);
     cx u = {l->log_w[column], 0.0};
     for (int step = 0; step < NEWTON_STEPS; step++) {
-        const double place = nearbyint((u.re - centre[0]) / spacing);
-        if (!(place >= 0.0 && place < table->expansions)) return;
-        const int nearest = (int)place;
+        const double away = u.re - log_resonance;
+        if (!(away >= table->region[0] && away <= table->region[1])) return;
+        const int nearest = (int)fmin(fmax(nearbyint((u.re - centre[0]) / spacing), 0.0), last);
         const cx v = {(u.re - centre[nearest]) / table->radius, u.im / table->radius};
         if (!(power_of(v) < 1.0)) return;
         const ptrdiff_t first = (row + nearest) * table->terms;

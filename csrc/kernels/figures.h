@@ -25,6 +25,7 @@ typedef struct {
     const double *centre;                /* links x expansions: where D and R are expanded, ln w in even steps */
     const cx *plant, *loop;              /* links x expansions x terms: D and R over (ln w - centre)/radius */
     double radius;
+    double region[2];                    /* ln of the multiples of the resonance between which roots are looked for */
     const double *resonance, *highest;   /* links: the first mode, and where nothing may cross any more */
     const double *band;                  /* links x 2: what belongs to the second mode */
     const int *column;                   /* links: the column of the resonance */

@@ -24,6 +24,8 @@ class Loops:
         plant: NDArray[np.complex128],
         loop: NDArray[np.complex128],
         radius: float,
+        lowest: float,
+        furthest: float,
         resonance: NDArray[np.float64],
         highest: NDArray[np.float64],
         band: NDArray[np.float64],

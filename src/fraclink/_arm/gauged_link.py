@@ -63,32 +63,28 @@ class GaugedLink:
     def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln B(jω) of the link as seen by encoder and gauge together."""
         ln_w = np.log(np.asarray(frequency))
-        inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
+        inertia, elastic = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
             return self._gauge_log(np.exp(ln_w), natural_frequency)
         # log1p: far below the resonance ln G is s^λ/ω₀² alone, which 1 + s^λ/ω₀² would
         # round away.
         if not self.loss:
-            return -np.log1p(inertia / spring)
-        return np.log(drag + spring) - np.log(inertia + drag + spring)
+            return -np.log1p(inertia)
+        return np.log(elastic) - np.log(inertia + elastic)
 
     def _link_terms(
         self, ln_w: Real, natural_frequency: ArrayLike
-    ) -> tuple[Complex, Complex, Complex]:
-        """(jω)^λ, μ (jω)^α and ω₀², all in the upper half plane, so that principal
-        logarithms stay continuous.
+    ) -> tuple[Complex, Complex]:
+        """(jω)^λ and μ (jω)^α + ω₀² as shares of ω₀², in the upper half plane, so that
+        principal logarithms stay continuous.
         """
         inertia = np.exp(self.link_order * ln_w) * np.exp(
             0.5j * np.pi * self.link_order
         )
-        spring = np.square(np.asarray(natural_frequency, np.complex128))
-        drag = (
-            self.loss
-            * spring
-            * np.exp(self.damping_order * ln_w)
-            * np.exp(0.5j * np.pi * self.damping_order)
+        drag = np.exp(self.damping_order * ln_w) * np.exp(
+            0.5j * np.pi * self.damping_order
         )
-        return inertia, drag, spring
+        return inertia / np.square(natural_frequency), 1.0 + self.loss * drag
 
     def denominator(
         self, frequency: ArrayLike, natural_frequency: ArrayLike
@@ -97,10 +93,9 @@ class GaugedLink:
         no pole.
         """
         w = np.asarray(frequency)
-        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
-        own = (inertia + drag + spring) / spring
+        inertia, elastic = self._link_terms(np.log(w), natural_frequency)
         mode = self.second_mode
-        return own if mode is None else own * mode.denominator(1j * w)
+        return (inertia + elastic) * (1.0 if mode is None else mode.denominator(1j * w))
 
     def parts(
         self, w: Real, natural_frequency: ArrayLike
@@ -111,14 +106,14 @@ class GaugedLink:
         so its own principal phase is continuous and the delay adds a straight line.
         """
         s = 1j * w
-        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
-        whole = inertia + drag + spring
+        inertia, elastic = self._link_terms(np.log(w), natural_frequency)
+        whole = inertia + elastic
         # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay
         # of microseconds.
         lag = np.expm1(-self.gauge_delay * s)
         # One fraction: far above the resonance X is close to 1, and 1 − X would cancel.
         bracket = (
-            drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * lag)
+            elastic + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * lag)
         ) / whole
         torque = inertia / whole
         if self.second_mode is not None:

@@ -32,9 +32,9 @@ Index = NDArray[np.int64]
 # to 2e-5, since the table includes its slope.
 _DENSITY = 28
 _NEAR = np.geomspace(1e-4, 0.2, 12)  # on both sides of a sharp resonance
-# Roots of 1 + L within these multiples of the resonance are vibrations of the link: one
-# farther away belongs to the motor loop or to the delay of the gauge.
-_REGION = 0.3, 4.0
+# Roots of 1 + L between these multiples of the resonance, in ln ω, are vibrations of the
+# link: one farther away belongs to the motor loop or to the delay of the gauge.
+_REGION = math.log(0.28), math.log(4.3)
 # Radius in ln ω of the expansions about the axis, in which roots are looked for: with a
 # damping ratio of more than sin 0.6 = 0.56 nothing vibrates. The factors of the loop have
 # their next singularity near the negative axis, π/2 away: 20 terms leave 0.38^20 = 4e-9.
@@ -116,6 +116,7 @@ class Table:
             self.plant,
             self.closing,
             _RADIUS,
+            *_REGION,
             self.mode,
             self.highest,
             self.band,
@@ -129,7 +130,7 @@ class Table:
 
 def tabulated(
     bare: Loop,
-    natural_frequencies: Real,
+    w0: Real,
     period: float,
     *,
     arm: int,
@@ -138,13 +139,12 @@ def tabulated(
     modes: HigherModes | None = None,
     empty: bool = False,
 ) -> Table:
-    """Return the table of one arm's loop without Ĉ (`bare`, k = 1 and β = 0) at its
-    links.
+    """Return the table of one arm's loop without Ĉ (`bare`, k = 1 and β = 0) at the
+    links of ω₀ (K,).
 
     `highest` is the highest crossing allowed [rad/s], `motor` is (A, B) of A/(s(s + B));
     an `empty` gripper has no noise to judge.
     """
-    w0 = np.atleast_1d(np.asarray(natural_frequencies, float))
     mode = bare.peak(w0)
     top = bare.highest
     if bare.exact_gauge:  # |L| falls far above the mode; that of a late gauge may not
@@ -159,18 +159,15 @@ def tabulated(
         ]
     )
     turns = bare.turns(0.25 * float(mode.min()), top, 6.0)
-    more = [bare.about_mode(49), np.array([highest]), turns]
-    points = np.broadcast_to(np.concatenate(more), (w0.size, sum(map(len, more))))
-    w = np.sort(np.concatenate([mode[:, None] * shape, points], axis=1), axis=1)
+    points = np.concatenate([bare.about_mode(49), [highest], turns])
+    rows = mode[:, None] * shape, np.broadcast_to(points, (w0.size, points.size))
     # equal neighbours at the end make empty intervals without crossings
-    w = np.minimum(w, top)
-    noise = [] if empty else [noise_points(bare, float(x), period) for x in w0]
-    count = max((row[0].size for row in noise), default=0)
-    noise_w, weight = np.ones((w0.size, count)), np.zeros((w0.size, count))
-    for k, (at, share) in enumerate(noise):
-        noise_w[k, : at.size], weight[k, : at.size] = at, share
+    w = np.minimum(np.sort(np.concatenate(rows, axis=1), axis=1), top)
+    judged = slice(0 if empty else None)
+    noise_w, weight = (part[:, judged] for part in noise_points(bare, w0, period))
+    followed = bare.motor_log(noise_w)
+    rest, slope = bare.log_and_slope(w, w0[:, None])
     gain, decay = motor
-    drive = np.abs(noise_w * (1j * noise_w + decay)) / gain
     modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0), complex)
     number = np.zeros((w0.size, 0), int)
     if modes is not None:  # the same modes for each link, one link after the other
@@ -179,12 +176,12 @@ def tabulated(
         number = np.repeat(modes.number, MODE_POINTS).reshape(modes_w.shape)
     return Table(
         w,
-        bare.log(w, w0[:, None]),
-        bare.slope(w, w0[:, None]),
+        rest,
+        slope,
         noise_w,
         weight,
-        np.exp(bare.log(noise_w, w0[:, None])),
-        drive * np.exp(bare.motor_log(noise_w).real),
+        np.exp(bare.link_log(noise_w, w0[:, None]) + followed),
+        np.abs(noise_w * (1j * noise_w + decay) * np.exp(followed)) / gain,
         modes_w,
         level,
         number,
@@ -198,23 +195,25 @@ def tabulated(
     )
 
 
-def _expansions(
-    bare: Loop, natural_frequencies: Real, mode: Real
-) -> tuple[Real, Complex, Complex]:
+def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Complex]:
     """`centre`, `plant` and `closing` of a table, from values on a circle about each
     centre.
+
+    The links share the centres, multiples of a quarter of the radius, and both
+    expansions are linear in 1/ω₀²: those of a rigid link and of another give all.
     """
-    low, high = np.log(_REGION)
-    places = np.linspace(low, high, math.ceil(4.0 * (high - low) / _RADIUS) + 1)
-    centre = np.log(mode)[:, None] + places
+    spacing, (low, high) = 0.25 * _RADIUS, _REGION
+    first = np.floor((np.log(mode[:, None]) + low) / spacing)
+    places = first + np.arange(math.ceil((high - low) / spacing) + 2)
+    shared, which = np.unique(places, return_inverse=True)
     circle = _RADIUS * np.exp(1j * math.tau * np.arange(_TERMS) / _TERMS)
-    w, w0 = np.exp(centre[..., None] + circle), natural_frequencies[:, None, None]
-    plant = bare.denominator(w, w0)
-    plant, closing = (
-        np.fft.fft(value).reshape(mode.size, -1) / _TERMS
-        for value in (plant, plant * bare(w, w0))
-    )
-    return centre, plant, closing
+    w, two = np.exp(spacing * shared[:, None] + circle), np.array([math.inf, 1.0])
+    plant = bare.denominator(w, two[:, None, None])
+    values = np.array([plant, plant * bare(w, two[:, None, None])])
+    terms = (np.fft.fft(values) / _TERMS)[:, :, which.reshape(places.shape)]
+    rigid, soft, inverse = terms[:, 0], terms[:, 1], w0[:, None, None] ** -2.0
+    plant, closing = (rigid + inverse * (soft - rigid)).reshape(2, mode.size, -1)
+    return np.asarray(spacing * places, np.float64), plant, closing
 
 
 def stacked(tables: Iterable[Table]) -> Table:
