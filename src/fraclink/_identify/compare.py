@@ -27,7 +27,7 @@ from fraclink._identify.fitting import (
 from fraclink._identify.residual import regressed
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
-from fraclink._identify.uncertainty import link_covariance, structure_criteria
+from fraclink._identify.uncertainty import structure_criteria
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys.checks import checked
@@ -306,7 +306,7 @@ class Choice:
     @classmethod
     def of(cls, search: Search, log: Experiment) -> Choice:
         """The choice for the log of a search."""
-        criteria = criteria_of(search)
+        criteria = structure_criteria(search)
         vetoed = vetoed_structures(search, criteria, log)
         preferred = preferred_structure(criteria, vetoed)
         undecided = _undecided(search, criteria, preferred, vetoed)
@@ -321,15 +321,6 @@ class Choice:
         pairs = zip(self.criteria[name], self.criteria[self.preferred], strict=True)
         gaps = [a - b for a, b in pairs]
         return max(min(gaps), 0.0) + min(max(gaps), 0.0)
-
-
-def criteria_of(search: Search) -> Criteria:
-    """Both criteria of every structure."""
-    effective = {
-        name: link_covariance(search, search.solve(name), coloured=True)[0].effective
-        for name in STRUCTURES
-    }
-    return structure_criteria(search, effective)
 
 
 def _near(criteria: Criteria) -> list[str]:

@@ -317,29 +317,23 @@ def _of_the_band(
     """W315: a feature that is not surrounded by lines is extrapolated, however narrow
     its interval.
     """
-    z = fit.parameters["z"]
-    if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:
-        torque = output == "torque"
-        yield _missed(
-            "frequency of the link with the motor held" if torque else "anti-resonance",
-            z,
-            measured,
-        )
-    if peak is None or not _surrounded(measured, peak):
-        yield _missed("peak", math.nan if peak is None else peak, measured)
-
-
-def _surrounded(measured: FrequencyResponse, place: float) -> bool:
-    below = int(np.count_nonzero(measured.frequency < place))
-    return _AROUND <= below <= measured.frequency.size - _AROUND
-
-
-def _missed(name: str, place: float, measured: FrequencyResponse) -> Finding:
-    low, high = measured.band
-    return Finding(
-        "W315",
-        "error",
-        f"the band does not show the {name}",
-        {"place": place, "low": low, "high": high},
-        "measure at frequencies on both sides of it",
+    link = (
+        "anti-resonance"
+        if output == "motor_angle"
+        else "frequency of the link with the motor held"
     )
+    unsure = {"z", "l"} & {*fit.undetermined, *fit.at_bound}
+    low, high = measured.band
+    for name, place, known in (
+        (link, fit.parameters["z"], not unsure),
+        ("peak", math.nan if peak is None else peak, True),
+    ):
+        below = int(np.count_nonzero(measured.frequency < place))
+        if not (known and _AROUND <= below <= measured.frequency.size - _AROUND):
+            yield Finding(
+                "W315",
+                "error",
+                f"the band does not show the {name}",
+                {"place": place, "low": low, "high": high},
+                "measure at frequencies on both sides of it",
+            )

@@ -16,13 +16,14 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
 from fraclink._display import Overview, Row, Table, displayed, rows_of
-from fraclink._identify.compare import criteria_of, preferred_structure
+from fraclink._identify.compare import preferred_structure
 from fraclink._identify.fit import SYMBOLS
 from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import JointProblem, weight_of
 from fraclink._identify.problem import descend, inverted
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, columns_of, model_of
+from fraclink._identify.uncertainty import structure_criteria
 from fraclink.errors import LogError, NotConvergedError
 from fracsys.checks import Real, above, checked, checked_choice
 from fracsys.checks.equality import compared
@@ -284,7 +285,7 @@ def _supported(searches: Sequence[Search]) -> str:
     """The structure supported by all logs together: their log-likelihoods, and thus the
     criteria, are added.
     """
-    criteria = [criteria_of(search) for search in searches]
+    criteria = [structure_criteria(search) for search in searches]
     return preferred_structure(
         {
             name: (

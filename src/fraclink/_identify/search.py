@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fraclink._arm.link import FRACTIONAL, STRUCTURES
-from fraclink._identify.problem import CLEARLY_LESS, FIRST_STEPS
+from fraclink._identify.problem import CLEARLY_LESS, FIRST_STEPS, at_limits
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     COORDINATE,
@@ -85,13 +85,8 @@ class Solution:
     @cached_property
     def at_bound(self) -> tuple[int, ...]:
         """Free coordinates that ended on a limit."""
-        near = BLUR * (self.upper - self.lower)
-        return tuple(
-            i
-            for i in self.free
-            if self.shape[i] <= self.lower[i] + near[i]
-            or self.shape[i] >= self.upper[i] - near[i]
-        )
+        ended = at_limits(self.shape, self.lower, self.upper)
+        return tuple(i for i in self.free if ended[i])
 
 
 @dataclass(eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -13,13 +14,13 @@ from fraclink._identify.problem import (
     QUANTILE,
     RESOLUTION,
     Interval,
+    at_limits,
     interval_ends,
 )
 from fraclink._identify.structure_data import Lines
 from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
-from fracsys._precision import BLUR
 
 # share in an undetermined direction beyond which a parameter belongs to it
 _SHARE = 0.1
@@ -51,22 +52,19 @@ def certainty_of(
     """Standard errors that account for the residual's colour; profile intervals with
     `details`.
     """
-    stuck = tuple(
-        name
-        for name in searched.names
-        if _is_at_bound(searched, name, best.values[name])
-    )
+    values, place = best.values, searched.place_of(best.values)
+    ended = at_limits(place, searched.low, searched.high)
+    stuck = tuple(compress(searched.names, ended))
     # A parameter at a limit is held there for the others.
-    held = {name: best.values[name] for name in stuck}
+    held = {name: values[name] for name in stuck}
     problem = replace(searched, fixed={**searched.fixed, **held})
     if not problem.names:
         return Certainty({}, {}, stuck, (), ())
-    free, values = problem.names, best.values
-    place = problem.place_of(values)
+    names, place = problem.names, place[~ended]
     rows, residual = problem.linearised(place)
     perfect = best.cost <= RESOLUTION * problem.power
     covariance = Covariance.of(
-        (*free, "offset")[: len(rows)], rows @ rows.T, best.cost, residual.size
+        (*names, "offset")[: len(rows)], rows @ rows.T, best.cost, residual.size
     )
     if not perfect:
         covariance = (
@@ -75,21 +73,23 @@ def certainty_of(
             else covariance.coloured(rows, residual)
         )
     shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
-    blind = tuple(
-        name
-        for name, share in zip(free, shares, strict=False)  # the offset comes last
-        if share > _SHARE
-    )
-    errors = {name: covariance.errors[name] for name in free if name not in blind}
+    blind = tuple(compress(names, shares > _SHARE))  # the offset comes last
+    errors = {name: covariance.errors[name] for name in names if name not in blind}
+    # For a cost that is a parabola in the coordinates.
+    reach = QUANTILE * np.array([covariance.errors[name] for name in names])
+    low, high = problem.low, problem.high
+    below, above = np.maximum(place - reach, low), np.minimum(place + reach, high)
+    straight = zip(below, above, below <= low, above >= high, strict=True)
     intervals = {
-        name: _straight_interval(problem, name, values[name], QUANTILE * error)
-        for name, error in errors.items()
+        name: _in_values(problem, name, Interval(*ends))
+        for name, ends in zip(names, straight, strict=True)
+        if name not in blind
     }
     # A profile cannot determine a parameter that is undetermined by its standard error,
     # and its valley takes long to follow.
     indices = [
         k
-        for k, name in enumerate(problem.names)
+        for k, name in enumerate(names)
         if name in intervals and _is_known(problem, name, values[name], intervals[name])
     ]
     if details and best.converged and not perfect and indices:
@@ -99,13 +99,13 @@ def certainty_of(
             place,
             best.cost,
             lambda x: (x[:, indices], np.repeat(unit[None], len(x), axis=0)),
-            np.array([covariance.inflation[free[k]] for k in indices]),
+            np.array([covariance.inflation[names[k]] for k in indices]),
         )
         for k, end in zip(indices, ends, strict=True):
-            intervals[free[k]] = _in_values(problem, free[k], end)
+            intervals[names[k]] = _in_values(problem, names[k], end)
     undetermined = tuple(
         name
-        for name in problem.names
+        for name in names
         if name in blind or not _is_known(problem, name, values[name], intervals[name])
     )
     widest = max((covariance.inflation[name] for name in intervals), default=1.0)
@@ -114,16 +114,6 @@ def certainty_of(
         for name, error in errors.items()
     }
     return Certainty(intervals, standard_errors, stuck, undetermined, blind, widest)
-
-
-def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
-    low, high, place = (
-        float(problem.coordinate(name, x)) for x in (*problem.limits[name], value)
-    )
-    # Share of the range of the coordinate: for 1e-12 to 1e12 it is a factor of 1 +
-    # 5e-6.
-    near = BLUR * (high - low)
-    return place <= low + near or place >= high - near
 
 
 def _is_known(
@@ -142,19 +132,6 @@ def _is_known(
         "coefficient": _COEFFICIENT_MOST * abs(value),
     }
     return not is_open and (interval.high - interval.low) / 2 <= most[role]
-
-
-def _straight_interval(
-    problem: StructureProblem, name: str, value: float, reach: float
-) -> Interval:
-    """The interval for a cost that is a parabola in the coordinate."""
-    low, high, centre = (
-        float(problem.coordinate(name, x)) for x in (*problem.limits[name], value)
-    )
-    below, above = max(centre - reach, low), min(centre + reach, high)
-    return _in_values(
-        problem, name, Interval(below, above, below <= low, above >= high)
-    )
 
 
 def _in_values(problem: StructureProblem, name: str, ends: Interval) -> Interval:

@@ -100,9 +100,8 @@ class StructureProblem(Problem):
 
     def value(self, name: str, coordinate: Any) -> Any:
         """The value at a coordinate."""
-        if self.is_coefficient(name):
-            coordinate = _LEAST * np.sinh(coordinate)
-        return coordinate
+        coefficient = self.is_coefficient(name)
+        return _LEAST * np.sinh(coordinate) if coefficient else coordinate
 
     def slope(self, name: str, value: Any) -> Any:
         """The derivative of a value with respect to its coordinate."""
@@ -118,11 +117,14 @@ class StructureProblem(Problem):
         return self.places_of(values)[0]
 
     def values(self, places: Real) -> dict[str, Any]:
-        """Parameters (M, 1) at places (M, p)."""
-        values: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
-        for name, column in zip(self.names, places.T, strict=True):
-            values[name] = self.value(name, column)[:, None]
-        return values
+        """Parameters (M, 1) at places (M, p), in the order of the text."""
+        columns = dict(zip(self.names, places.T[:, :, None], strict=True))
+        return {
+            name: self.value(name, columns[name])
+            if name in columns
+            else np.array([[self.fixed[name]]])
+            for name in self.structure.names
+        }
 
     def output(self, values: Values) -> Real:
         """The response (R,) with single values of all parameters."""

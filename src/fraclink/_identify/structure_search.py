@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink._identify.problem import (
     FIRST_STEPS,
@@ -134,23 +135,18 @@ def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
         name: float(np.ravel(value)[0])
         for name, value in problem.values(found.places[k : k + 1]).items()
     }
-    ordered = {name: values[name] for name in problem.structure.names}
     return Place(
-        ordered, float(at.offset[0]), float(at.cost[0]), bool(found.converged[k])
+        values, float(at.offset[0]), float(at.cost[0]), bool(found.converged[k])
     )
 
 
-def _distinct(problem: StructureProblem, found: Descent) -> list[int]:
+def _distinct(problem: StructureProblem, found: Descent) -> NDArray[np.int_]:
     """Indices of the ends of descents, best first, without repetitions."""
-    best: list[int] = []
-    for k in np.argsort(found.costs).tolist():
-        if not math.isfinite(found.costs[k]):
-            break
-        # Within the precision of a descent, costs belong to the same function, found
-        # twice or with its parameters exchanged.
-        if not best or found.costs[k] > found.costs[best[-1]] * (1 + problem.precision):
-            best.append(k)
-    return best
+    order = np.argsort(found.costs)[: np.count_nonzero(np.isfinite(found.costs))]
+    costs = found.costs[order]
+    # Within the precision of a descent, costs belong to the same function, found twice
+    # or with its parameters exchanged.
+    return order[np.diff(costs, prepend=-math.inf) > problem.precision * costs]
 
 
 def in_order(problem: StructureProblem, place: Place) -> Place:
@@ -164,18 +160,16 @@ def in_order(problem: StructureProblem, place: Place) -> Place:
     orders = [n for n in structure.of_role("order") if n in problem.names]
     others = [n for n in structure.of_role("coefficient") if n in problem.names]
     for first, second in combinations(orders, 2):
-        for partner in [(), *combinations(others, 2)]:
-            pairs = [(first, second), *([partner] if partner else [])]
-            if values[first] >= values[second] or any(
-                problem.limits[one] != problem.limits[other] for one, other in pairs
-            ):
+        for partners in [(), *combinations(others, 2)]:
+            pairs = [(first, second), (second, first), *permutations(partners, 2)]
+            swapped = values | {one: values[other] for one, other in pairs}
+            alike = all(
+                problem.limits[one] == problem.limits[two] for one, two in pairs
+            )
+            if not alike or values[first] >= values[second]:
                 continue
-            swapped = dict(values)
-            for one, other in pairs:
-                swapped[one], swapped[other] = values[other], values[one]
             here, there = problem.output(values), problem.output(swapped)
-            if np.allclose(
-                there, here, rtol=0.0, atol=problem.precision * float(np.ptp(here))
-            ):
+            least = problem.precision * float(np.ptp(here))
+            if np.allclose(there, here, rtol=0.0, atol=least):
                 values = swapped
     return replace(place, values=values)

@@ -231,15 +231,15 @@ def _check_used(
     """Raise FieldError for an option that does not apply to these data and would be
     ignored.
     """
-    swept = isinstance(data, FrequencyResponse)
-    of_a_recording = {"heldout": heldout, "hold": None if hold == "auto" else hold}
-    if "offset" in known:
-        of_a_recording["fixed['offset']"] = known["offset"]
-    options = of_a_recording if swept else {"weighting": weighting}
-    beside, other = (
-        ("a frequency response", "a recording")
-        if swept
-        else ("a recording", "a frequency response")
+    of_a_recording: dict[str, object] = {
+        "heldout": heldout,
+        "hold": None if hold == "auto" else hold,
+        "fixed['offset']": known.get("offset"),
+    }
+    beside, other, options = (
+        ("a frequency response", "a recording", of_a_recording)
+        if isinstance(data, FrequencyResponse)
+        else ("a recording", "a frequency response", {"weighting": weighting})
     )
     for field, value in options.items():
         if value is not None:

@@ -5,7 +5,6 @@ intervals, criteria.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -219,13 +218,9 @@ def link_intervals(
 _SCORE_LAGS = 5
 
 
-def structure_criteria(
-    search: Search, effective: Mapping[str, float]
-) -> dict[str, tuple[float, float]]:
+def structure_criteria(search: Search) -> dict[str, tuple[float, float]]:
     """Two criteria of every structure under the noise of this log, both equal to the
     AIC if it is white.
-
-    `effective` are tr(H⁻¹J) of all structures.
 
         n ln(MSE) + 2 tr(H⁻¹J)    and    n ln(σ²)/k + 2 p
 
@@ -244,6 +239,10 @@ def structure_criteria(
     both counts as shown.
     """
     solutions = {name: search.solve(name) for name in STRUCTURES}
+    effective = {
+        name: link_covariance(search, solution, coloured=True)[0].effective
+        for name, solution in solutions.items()
+    }
     # If the residual of any structure is noise, it is that of the richest one; with a
     # poorer one, its misfit would be whitened away.
     richest = max(STRUCTURES, key=lambda name: len(STRUCTURES[name].free))
