@@ -52,10 +52,6 @@ class Expression:
         """Parameters in the order of the text."""
         return tuple(self.roles)
 
-    def of_role(self, role: Role) -> tuple[str, ...]:
-        """Parameters of one role."""
-        return tuple(name for name, own in self.roles.items() if own == role)
-
     def response(self, values: Mapping[str, Any], points: Complex) -> Complex:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
         # The principal branch, computed once for all powers: s^a is then the same

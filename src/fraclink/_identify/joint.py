@@ -142,14 +142,10 @@ class JointProblem(Problem):
         return result
 
     @cached_property
-    def low(self) -> Real:
+    def box(self) -> tuple[Real, Real]:
         """See `Problem`."""
-        return self._of_each([_LIMITS[name][0] for name in self.names])
-
-    @cached_property
-    def high(self) -> Real:
-        """See `Problem`."""
-        return self._of_each([_LIMITS[name][1] for name in self.names])
+        low, high = zip(*(_LIMITS[name] for name in self.names), strict=True)
+        return self._of_each(low), self._of_each(high)
 
     @cached_property
     def reach(self) -> Real:

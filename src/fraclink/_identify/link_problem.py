@@ -93,21 +93,14 @@ class LinkProblem(Problem):
         return self._start[list(self.free)]
 
     @cached_property
-    def low(self) -> Real:
+    def box(self) -> tuple[Real, Real]:
         """See `Problem`."""
-        low = self.solution.lower.copy()
+        low, high = self.solution.lower.copy(), self.solution.upper.copy()
         if self.turned:
             # Without damping α has no meaning, and any value will do.
             low[3] = (self.solution.shape[2] or 1.0) * _stiffening(ALPHA_LIMITS[1])
-        return low[list(self.free)]
-
-    @cached_property
-    def high(self) -> Real:
-        """See `Problem`."""
-        high = self.solution.upper.copy()
-        if self.turned:
             high[3] = 1.0
-        return high[list(self.free)]
+        return low[list(self.free)], high[list(self.free)]
 
     @property
     def measured(self) -> Real:
@@ -146,7 +139,7 @@ class LinkProblem(Problem):
 
     def clip(self, places: Real) -> Real:
         """See `Problem`: beyond the largest damping ratio ω₀² would be negative."""
-        places = np.clip(places, self.low, self.high)
+        places = super().clip(places)
         if self.turned and 3 in self.free:
             ratio, column = places[:, self.free.index(2)], self.free.index(3)
             most, least = (ratio * _stiffening(order) for order in ALPHA_LIMITS)

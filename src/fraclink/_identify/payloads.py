@@ -374,7 +374,7 @@ def _test(
     )
     # The difference in the number of parameters between the separate fits and the joint
     # fit.
-    degrees = joint.index.size - joint.low.size
+    degrees = joint.index.size - joint.box[0].size
     # The upper tail of χ², which keeps the digits of small values: 1 − P would round to
     # zero below 1e-16.
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0

@@ -68,13 +68,8 @@ class Problem(ABC):
 
     @property
     @abstractmethod
-    def low(self) -> Real:
-        """Lower limits (p,)."""
-
-    @property
-    @abstractmethod
-    def high(self) -> Real:
-        """Upper limits (p,)."""
+    def box(self) -> tuple[Real, Real]:
+        """Lower and upper limits (p,)."""
 
     @property
     @abstractmethod
@@ -101,11 +96,11 @@ class Problem(ABC):
         """The longest step (p,) within the validity of a quadratic model: 1 for a
         logarithm, where the parameter itself would reach zero.
         """
-        return np.full(self.low.size, math.inf)
+        return np.full(self.box[0].size, math.inf)
 
     def clip(self, places: Real) -> Real:
         """The nearest admissible places."""
-        return np.clip(places, self.low, self.high)
+        return np.clip(places, *self.box)
 
     @abstractmethod
     def quadratic(self, places: Real) -> Quadratic:
@@ -195,7 +190,7 @@ def descend(
     than the rounding of a perfect fit.
     """
     shape = np.shape(places)
-    low, high = (np.broadcast_to(x, shape) for x in box or (problem.low, problem.high))
+    low, high = (np.broadcast_to(x, shape) for x in box or problem.box)
     places = np.clip(problem.clip(np.array(places, np.float64)), low, high)
     at = problem.quadratic(places)
     costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
@@ -245,7 +240,7 @@ def descend_within_samples(
     """
     delay = place[k] / period
     whole = np.unique([math.floor(delay + 1e-9), math.ceil(delay - 1e-9)])
-    low, high = (np.tile(x, (whole.size, 1)) for x in (problem.low, problem.high))
+    low, high = (np.tile(x, (whole.size, 1)) for x in problem.box)
     low[:, k] = np.maximum((whole - 1 + 1e-6) * period, low[:, k])
     high[:, k] = np.minimum(whole * period, high[:, k])
     # A fixed zero delay leaves a single value, while the others are fitted.
@@ -436,7 +431,7 @@ def _outward(
     """The steps to the extreme value of a parameter on the target surface, with all
     others optimal, and flags where limits stop the parameter.
     """
-    at_limit = np.zeros(places.shape, bool)
+    (low, high), at_limit = problem.box, np.zeros(places.shape, bool)
     # Twice: a coordinate stopped by a limit is held in the second pass.
     for _ in range(2):
         values, vectors, size = _axes(at.normal, at_limit)
@@ -453,7 +448,5 @@ def _outward(
             reach = np.where(across > 0, sign * np.sqrt(room / across), 0.0)
             step = np.where(at_limit, 0.0, down + reach[:, None] * along)
         step = np.where(np.isfinite(step), step, 0.0)
-        at_limit = ((places <= problem.low) & (step < 0)) | (
-            (places >= problem.high) & (step > 0)
-        )
+        at_limit = (places <= low) & (step < 0) | (places >= high) & (step > 0)
     return step, ~(across > 0)

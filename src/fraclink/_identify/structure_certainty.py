@@ -53,7 +53,7 @@ def certainty_of(
     `details`.
     """
     values, place = best.values, searched.place_of(best.values)
-    ended = at_limits(place, searched.low, searched.high)
+    ended = at_limits(place, *searched.box)
     stuck = tuple(compress(searched.names, ended))
     # A parameter at a limit is held there for the others.
     held = {name: values[name] for name in stuck}
@@ -77,7 +77,7 @@ def certainty_of(
     errors = {name: covariance.errors[name] for name in names if name not in blind}
     # For a cost that is a parabola in the coordinates.
     reach = QUANTILE * np.array([covariance.errors[name] for name in names])
-    low, high = problem.low, problem.high
+    low, high = problem.box
     below, above = np.maximum(place - reach, low), np.minimum(place + reach, high)
     straight = zip(below, above, below <= low, above >= high, strict=True)
     intervals = {

@@ -48,11 +48,6 @@ class Lines:
     weight: Real
 
     @property
-    def screen(self) -> Lines:
-        """Itself: a candidate costs microseconds."""
-        return self
-
-    @property
     def band(self) -> Limits:
         """Lowest and highest frequency [rad/s] of the data."""
         return float(self.points[0].imag), float(self.points[-1].imag)
@@ -77,8 +72,6 @@ class Lines:
 # σ·span of the inverse transform: with less, a slow end wraps around; with more, the
 # response is lost in the truncation beyond the lines
 _BACK = 4.0
-# blocks of a screen: orders, corners and delays show in its lowest 250 lines
-_BLOCKS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +107,6 @@ class Signals(Window):
     def constant(self) -> Real:
         """The effect of an offset of one on `measured`, shape (R,)."""
         return np.ones(self.measured.size)
-
-    @property
-    def screen(self) -> Blocks:
-        """The recording in blocks, for many candidates at once."""
-        return Blocks(self, math.ceil(self.measured.size / _BLOCKS))
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """See `Lines`: each the exact one to the held input."""

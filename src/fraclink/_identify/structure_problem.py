@@ -134,14 +134,10 @@ class StructureProblem(Problem):
     # --- as of `Problem`
 
     @cached_property
-    def low(self) -> Real:
+    def box(self) -> tuple[Real, Real]:
         """See `Problem`."""
-        return self.place_of({n: low for n, (low, _) in self.limits.items()})
-
-    @cached_property
-    def high(self) -> Real:
-        """See `Problem`."""
-        return self.place_of({n: high for n, (_, high) in self.limits.items()})
+        low, high = self.places_of({n: np.array(x) for n, x in self.limits.items()})
+        return low, high
 
     @cached_property
     def reach(self) -> Real:

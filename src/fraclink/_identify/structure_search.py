@@ -23,7 +23,7 @@ from fraclink._identify.problem import (
     descend,
     descend_within_samples,
 )
-from fraclink._identify.structure_data import Lines, Signals
+from fraclink._identify.structure_data import Blocks, Lines, Signals
 from fraclink._identify.structure_problem import StructureProblem
 from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
@@ -31,6 +31,8 @@ from fracsys.checks import Real
 # Of the draws, and of the descents after a few steps, so many are continued: on the
 # screen each stage takes about as long as the one before.
 _DRAWS, _DESCENTS, _FOLLOWED = 1000, 64, 16
+# of a screen: orders, corners and delays show in its lowest 250 lines
+_BLOCKS = 500
 _NEARLY = 1.05  # costs on the samples within 5 % are followed
 _TRIED = 4  # number of descents on the samples
 
@@ -49,7 +51,11 @@ def best_places(
     problem: StructureProblem, data: Signals | Lines, start: Mapping[str, float] | None
 ) -> list[Place]:
     """Places that no step improves, best first."""
-    screen = replace(problem, data=data.screen)
+    width = math.ceil(data.measured.size / _BLOCKS)
+    # A candidate for the lines of a response costs microseconds as it is.
+    screen = replace(
+        problem, data=Blocks(data, width) if isinstance(data, Signals) else data
+    )
     places = screen.sized(_drawn_places(problem, data))
     costs = screen.fitted(places).cost
     candidates: list[Real] = []
@@ -70,7 +76,7 @@ def best_places(
         candidates += [*problem.clip(problem.places_of(start))]
     # A transform does not distinguish unstable functions from stable ones; the samples
     # do.
-    rows = np.reshape(candidates, (len(candidates), len(problem.low)))
+    rows = np.reshape(candidates, (len(candidates), len(problem.names)))
     costs = problem.fitted(rows).cost
     near = np.argsort(costs)[:_TRIED]
     near = near[
@@ -156,9 +162,9 @@ def in_order(problem: StructureProblem, place: Place) -> Place:
     In a2*s**n2 + a1*s**n1 the two terms may be exchanged: which order is called n2 is a
     convention.
     """
-    values, structure = dict(place.values), problem.structure
-    orders = [n for n in structure.of_role("order") if n in problem.names]
-    others = [n for n in structure.of_role("coefficient") if n in problem.names]
+    values, roles = dict(place.values), problem.structure.roles
+    orders = [n for n in problem.names if roles[n] == "order"]
+    others = [n for n in problem.names if roles[n] == "coefficient"]
     for first, second in combinations(orders, 2):
         for partners in [(), *combinations(others, 2)]:
             pairs = [(first, second), (second, first), *permutations(partners, 2)]

@@ -41,10 +41,6 @@ class Value(NamedTuple):
     low: float
     high: float
 
-    def disagrees(self, other: Value) -> bool:
-        """Whether both intervals are known and disjoint."""
-        return self.high < other.low or other.high < self.low
-
 
 @compared
 @dataclass(frozen=True, eq=False)
@@ -323,7 +319,8 @@ def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
     apart = [
         key
         for key, value in found.figures.items()
-        if key in own and value.disagrees(own[key])
+        # Both intervals are known and disjoint.
+        if key in own and (value.high < own[key].low or own[key].high < value.low)
     ]
     if apart:
         evidence = {key: found.figures[key].value for key in apart} | {
