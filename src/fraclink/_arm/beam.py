@@ -317,9 +317,7 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     mode = model.second_mode
     if mode is not None:
         mode = replace(mode, frequency=mode.frequency * float(second))
-    return replace(
-        model.with_mass(float(first) ** -2), payload=payload, second_mode=mode
-    )
+    return model.with_mass(float(first) ** -2, payload=payload, second_mode=mode)
 
 
 def assumed_ratio(model: LinkModel) -> float | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -425,11 +425,11 @@ class LinkModel:
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0
         """
-        return replace(self.with_mass(payload / self.known_payload), payload=payload)
+        return self.with_mass(payload / self.known_payload, payload=payload)
 
-    def with_mass(self, ratio: float) -> LinkModel:
-        """Return the link with `ratio` times its mass. The material damps: D(s) = 1 +
-        (μ/ω₀²) s^α is the same for every mass.
+    def with_mass(self, ratio: float, **others: Any) -> LinkModel:
+        """Return the link with `ratio` times its mass, and other fields as given. The
+        material damps: D(s) = 1 + (μ/ω₀²) s^α is the same for every mass.
 
         >>> LinkModel(1.56, 10.0, damping=0.4).with_mass(4.0).damping
         0.1
@@ -440,7 +440,7 @@ class LinkModel:
             for name, low, high in self.intervals
         )
         own = {name: scale * getattr(self, name) for name, scale in scales.items()}
-        return replace(self, intervals=intervals, **own)
+        return replace(self, intervals=intervals, **own, **others)
 
     def payload_at(self, natural_frequency: float) -> float:
         """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse

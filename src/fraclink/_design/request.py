@@ -83,14 +83,13 @@ class Arms:
             ]
         empty = self.rig.payloads.empty or _EMPTY_SHARE * light
         alone = model_at(self.model, self.rig, empty)
-        own = np.array([alone.natural_frequency])
-        cases.append(Case(Arm(alone), own, np.array([empty]), empty=True))
-        for arm in () if self.box is None else arms_of(self.box, self.model):
-            assert self.box is not None  # noqa: S101
+        own, mass = np.array([[alone.natural_frequency], [empty]])
+        cases.append(Case(Arm(alone), own, mass, empty=True))
+        if self.box is not None:
             # the box's own interval of ω₀ widens the range of the payloads
             wider = np.array(self.box.natural_frequency) / self.model.natural_frequency
-            ends = np.array([low, high]) * wider
-            cases.append(Case(arm, ends, np.array([heavy, light])))
+            ends = np.array([low, high]) * wider, np.array([heavy, light])
+            cases += [Case(arm, *ends) for arm in arms_of(self.box, self.model)]
         return tuple(cases)
 
     @cached_property
@@ -102,9 +101,9 @@ class Arms:
             motor_loop=self.motor_loop,
             period=self.rig.period,
         )
-        loops = (case.arm.loop(unit, self.rig) for case in self.cases)
         return tuple(
-            replace(loop, gain=1.0, order=0.0, filter_time=0.0) for loop in loops
+            replace(case.arm.loop(unit, self.rig), gain=1.0, order=0.0, filter_time=0.0)
+            for case in self.cases
         )
 
     @cached_property

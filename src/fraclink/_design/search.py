@@ -83,14 +83,15 @@ def lowest(
     high: Real,
     *,
     enough: float = -math.inf,
+    once: bool = False,
 ) -> tuple[Real, Bounded]:
     """Return the best parameters that sequential quadratic programming tries, and what
     is bounded there; the first with no cost above `enough` and nothing missed.
 
     A descent is given up after twice as many points as it has unknowns without a gain:
     at a kink, its line search makes no headway. Another one begins where it ended, with
-    a curvature of its own, until one gains nothing. All of them together try twice as
-    many points as the curvature has entries.
+    a curvature of its own, until one gains nothing, unless `once` is to do. All of them
+    together try twice as many points as the curvature has entries.
     """
     best = last = start, bounded_at(start)
     idle, left = 0, 2 * (start.size + 1) ** 2
@@ -133,7 +134,7 @@ def lowest(
                 constraints={"type": "ineq", "fun": kept, "jac": slopes},
                 options={"ftol": _KEPT},
             )
-        gains = best[1].better(bounded)
+        gains = not once and best[1].better(bounded)
     return best
 
 
@@ -287,12 +288,14 @@ class Search:
             solution = wider.descended(solution.x)
         return solution
 
-    def descended(self, start: Real) -> Solution:
+    def descended(self, start: Real, *, once: bool = False) -> Solution:
         """Return where the rows are eased least, and the noise is least if none is."""
-        x, end = lowest(self.easing, start, *self.bounds, enough=0.0)
+        x, end = lowest(self.easing, start, *self.bounds, enough=0.0, once=once)
         if end.missed > 0.0 or end.largest > _KEPT:
             return Solution(self, x, end.missed, end.largest)
-        return Solution(self, lowest(self.noise, x, *self.bounds)[0], 0.0, 0.0)
+        return Solution(
+            self, lowest(self.noise, x, *self.bounds, once=once)[0], 0.0, 0.0
+        )
 
 
 # the noise is lowered from where the easing ended
@@ -429,7 +432,7 @@ class Solution:
 
 
 def beside(request: Request, controller: Controller) -> Solution:
-    """Return where a search at every link of a request ends that begins from a
+    """Return where one descent at every link of a request ends that begins from a
     controller.
     """
     notch = None if controller.notch is None else request.notches[-1]
@@ -437,7 +440,7 @@ def beside(request: Request, controller: Controller) -> Solution:
     order = max(request.filter_orders, key=lambda n: n == controller.filter_order)
     search = Search(request, tuple(range(len(request.arms.table))), order, notch)
     x = Outer.of(controller, request.reference).x[: search.bounds[0].size]
-    return search.descended(x.clip(*search.bounds))
+    return search.descended(x.clip(*search.bounds), once=True)
 
 
 def solved(request: Request, near: Solution | None = None) -> Solution:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -196,24 +196,32 @@ def tabulated(
 
 
 def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Complex]:
-    """`centre`, `plant` and `closing` of a table, from values on a circle about each
-    centre.
+    """`centre`, `plant` and `closing` of a table.
 
     The links share the centres, multiples of a quarter of the radius, and both
     expansions are linear in 1/ω₀²: those of a rigid link and of another give all.
     """
     spacing, (low, high) = 0.25 * _RADIUS, _REGION
-    first = np.floor((np.log(mode[:, None]) + low) / spacing)
+    first = np.floor((np.log(mode[:, None]) + low) / spacing).astype(int)
     places = first + np.arange(math.ceil((high - low) / spacing) + 2)
-    shared, which = np.unique(places, return_inverse=True)
-    circle = _RADIUS * np.exp(1j * math.tau * np.arange(_TERMS) / _TERMS)
-    w, two = np.exp(spacing * shared[:, None] + circle), np.array([math.inf, 1.0])
-    plant = bare.denominator(w, two[:, None, None])
-    values = np.array([plant, plant * bare(w, two[:, None, None])])
-    terms = (np.fft.fft(values) / _TERMS)[:, :, which.reshape(places.shape)]
+    start, stop = int(places.min()), int(places.max()) + 1
+    terms = _expanded(bare, spacing, start, stop)[:, :, places - start]
     rigid, soft, inverse = terms[:, 0], terms[:, 1], w0[:, None, None] ** -2.0
     plant, closing = (rigid + inverse * (soft - rigid)).reshape(2, mode.size, -1)
     return np.asarray(spacing * places, np.float64), plant, closing
+
+
+@lru_cache(maxsize=64)  # the same for every payload of an arm, and so all along a drag
+def _expanded(bare: Loop, spacing: float, start: int, stop: int) -> Complex:
+    """Taylor coefficients of D and of D times the loop beside Ĉ, of a rigid link and of
+    one with ω₀ = 1, about some multiples of `spacing`: from values on a circle about
+    each.
+    """
+    circle = _RADIUS * np.exp(1j * math.tau * np.arange(_TERMS) / _TERMS)
+    w = np.exp(spacing * np.arange(start, stop)[:, None] + circle)
+    two = np.array([math.inf, 1.0])[:, None, None]
+    plant = bare.denominator(w, two)
+    return np.asarray(np.fft.fft([plant, plant * bare(w, two)]) / _TERMS)
 
 
 def stacked(tables: Iterable[Table]) -> Table:

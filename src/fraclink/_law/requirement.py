@@ -233,7 +233,7 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
             payload = design.payload(float(w0))
             mode = model_at(model, design.rig, payload).second_mode
             ratio = (model.natural_frequency / float(w0)) ** 2
-            yield Arm(replace(model.with_mass(ratio), second_mode=mode)), payload
+            yield Arm(model.with_mass(ratio, second_mode=mode)), payload
         return
     for arm in arms_of(design.box, model):
         # The heaviest payload has the lowest ω₀: both ranges ascend, so one of them is
