@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1291,
     "_export": 425,
     "_files": 558,
-    "_identify": 2351,
+    "_identify": 2342,
     "_law": 941,
     "_reading": 875,
     "_simulate": 1169,

@@ -52,6 +52,7 @@ class Expression:
         """Parameters in the order of the text."""
         return tuple(self.roles)
 
+    @np.errstate(all="ignore")
     def response(self, values: Mapping[str, Any], points: Complex) -> Complex:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
         # The principal branch, computed once for all powers: s^a is then the same
@@ -62,8 +63,7 @@ class Expression:
             points, lambda _, order: np.exp(order * logarithm), np.exp, arrays
         )
         # a candidate may overflow: its cost is infinite, and it is dropped
-        with np.errstate(all="ignore"):
-            return _value(self.tree, leaves)
+        return _value(self.tree, leaves)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError if there is none for these values (a

@@ -181,5 +181,4 @@ class JointProblem(Problem):
             cost += np.where(possible, weight * at.cost, math.inf)
             slope[:, own] += weight * at.slope
             normal[:, own[:, None], own] += weight * at.normal
-        # Every log has a gain and an offset of its own.
-        return Quadratic(cost, slope, normal, *np.full((2, count), math.nan))
+        return Quadratic(cost, slope, normal)

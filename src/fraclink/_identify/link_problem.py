@@ -5,13 +5,13 @@ at once.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from fraclink._arm.link import STRUCTURES
-from fraclink._identify.problem import Problem, Quadratic, reduced
+from fraclink._identify.problem import Problem, Quadratic
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -34,13 +34,28 @@ def quadratic_of(
     respect to the coordinates; gain and offset are free if NaN.
     """
     moving = np.flatnonzero(chain.any(axis=(0, 2))).tolist()
-    grams = kernel.grams(np.ascontiguousarray(shapes), mask_of(moving))
-    limits = (-math.inf, math.inf) if math.isnan(gain) else (gain, gain)
-    quadratic, part = reduced(grams, limits, offset), chain[:, moving]
-    return replace(
-        quadratic,
-        slope=np.einsum("mkp,mk->mp", part, quadratic.slope),
-        normal=part.transpose(0, 2, 1) @ quadratic.normal @ part,
+    part = chain[:, moving]
+    # Of [measured, response, constant, derivatives of the response].
+    gram = kernel.grams(np.ascontiguousarray(shapes), mask_of(moving))
+    if math.isnan(offset):
+        # All signals relative to their means.
+        mean = gram[:, 2] / gram[:, 2, 2:3]
+        gram = gram - mean[:, :, None] * gram[:, 2][:, None, :]
+    level = np.nan_to_num(offset)
+    products = gram[:, 0] - level * gram[:, 2]  # products with measured − offset
+    across, normal = gram[:, 3:, 1], gram[:, 3:, 3:]
+    best = np.full(len(gram), gain)
+    if math.isnan(gain):
+        power = np.maximum(gram[:, 1, 1], 1e-300)
+        best = np.nan_to_num(products[:, 1] / power)
+        projection = across[:, :, None] * across[:, None, :]
+        normal = normal - projection / power[:, None, None]
+    rest = products - best[:, None] * gram[:, 1]
+    cost = rest[:, 0] - level * rest[:, 2] - best * rest[:, 1]
+    return Quadratic(
+        np.where(np.isfinite(cost), np.maximum(cost, 0.0), np.inf),
+        np.einsum("mkp,mk->mp", part, best[:, None] * rest[:, 3:]),
+        part.transpose(0, 2, 1) @ (best[:, None, None] ** 2 * normal) @ part,
     )
 
 

@@ -4,9 +4,9 @@ A problem gives, for M candidates at once, the cost of each and its change aroun
 
     cost(x + d) = cost − 2 slopeᵀ d + dᵀ normal d,
 
-with gain and offset projected out (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)
-413): a start needs no values for them, and a step cannot trade one for the other. Each
-problem computes these numbers in its own way (a Gram matrix of the compiled kernel, a
+with the offset, and the gain of a link, projected out (Golub and Pereyra, SIAM J. Numer.
+Anal. 10 (1973) 413): a start needs no values for them, and a step cannot trade one for
+the other. Each problem computes these numbers in its own way (a Gram matrix of the compiled kernel, a
 Laplace transform, exact responses).
 """
 
@@ -52,15 +52,12 @@ FIRST_STEPS = 10  # enough to tell a promising descent from a lost one
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """Costs (M,) of M candidates with half their negative slopes (M, p) and their
-    Gauss–Newton matrices (M, p, p); and the gains and offsets that were projected out
-    (M,).
+    Gauss–Newton matrices (M, p, p).
     """
 
     cost: Real
     slope: Real
     normal: Real
-    gain: Real
-    offset: Real
 
 
 class Problem(ABC):
@@ -107,52 +104,6 @@ class Problem(ABC):
         """Costs and quadratic models at places (M, p)."""
 
 
-def reduced(
-    gram: Real, gain: tuple[float, float], offset: float = math.nan
-) -> Quadratic:
-    """The quadratic model from Gram matrices, with optimal gain and offset.
-
-    `gram`, shape (M, 3 + p, 3 + p), is of [measured, response, constant, derivatives of
-    the response]. The gain has a range (low, high), with equal ends if it is known; the
-    offset is free if it is NaN.
-    """
-    free_offset = math.isnan(offset)
-    count = gram[:, 2, 2]
-    with np.errstate(all="ignore"):
-        # All signals relative to their means if the offset is free.
-        inner = gram
-        if free_offset:
-            mean = gram[:, 2] / count[:, None]
-            inner = gram - mean[:, :, None] * gram[:, 2][:, None, :]
-        level = 0.0 if free_offset else offset
-        products = inner[:, 0] - level * inner[:, 2]  # products with measured − offset
-        best = np.clip(products[:, 1] / inner[:, 1, 1], *gain)
-        at_limit = (best <= gain[0]) | (best >= gain[1])
-        best = np.where(np.isfinite(best), best, 0.0)
-        rest = products - best[:, None] * inner[:, 1]
-        cost = rest[:, 0] - level * rest[:, 2] - best * rest[:, 1]
-        across = inner[:, 3:, 1]
-        normal = (
-            inner[:, 3:, 3:]
-            - np.where(at_limit, 0.0, 1.0)[:, None, None]
-            * across[:, :, None]
-            * across[:, None, :]
-            / np.maximum(inner[:, 1, 1], 1e-300)[:, None, None]
-        )
-    shift = (
-        (gram[:, 0, 2] - best * gram[:, 1, 2]) / count
-        if free_offset
-        else np.full(best.shape, offset)
-    )
-    return Quadratic(
-        np.where(np.isfinite(cost), np.maximum(cost, 0.0), np.inf),
-        best[:, None] * rest[:, 3:],
-        best[:, None, None] ** 2 * normal,
-        best,
-        shift,
-    )
-
-
 def at_limits(places: Real, low: Real, high: Real) -> Mask:
     """Which coordinates (p,) ended on a limit of their range."""
     # Share of the range: for the coordinate of 1e-12 to 1e12 a factor of 1 + 5e-6.
@@ -175,6 +126,8 @@ class Descent:
     converged: Mask
 
 
+# A candidate may overflow: its cost is infinite, and it is dropped.
+@np.errstate(all="ignore")
 def descend(
     problem: Problem,
     places: Real,
@@ -284,11 +237,7 @@ def _free_steps(
     values, vectors, size = _axes(normal, held)
     along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
     visible = values > _UNSEEN
-    # A start without much of a response may have a slope beyond the range of squares.
-    with np.errstate(over="ignore"):
-        gain = np.where(visible, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(
-            axis=1
-        )
+    gain = np.where(visible, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
     # Along an undetermined direction any step is equally good, and rounding would
     # choose it.
     step = np.where(visible, along / (values + damping[:, None]), 0.0)
@@ -358,6 +307,7 @@ _MET = 2e-3  # relative to the quantile: 0.01 % of the coverage
 _FAR = 1.5  # multiple of the quantile, beyond which the quadratic model fails
 
 
+@np.errstate(all="ignore")
 def interval_ends(
     problem: Problem,
     best: Real,
@@ -390,8 +340,7 @@ def interval_ends(
             x[np.arange(own.size), rows[own]] for x in parameters(places[own])
         )
         # The root of the log-likelihood is nearly linear in a parameter.
-        with np.errstate(all="ignore"):
-            root = np.sqrt(np.log(np.maximum(at.cost / least, 1.0)) / height[own])
+        root = np.sqrt(np.log(np.maximum(at.cost / least, 1.0)) / height[own])
         far = ~(root < _FAR)
         still = np.abs(value - values[own]) <= 1e-3 * np.abs(value - centre[own])
         values[own] = np.where(far, values[own], value)
@@ -443,10 +392,8 @@ def _outward(
         down, along = (np.einsum("mpq,mq->mp", inverse, x) for x in (slope, g))
         across = np.einsum("mp,mp->m", along, g)
         room = np.maximum(target - at.cost + np.einsum("mp,mp->m", down, slope), 0.0)
-        # A candidate without a response has no model, and no step.
-        with np.errstate(all="ignore"):
-            reach = np.where(across > 0, sign * np.sqrt(room / across), 0.0)
-            step = np.where(at_limit, 0.0, down + reach[:, None] * along)
+        reach = np.where(across > 0, sign * np.sqrt(room / across), 0.0)
+        step = np.where(at_limit, 0.0, down + reach[:, None] * along)
         step = np.where(np.isfinite(step), step, 0.0)
         at_limit = (places <= low) & (step < 0) | (places >= high) & (step > 0)
     return step, ~(across > 0)

@@ -193,8 +193,7 @@ class Blocks:
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
         """See `Lines`."""
         points, into, blocks = self._lines
-        with np.errstate(all="ignore"):
-            output = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
+        output = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
         # Undo the damping that made the transform converge.
         times = self._middle + self.width * np.arange(self.measured.size)
         growth = np.exp(_BACK / self.data.input.size * times)

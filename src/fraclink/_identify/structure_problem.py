@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fraclink._identify.expression import Expression
-from fraclink._identify.problem import Problem, Quadratic, reduced
+from fraclink._identify.problem import Problem, Quadratic
 from fraclink._identify.structure_data import Limits, Samples
 from fracsys._precision import RESOLUTION
 from fracsys.checks import Real
@@ -63,14 +63,13 @@ class StructureProblem(Problem):
         values |= self.fixed
         points = np.linspace(0.5, 2.3, 16) * np.exp(1j * np.linspace(0.3, 1.4, 16))
         # Where the bounds leave no response, no parameter has an effect.
-        with np.errstate(all="ignore"):
-            responses = [
-                self.structure.response(
-                    {**values, name: values[name] * (1 + _STEP)}, points
-                )
-                for name in self.names
-            ]
-            ratios = responses / self.structure.response(values, points)
+        responses = [
+            self.structure.response(
+                {**values, name: values[name] * (1 + _STEP)}, points
+            )
+            for name in self.names
+        ]
+        ratios = responses / self.structure.response(values, points)
         rates = np.log(np.nan_to_num(ratios, nan=1.0, posinf=1.0, neginf=1.0)) / _STEP
         rates[[not self.is_coefficient(name) for name in self.names]] = 0.0
         rows = np.concatenate([rates.real, rates.imag], axis=1).T
@@ -82,8 +81,11 @@ class StructureProblem(Problem):
         """Places whose coefficients are scaled such that the response has the size and
         the sign of what was measured.
         """
-        columns = self.data.response(self.structure, self.values(places))[:, None]
-        gain = self._projected(columns, (-math.inf, math.inf))[0].gain[:, None]
+        responses = self._centred(
+            self.data.response(self.structure, self.values(places))
+        )
+        power = np.einsum("mr,mr->m", responses, responses)
+        gain = np.nan_to_num(responses @ self._centred(self._aim) / power)[:, None]
         # A coordinate is a logarithm with a sign; (−1)^exponent of an odd one is −1.
         shift = np.log(np.where(gain == 0, 1.0, np.abs(gain))) * self._scaling
         turned = (gain < 0) & (np.round(self._scaling) % 2 == 1)
@@ -131,6 +133,14 @@ class StructureProblem(Problem):
         single = {name: np.array([[value]]) for name, value in values.items()}
         return self.data.response(self.structure, single)[0]
 
+    def best_offset(self, values: Values) -> float:
+        """The offset with which single values fit best, or the one that is known."""
+        if not math.isnan(self.offset):
+            return self.offset
+        constant = self.data.constant
+        rest = self.measured - self.output(values)
+        return float(rest @ constant / (constant @ constant))
+
     # --- as of `Problem`
 
     @cached_property
@@ -158,29 +168,47 @@ class StructureProblem(Problem):
         """
         return 1e-3 / self.samples
 
-    def fitted(self, places: Real) -> Quadratic:
-        """Costs and offsets at places, without slopes."""
-        columns = self.data.response(self.structure, self.values(places))[:, None]
-        return self._projected(columns)[0]
+    @cached_property
+    def _aim(self) -> Real:
+        """What was measured, without an offset that is known."""
+        return self.measured - np.nan_to_num(self.offset) * self.data.constant
+
+    def _centred(self, rows: Real) -> Real:
+        """Rows (..., R) without what a free offset takes of them."""
+        if not math.isnan(self.offset):
+            return rows
+        unit = self.data.constant / np.linalg.norm(self.data.constant)
+        return rows - (rows @ unit)[..., None] * unit
+
+    def _left(self, responses: Real) -> tuple[Real, Real]:
+        """What responses (M, R) leave of the measurement, and the costs (M,)."""
+        residual = self._centred(self._aim - responses)
+        cost = np.einsum("mr,mr->m", residual, residual)
+        return residual, np.where(np.isfinite(cost), cost, np.inf)
+
+    def costs(self, places: Real) -> Real:
+        """Costs (M,) at places, without slopes."""
+        return self._left(self.data.response(self.structure, self.values(places)))[1]
 
     def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`."""
         columns = self._columns(places)
-        quadratic, residual = self._projected(columns)
         # From the residual itself: with a Gram matrix a perfect fit would lose half of
         # its digits.
-        slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
-        return replace(quadratic, slope=np.nan_to_num(slope))
+        residual, cost = self._left(columns[:, 0])
+        slopes = self._centred(columns[:, 1:])
+        slope = np.nan_to_num(np.einsum("mpr,mr->mp", slopes, residual))
+        return Quadratic(cost, slope, slopes @ slopes.transpose(0, 2, 1))
 
     def linearised(self, place: Real) -> tuple[Real, Real]:
         """∂(measured)/∂(coordinates, then the offset if free), shape (q, R), and the
         residual (R,).
         """
-        columns = self._columns(place[None, :])
-        rows, residual = columns[0, 1:], self._projected(columns)[1][0]
+        columns = self._columns(place[None, :])[0]
+        rows = columns[1:]
         if math.isnan(self.offset):
             rows = np.vstack([rows, self.data.constant])
-        return rows, residual
+        return rows, self._left(columns[:1])[0][0]
 
     def _columns(self, places: Real) -> Real:
         """Responses and their slopes along the coordinates, shape (M, 1 + p, R)."""
@@ -189,8 +217,7 @@ class StructureProblem(Problem):
         rows = np.concatenate([places, *ahead])
         response = self.data.response(self.structure, self.values(rows))
         columns = response.reshape(1 + len(steps), len(places), -1)
-        with np.errstate(all="ignore"):
-            columns[1:] = np.nan_to_num((columns[1:] - columns[0]) / steps)
+        columns[1:] = np.nan_to_num((columns[1:] - columns[0]) / steps)
         return columns.transpose(1, 0, 2)
 
     def _steps(self, places: Real) -> Real:
@@ -205,30 +232,3 @@ class StructureProblem(Problem):
         )
         size = np.where(delays, _STEP / self.data.band[1], _STEP)
         return np.where(delays & (places >= size), -size, size)
-
-    def _projected(
-        self, columns: Real, limits: Limits = (1.0, 1.0)
-    ) -> tuple[Quadratic, Real]:
-        """The quadratic model of columns (M, 1 + p, R), and the residuals (M, R)."""
-        measured, constant = self.data.measured, self.data.constant
-        shape = (len(columns), 1, measured.size)
-        rows = np.concatenate(
-            [
-                np.broadcast_to(measured, shape),
-                columns[:, :1],
-                np.broadcast_to(constant, shape),
-                columns[:, 1:],
-            ],
-            axis=1,
-        )
-        with np.errstate(all="ignore"):
-            gram = rows @ rows.transpose(0, 2, 1)
-            quadratic = reduced(gram, limits, self.offset)
-            residual = (
-                measured
-                - quadratic.gain[:, None] * columns[:, 0]
-                - quadratic.offset[:, None] * constant
-            )
-            cost = np.einsum("mr,mr->m", residual, residual)
-        cost = np.where(np.isfinite(cost), cost, np.inf)
-        return replace(quadratic, cost=cost), residual

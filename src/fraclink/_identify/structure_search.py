@@ -47,6 +47,8 @@ class Place:
     converged: bool
 
 
+# A candidate may overflow: its cost is infinite, and it is dropped.
+@np.errstate(all="ignore")
 def best_places(
     problem: StructureProblem, data: Signals | Lines, start: Mapping[str, float] | None
 ) -> list[Place]:
@@ -57,7 +59,7 @@ def best_places(
         problem, data=Blocks(data, width) if isinstance(data, Signals) else data
     )
     places = screen.sized(_drawn_places(problem, data))
-    costs = screen.fitted(places).cost
+    costs = screen.costs(places)
     candidates: list[Real] = []
     # Positive coefficients separately: most functions with a negative one are unstable,
     # which a transform does not show, and they would crowd out the others.
@@ -77,7 +79,7 @@ def best_places(
     # A transform does not distinguish unstable functions from stable ones; the samples
     # do.
     rows = np.reshape(candidates, (len(candidates), len(problem.names)))
-    costs = problem.fitted(rows).cost
+    costs = problem.costs(rows)
     near = np.argsort(costs)[:_TRIED]
     near = near[
         np.isfinite(costs[near])
@@ -136,13 +138,15 @@ def _drawn_places(problem: StructureProblem, data: Signals | Lines) -> Real:
 
 def place_of(problem: StructureProblem, found: Descent, k: int) -> Place:
     """Parameters and offset at the end of a descent."""
-    at = problem.fitted(found.places[k : k + 1])
     values = {
         name: float(np.ravel(value)[0])
-        for name, value in problem.values(found.places[k : k + 1]).items()
+        for name, value in problem.values(found.places[[k]]).items()
     }
     return Place(
-        values, float(at.offset[0]), float(at.cost[0]), bool(found.converged[k])
+        values,
+        problem.best_offset(values),
+        float(found.costs[k]),
+        bool(found.converged[k]),
     )
 
 
