@@ -27,7 +27,7 @@ from fraclink.lab._tune_causes import causes, unexplained
 from fraclink.lab._tune_guard import PLANNED, Guard, LimitReached
 from fraclink.lab._tune_link import LinkResult, experiment_of, tune_link
 from fraclink.lab._tune_motion import LawTripped
-from fraclink.lab._tune_motor import tune_motor
+from fraclink.lab._tune_motor import MotorResult, tune_motor
 from fraclink.lab._tune_moves import first_moves
 from fraclink.lab._tune_wiring import FAR, Wiring, check_wiring
 from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan
@@ -186,7 +186,7 @@ class _Session:
         self._tell(str(motor))
         self._write(motor=motor)
         self.guard.learn(motor.fit.gain, motor.fit.delay)
-        link, first, laws = self._link(wiring)
+        link, first, laws = self._link(wiring, motor)
         if first.passed and self.moves:
             self._move(link, itertools.chain((first,), laws))
 
@@ -194,9 +194,9 @@ class _Session:
         """Try the existing law with the present payload of the arm."""
         design = load(self.out / LAW_FILES[0], Design)
         law = load(self.out / LAW_FILES[1], Law)
-        assert self.state.motor is not None  # a law exists  # noqa: S101
-        self.guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        move, why = planned_move(design, law, self.plan.limits, self.state.motor)
+        _, motor, _ = self.state.measured
+        self.guard.learn(motor.fit.gain, motor.fit.delay)
+        move, why = planned_move(design, law, self.plan.limits, motor)
         built = Built(design.rig, design, law, None, (), move=move)
         if why := why or self._refusal(built):
             self._withhold(why)
@@ -220,14 +220,14 @@ class _Session:
         if it does not.
         """
         assert built.design and built.law and built.move  # passed  # noqa: S101
-        assert self.state.motor  # measured  # noqa: S101
+        _, motor, _ = self.state.measured
         self.begin("first moves")
         try:
             moves = first_moves(
                 self.guard,
                 built.design,
                 built.law,
-                self.state.motor,
+                motor,
                 self.plan.payload,
                 built.move,
             )
@@ -253,9 +253,9 @@ class _Session:
             # Also delete the files, because `run-realtime` would take the design.json
             # as it is.
             (self.out / name).unlink(missing_ok=True)
-        assert self.state.link is not None  # it has a law  # noqa: S101
-        fit, payload = self.state.link.fit, self.plan.payload
-        reasons = self._causes() + self._unexplained(self.state.link, 0.0)
+        _, _, link = self.state.measured
+        fit, payload = link.fit, self.plan.payload
+        reasons = self._causes() + self._unexplained(0.0)
         # With the payload that it was measured with, an arm that has changed fails for
         # that reason, whatever else is visible; a move that was stopped at once shows too
         # little to tell.
@@ -269,12 +269,13 @@ class _Session:
             reasons=(f"the arm's own moves fail: {why}", *reasons),
         )
 
-    def _link(self, wiring: Wiring) -> tuple[LinkResult, Built, Iterator[Built]]:
+    def _link(
+        self, wiring: Wiring, motor: MotorResult
+    ) -> tuple[LinkResult, Built, Iterator[Built]]:
         """The experiments on the link, and the law."""
         plan = self.plan
         self.begin("link")
-        assert self.state.motor is not None  # measured  # noqa: S101
-        link = tune_link(self.guard, wiring, self.state.motor, plan.payload, self._tell)
+        link = tune_link(self.guard, wiring, motor, plan.payload, self._tell)
         motor = link.motor
         self._tell(
             *str(link.fit).splitlines(), f"motor, with the link's torque: {motor}"
@@ -302,7 +303,8 @@ class _Session:
     def _causes(self) -> tuple[str, ...]:
         """Causes found in the record that prevent a law."""
         state = self.state
-        assert state.wiring is not None  # checked first  # noqa: S101
+        if state.wiring is None:
+            return ()
         return causes(
             self.guard.record(),
             state.wiring,
@@ -312,17 +314,18 @@ class _Session:
             any(move.hunts for move in state.moves),
         )
 
-    def _unexplained(self, link: LinkResult, least: float) -> tuple[str, ...]:
-        assert self.state.wiring is not None  # checked first  # noqa: S101
+    def _unexplained(self, least: float) -> tuple[str, ...]:
+        """What the model of the link leaves of its moves, beyond `least` [rad]."""
+        wiring, _, link = self.state.measured
         return unexplained(
-            link.residual, link.fit.model, self.guard.record(), self.state.wiring, least
+            link.residual, link.fit.model, self.guard.record(), wiring, least
         )
 
     def _wrote(self, built: Built, link: LinkResult) -> None:
         """Save the results based on the model, each part to its own file."""
         hints = self._causes()
         move = built.move or (PLANNED * self.plan.limits.angle, 0.0)
-        rest = self._unexplained(link, BAND * move[0])
+        rest = self._unexplained(BAND * move[0])
         # what is seen in the record explains what the model leaves
         if built.reasons or rest:
             built = replace(built, reasons=built.reasons + hints + rest)
@@ -370,10 +373,10 @@ class _Session:
 
     def end(self, reason: str) -> None:
         """Save the reason of the end, and the findings in the record."""
-        hints = () if self.state.wiring is None else self._causes()
+        hints = self._causes()
         if self.state.link is not None:
             least = BAND * PLANNED * self.plan.limits.angle
-            hints += self._unexplained(self.state.link, least)
+            hints += self._unexplained(least)
         self.state = replace(self.state, stopped="; ".join((reason, *hints)))
         self._tell(reason, *hints)
 

@@ -202,29 +202,25 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
         return
     # A gauge that leads by less than its standard error has no delay.
     model = replace(fit.model, gauge_delay=fit.model.gauge_lag)
-    fallback: Built | None = None
-    any_passed = False
+    results: list[Built] = []
     try:
         for each in _rigs(rig, model):
             for candidate, words in _designs(each, model):
                 result = _proved(
                     each, candidate.doubted(fit.findings), words, limits, link.motor
                 )
-                any_passed |= result.passed
+                results.append(result)
                 if result.passed:
                     yield result
-                else:
-                    fallback = fallback or result
-            if any_passed:
+            if any(result.passed for result in results):
                 return
     # The link may have no mass or that much: what is infeasible for one is not tried for
     # the other.
     except InfeasibleError as error:
-        fallback = fallback or Built(
-            rig, None, None, None, (f"requirements over the box: {error}",)
-        )
-    if fallback is not None and not any_passed:
-        yield fallback
+        reason = f"requirements over the box: {error}"
+        results.append(Built(rig, None, None, None, (reason,)))
+    if not any(result.passed for result in results):
+        yield results[0]
 
 
 def _rigs(rig: Rig, model: LinkModel) -> tuple[Rig, ...]:

@@ -186,6 +186,19 @@ class Tuning:
     rig: Rig | None = None
 
     @property
+    def measured(self) -> tuple[Wiring, MotorResult, LinkResult]:
+        """Wiring, motor and link; FieldError where the tuning ended before."""
+        if self.wiring is None or self.motor is None or self.link is None:
+            raise FieldError(
+                "tuning",
+                self.stopped or "unfinished",
+                "without a model",
+                "a tuning that has a model",
+                "tune it: `fraclink tune`",
+            )
+        return self.wiring, self.motor, self.link
+
+    @property
     def verdict(self) -> Verdict:
         """The scopes: the proof, the model's moves, the arm's own."""
         if self.certified and self.design_passed:

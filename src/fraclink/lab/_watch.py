@@ -17,6 +17,7 @@ from fraclink._identify import Fit, identify, identify_motor, simulated_torque
 from fraclink._law.block import COULOMB_SPEED
 from fraclink.errors import FieldError, LogError
 from fraclink.lab._tune_causes import sensor_noise
+from fraclink.lab._tune_motor import MotorResult
 from fraclink.lab._tune_wiring import SURE
 from fraclink.lab._tuning import Tuning
 from fracsys.checks import checked
@@ -167,14 +168,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     --------
     See docs/how-to/tune-an-arm.md.
     """
-    if tuning.link is None or tuning.motor is None or tuning.wiring is None:
-        raise FieldError(
-            "tuning",
-            tuning.stopped or "unfinished",
-            "without a model",
-            "a tuning that has a model",
-            "tune it: `fraclink tune`",
-        )
+    wiring, motor, link = tuning.measured
     if not math.isclose(log.period, tuning.period, rel_tol=1e-6):
         raise FieldError(
             "log.period",
@@ -186,7 +180,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     # The time in motion instead of the length: an arm at rest for a minute shows only
     # noise.
     moving = _moving_time(log)
-    least = _LEAST_VIBRATIONS * 2.0 * math.pi / tuning.link.fit.model.resonance
+    least = _LEAST_VIBRATIONS * math.tau / link.fit.model.resonance
     if moving < least:
         raise FieldError(
             "log",
@@ -195,7 +189,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             f">= {least:.3g} s, five vibrations of the link",
             "give a longer record, of moves",
         )
-    baseline = tuning.link.fit
+    baseline = link.fit
     halves = [_part(log, rows) for rows in log.split(0.5)]
     within: tuple[Change, ...] = ()
     if min(map(_moving_time, halves)) >= least:
@@ -210,9 +204,9 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     changes = (
         *within,
         *_link_changes(baseline, fit),
-        *_motor_changes(now, fit, tuning),
+        *_motor_changes(now, fit, motor),
     )
-    noise = sensor_noise(fit.model, log.output, log.period, tuning.wiring)
+    noise = sensor_noise(fit.model, log.output, log.period, wiring)
     expected = max(noise, math.sqrt(baseline.mse))
     return Watch(changes, math.sqrt(fit.mse), expected, moving)
 
@@ -313,11 +307,10 @@ def _change(name: str, was: float, now: float, spread: float) -> Change:
     return Change(name, was, now, spread, off > worth and off > SURE * spread)
 
 
-def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
+def _motor_changes(log: Experiment, fit: Fit, motor: MotorResult) -> tuple[Change, ...]:
     """K/J, and friction and dead zone as one voltage; nothing if the record has no
     voltage or too few moves.
     """
-    assert tuning.motor is not None  # `watch` looked  # noqa: S101
     if log.voltage is None:
         return ()
     # From the whole angle: a link that swings at a cut loads the motor according to its
@@ -330,13 +323,12 @@ def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, .
             log.motor_angle,
             period=log.period,
             torque=torque,
-            delay=tuning.motor.fit.delay,
+            delay=motor.fit.delay,
             # As a single voltage, since a record of moves only shows their sum.
             dead_zone=0.0,
         )
     except LogError:
         return ()
-    motor = tuning.motor
     gain = _change(
         "motor_gain",
         motor.fit.gain,
