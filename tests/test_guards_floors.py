@@ -104,7 +104,7 @@ def test_the_circle_finder_finds_circles() -> None:
 # Private names that each satellite takes from other packages. The counts may only fall,
 # eventually to zero: what a satellite needs belongs in `fraclink.extend`, or in the
 # satellite itself.
-PRIVATE = {"lab": 27, "logs": 24, "trials": 35, "view": 26, "studio": 35}
+PRIVATE = {"lab": 27, "logs": 24, "trials": 35, "view": 25, "studio": 35}
 
 
 def private_imports(satellite: str) -> set[str]:
@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 697,
     "studio": 1056,
     "trials": 1264,
-    "view": 1183,
+    "view": 1134,
 }
 
 

@@ -372,19 +372,6 @@ def budget() -> Figure:
     )
 
 
-def feasible() -> Figure:
-    """Feasible requests by crossover and margin."""
-    return loops.map_figure(
-        fl.extend.feasibility_map(
-            rig().model,
-            rig(),
-            gain_crossovers=np.linspace(8, 34, 16),
-            phase_margins=np.radians(np.linspace(10, 100, 16)),
-            filter_time=0.0,
-        )
-    )
-
-
 @cache
 def moves() -> tuple[fl.Run, ...]:
     move = fl.smooth_step(1.0, duration=0.5)
@@ -490,9 +477,6 @@ PICTURES: dict[str, Picture] = {
     ),
     "pid-step": Picture(
         "A fractional PID on its plant", "how-to/tune-a-fractional-pid", pid_step
-    ),
-    "feasible": Picture(
-        "What can be asked for", "how-to/design-a-controller", feasible
     ),
     "filters": Picture("The filter’s price", "how-to/choose-the-filter", filters),
     "mode-gain": Picture(

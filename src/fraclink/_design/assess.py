@@ -22,7 +22,6 @@ from fraclink._design.procedure import link_of, request_of
 from fraclink._design.rows import specification
 from fraclink._design.search import solved
 from fraclink._design.table import Table, Trial, tabulated
-from fraclink._display import displayed
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError
@@ -276,7 +275,6 @@ def mode_gains(
     return () if modes is None else mode_requirements(modes, response, limit)
 
 
-@displayed
 @compared
 @dataclass(frozen=True, eq=False)
 class FeasibilityMap:

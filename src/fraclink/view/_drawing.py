@@ -31,7 +31,6 @@ from fraclink.view._marks import (
     Layers,
     Mark,
     escaped,
-    percent,
     reach,
 )
 from fraclink.view._pages import DARK, LIGHT, literal, template_text
@@ -103,7 +102,6 @@ class Figure:
     log: bool = False
     left: float = 46.0
     rigid: bool = False  # the same scale in both directions: a plane
-    key: tuple[str, ...] = ()  # a title, then the meaning of the level colours
 
     @property
     def x(self) -> Scale:
@@ -165,9 +163,6 @@ class Figure:
                 f"{escaped(self.xlabel)}</text>"
             )
         bottom += 44.0 if self.xlabel else 24.0
-        if self.key:
-            parts.append(_key(self.key, bottom + 14.0))
-            bottom += 40.0
         # Names at the ends of lines stand outside the panel, after a key of 29 dots;
         # without names the text of the last tick still needs half its width.
         right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
@@ -197,20 +192,6 @@ def save_svg(text: str, path: Path | str) -> None:
             "end its name in .svg; browsers and Inkscape turn it into other kinds",
         )
     write_text(path, text + "\n")
-
-
-def _key(key: tuple[str, ...], top: float) -> str:
-    """The key of the level colours, side by side at any width."""
-    parts = [f'<text class="name" y="{top:g}">{escaped(key[0])}</text>']
-    for level, text in enumerate(key[1:]):
-        x = percent(level / 4)
-        parts.append(
-            f'<rect class="l{level}" x="{x}" y="{top + 8:g}" width="14" height="14"/>'
-        )
-        parts.append(
-            f'<text class="name" x="{x}" dx="19" y="{top + 19:g}">{escaped(text)}</text>'
-        )
-    return "".join(parts)
 
 
 def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) -> str:

@@ -15,7 +15,6 @@ from fraclink._certify.statement import Certificate
 from fraclink._design import Design
 from fraclink._design.assess import (
     CurveKind,
-    FeasibilityMap,
     margin_curve,
 )
 from fraclink._design.pid_tuning import PidTuning
@@ -25,7 +24,6 @@ from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import (
     Across,
     Band,
-    Cells,
     Curve,
     Mark,
     Point,
@@ -34,12 +32,11 @@ from fraclink.view._marks import (
 from fraclink.view._pages import LINES
 from fraclink.view._responses import Response, loop_figure, loop_response
 from fraclink.view._scales import Scale
-from fraclink.view._text import grams, ranges_of
+from fraclink.view._text import grams
 from fracsys.checks import Real
 
 __all__ = [
     "bode_figure",
-    "map_figure",
     "margin_band",
     "margins_figure",
 ]
@@ -231,47 +228,3 @@ def margin_band(design: Design, payloads: Real) -> tuple[Real, Real] | None:
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None or not math.isfinite(value) else value
-
-
-@figure_of.register
-def map_figure(region: FeasibilityMap) -> Figure:
-    """Draw the feasible crossovers and margins, darker where the gauge's noise is
-    amplified more.
-    """
-    x, y = _edges(region.gain_crossover), _edges(np.degrees(region.phase_margin))
-    limits = _levels(region.noise_gain)
-    with np.errstate(invalid="ignore"):
-        table = np.digitize(np.nan_to_num(region.noise_gain, nan=0.0), limits)
-    table = np.where(np.isfinite(region.noise_gain), table, -1)
-    up = Scale(float(y[0]), float(y[-1]))
-    panel = Panel(
-        "phase margin at the lightest payload [°]", [Cells(x, y, table)], 330.0, up
-    )
-    key = ("noise gain", *ranges_of(limits))
-    return Figure(
-        "map",
-        f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}",
-        (panel,),
-        "gain crossover at the heaviest payload [rad/s]",
-        "map",
-        Scale(float(x[0]), float(x[-1])),
-        key=key,
-    )
-
-
-def _edges(middles: Real) -> Real:
-    """Edges of cells from their centres."""
-    inner = 0.5 * (middles[1:] + middles[:-1])
-    first, last = 2 * middles[0] - inner[0], 2 * middles[-1] - inner[-1]
-    return np.concatenate([[first], inner, [last]])
-
-
-def _levels(values: Real) -> Real:
-    """Three round limits that divide finite values into four groups of similar size."""
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return np.array([1.0, 2.0, 3.0])
-    # Quartiles, so that each colour has about a quarter of the map: with equal steps
-    # the lowest would take nearly all of it, since the noise gain rises steeply at the
-    # edge.
-    return np.array([float(f"{q:.2g}") for q in np.quantile(finite, (0.25, 0.5, 0.75))])

@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.view._scales import Scale, envelope
-from fracsys.checks import Real
 
 __all__ = [
     "ACROSS",
     "DOWN",
     "Across",
     "Band",
-    "Cells",
     "Curve",
     "Frame",
     "Layers",
@@ -191,36 +189,6 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """A table in colours: `levels` 0 to 3 of the palette, shape (rows, columns), below
-    0 for none.
-    """
-
-    across: Real
-    up: Real
-    levels: NDArray[np.intp]
-
-    def drawn(self, frame: Frame) -> Layers:
-        """One path for each level, of the runs of equal cells in each row."""
-        x = np.rint(ACROSS * frame.x.share(self.across)).astype(int)
-        y = np.rint(DOWN * (1.0 - frame.y.share(self.up))).astype(int)
-        parts: dict[int, list[str]] = {}
-        for row, values in enumerate(self.levels):
-            # The appended value always differs from the last one, so that the last run
-            # also ends.
-            ends = np.flatnonzero(np.diff(values, append=values[-1] - 1)) + 1
-            for start, end in zip([0, *ends[:-1]], ends, strict=True):
-                box = f"M{x[start]} {y[row]}H{x[end]}V{y[row + 1]}H{x[start]}z"
-                parts.setdefault(int(values[start]), []).append(box)
-        paths = (
-            f'<path class="l{k}" d="{"".join(parts[k])}"/>'
-            for k in sorted(parts)
-            if k >= 0
-        )
-        return Layers(below="".join(paths))
-
-
-@dataclass(frozen=True)
 class Zone:
     """A shaded range of the horizontal scale, or with `lying` of the vertical one."""
 
@@ -315,7 +283,7 @@ class Point:
         )
 
 
-Mark = Curve | Band | Cells | Zone | Across | Upright | Point
+Mark = Curve | Band | Zone | Across | Upright | Point
 
 
 def reach(mark: Mark) -> tuple[tuple[ArrayLike, ...], tuple[ArrayLike, ...]]:

@@ -7,7 +7,6 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,6 @@ __all__ = [
     "page_part",
     "plain",
     "plain_text",
-    "ranges_of",
     "sentence",
     "to_json",
     "view",
@@ -70,17 +68,6 @@ def options_text(arguments: Mapping[str, Any]) -> str:
             # Eight digits: with fewer, a request at its bound would be infeasible.
             words += [f"{figure:.8g}" for figure in np.atleast_1d(value)]
     return " ".join(words)
-
-
-def ranges_of(limits: Iterable[float]) -> tuple[str, ...]:
-    """The ranges into which limits divide a figure, in words.
-
-    >>> ranges_of((1.0, 10.0))
-    ('below 1', '1 to 10', 'above 10')
-    """
-    texts = [number(float(limit), 2) for limit in limits]
-    between = (f"{low} to {high}" for low, high in pairwise(texts))
-    return (f"below {texts[0]}", *between, f"above {texts[-1]}")
 
 
 def sentence(text: str) -> str:
