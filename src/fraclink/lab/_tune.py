@@ -30,7 +30,7 @@ from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import MotorResult, tune_motor
 from fraclink.lab._tune_moves import first_moves
 from fraclink.lab._tune_wiring import FAR, Wiring, check_wiring
-from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan
+from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan, measured
 from fraclink.lab._watch import changed_link
 from fracsys.checks import Between, checked
 
@@ -194,7 +194,7 @@ class _Session:
         """Try the existing law with the present payload of the arm."""
         design = load(self.out / LAW_FILES[0], Design)
         law = load(self.out / LAW_FILES[1], Law)
-        _, motor, _ = self.state.measured
+        _, motor, _ = measured(self.state)
         self.guard.learn(motor.fit.gain, motor.fit.delay)
         move, why = planned_move(design, law, self.plan.limits, motor)
         built = Built(design.rig, design, law, None, (), move=move)
@@ -220,7 +220,7 @@ class _Session:
         if it does not.
         """
         assert built.design and built.law and built.move  # passed  # noqa: S101
-        _, motor, _ = self.state.measured
+        _, motor, _ = measured(self.state)
         self.begin("first moves")
         try:
             moves = first_moves(
@@ -253,7 +253,7 @@ class _Session:
             # Also delete the files, because `run-realtime` would take the design.json
             # as it is.
             (self.out / name).unlink(missing_ok=True)
-        _, _, link = self.state.measured
+        _, _, link = measured(self.state)
         fit, payload = link.fit, self.plan.payload
         reasons = self._causes() + self._unexplained(0.0)
         # With the payload that it was measured with, an arm that has changed fails for
@@ -316,7 +316,7 @@ class _Session:
 
     def _unexplained(self, least: float) -> tuple[str, ...]:
         """What the model of the link leaves of its moves, beyond `least` [rad]."""
-        wiring, _, link = self.state.measured
+        wiring, _, link = measured(self.state)
         return unexplained(
             link.residual, link.fit.model, self.guard.record(), wiring, least
         )

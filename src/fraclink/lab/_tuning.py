@@ -21,7 +21,7 @@ from fraclink.lab._tune_moves import AFTER, FirstMove
 from fraclink.lab._tune_wiring import MOST, STRONGEST, Wiring
 from fracsys.checks import Payload, checked, checked_noun
 
-__all__ = ["FILES", "Tuning", "TuningPlan"]
+__all__ = ["FILES", "Tuning", "TuningPlan", "measured"]
 
 # removed if the law fails on the arm
 LAW_FILES = ("design.json", "law.json", "certificate.json")
@@ -186,19 +186,6 @@ class Tuning:
     rig: Rig | None = None
 
     @property
-    def measured(self) -> tuple[Wiring, MotorResult, LinkResult]:
-        """Wiring, motor and link; FieldError where the tuning ended before."""
-        if self.wiring is None or self.motor is None or self.link is None:
-            raise FieldError(
-                "tuning",
-                self.stopped or "unfinished",
-                "without a model",
-                "a tuning that has a model",
-                "tune it: `fraclink tune`",
-            )
-        return self.wiring, self.motor, self.link
-
-    @property
     def verdict(self) -> Verdict:
         """The scopes: the proof, the model's moves, the arm's own."""
         if self.certified and self.design_passed:
@@ -288,3 +275,16 @@ class Tuning:
             yield Row("motor_pole", "motor loop", self.motor.loop.pole, "rad/s")
         if self.link is not None and (mode := self.link.fit.model.second_mode):
             yield Row("second_mode", "second mode", mode.frequency, "rad/s")
+
+
+def measured(tuning: Tuning) -> tuple[Wiring, MotorResult, LinkResult]:
+    """Wiring, motor and link of a tuning; FieldError where it ended before."""
+    if tuning.wiring is None or tuning.motor is None or tuning.link is None:
+        raise FieldError(
+            "tuning",
+            tuning.stopped or "unfinished",
+            "without a model",
+            "a tuning that has a model",
+            "tune it: `fraclink tune`",
+        )
+    return tuning.wiring, tuning.motor, tuning.link

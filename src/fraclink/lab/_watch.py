@@ -19,7 +19,7 @@ from fraclink.errors import FieldError, LogError
 from fraclink.lab._tune_causes import sensor_noise
 from fraclink.lab._tune_motor import MotorResult
 from fraclink.lab._tune_wiring import SURE
-from fraclink.lab._tuning import Tuning
+from fraclink.lab._tuning import Tuning, measured
 from fracsys.checks import checked
 
 __all__ = ["Change", "Watch", "changed_link", "watch"]
@@ -168,7 +168,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     --------
     See docs/how-to/tune-an-arm.md.
     """
-    wiring, motor, link = tuning.measured
+    wiring, motor, link = measured(tuning)
     if not math.isclose(log.period, tuning.period, rel_tol=1e-6):
         raise FieldError(
             "log.period",
