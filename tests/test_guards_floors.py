@@ -198,7 +198,7 @@ CEILINGS = {
     "lab": 1891,
     "logs": 697,
     "studio": 1056,
-    "trials": 1264,
+    "trials": 1263,
     "view": 1134,
 }
 

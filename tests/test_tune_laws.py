@@ -39,6 +39,16 @@ def rig_of(stages: Stages, **changes: Any) -> fl.Rig:
 
 
 @pytest.mark.slow
+def test_a_motor_whose_load_does_not_show_is_refused_with_a_remedy(
+    stages: Stages,
+) -> None:
+    session, guard, wiring, motor, link = stages
+    motor = replace(link.motor, fit=replace(link.motor.fit, inertia=None))
+    with pytest.raises(fl.errors.FraclinkError, match="shorter period"):
+        rig_of((session, guard, wiring, motor, replace(link, motor=motor)))
+
+
+@pytest.mark.slow
 def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     _, _, wiring, _, link = stages
     rig = rig_of(stages)

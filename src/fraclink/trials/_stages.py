@@ -97,15 +97,18 @@ def run(
         checked_choice("structure", structure, STRUCTURES)
     begin("examining the log")
     study = examined(rig, log)
-    steps: dict[str, Callable[[Study], Study]] = {
-        "identifying": lambda study: identified(study, structure, heldout),
-        "designing": lambda study: designed(study, **wanted),
-        "simulating": moved,
-    }
-    steps |= {"proving": proved} if certified else {}
-    trying = f"trying {arms} arms"
-    steps |= {trying: lambda study: tried(study, arms, seed)} if arms else {}
-    for name, step in steps.items():
+    # Each with the part of the study that is missing where it fails: one that could not
+    # be run is "not run", and misses no requirement.
+    steps: list[tuple[str, str, Callable[[Study], Study]]] = [
+        ("identifying", "design", lambda study: identified(study, structure, heldout)),
+        ("designing", "design", lambda study: designed(study, **wanted)),
+        ("simulating", "design", moved),
+        *([("proving", "certificate", proved)] if certified else []),
+    ]
+    if arms:
+        trying = f"trying {arms} arms"
+        steps.append((trying, "arms", lambda study: tried(study, arms, seed)))
+    for name, part, step in steps:
         begin(name)
         try:
             study = step(study)
@@ -123,8 +126,6 @@ def run(
                 if isinstance(error, InfeasibleError)
                 else f"{name} failed: {error}"
             )
-            # A part that could not be run is "not run", and misses no requirement.
-            part = {trying: "arms", "proving": "certificate"}.get(name, "design")
             study = replace(study, missing={**study.missing, part: why})
             if isinstance(error, InfeasibleError) and error.nearest:
                 asked = {k: value for k, value in wanted.items() if value is not None}
