@@ -22,6 +22,7 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
+from scipy.linalg import eigh
 
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Rig
@@ -34,8 +35,8 @@ __all__ = [
     "Beam",
     "BeamModes",
     "assumed_ratio",
+    "mass_matrix",
     "material_law",
-    "matrices",
     "modal_shares",
     "model_at",
     "modes_of",
@@ -207,9 +208,17 @@ _STIFFNESS = np.array(
 )
 
 
-def matrices(beam: Beam) -> tuple[Real, Real]:
-    """Mass matrix [kg] and stiffness matrix [N/m] of the clamped beam; slopes times
-    element length.
+def mass_matrix(beam: Beam) -> Real:
+    """Mass matrix [kg] of the clamped beam; slopes times element length."""
+    mass = _unloaded(beam.with_payload(1.0))[0].copy()
+    mass[-2, -2] += beam.payload
+    return mass
+
+
+@lru_cache(maxsize=16)  # asked for with one payload instead of all
+def _unloaded(beam: Beam) -> tuple[Real, Real, Real]:
+    """(M, L⁻¹, L⁻¹ M L⁻ᵀ) of a clamped beam without its payload: its mass matrix [kg]
+    and the factor of its stiffness matrix K = L Lᵀ [N/m].
     """
     size = beam.length / ELEMENTS
     mass = np.zeros((2 * ELEMENTS + 2,) * 2)
@@ -220,12 +229,12 @@ def matrices(beam: Beam) -> tuple[Real, Real]:
         # corner.
         mass[block, block] += _MASS * (beam.link_mass / ELEMENTS)
         stiffness[block, block] += _STIFFNESS * (beam.flexural_rigidity / size**3)
-    mass[-2, -2] += beam.payload
     # The last coordinate is h·w′ rather than w′: its inertia is that about the tip,
     # divided by h².
     mass[-1, -1] += beam.payload_inertia / size**2
     # The clamp removes the deflection and slope of the first node.
-    return mass[2:, 2:], stiffness[2:, 2:]
+    mass, inverse = mass[2:, 2:], np.linalg.inv(np.linalg.cholesky(stiffness[2:, 2:]))
+    return mass, inverse, inverse @ mass @ inverse.T
 
 
 def residual_inertia(beam: Beam, modes: BeamModes) -> float:
@@ -239,30 +248,25 @@ def residual_inertia(beam: Beam, modes: BeamModes) -> float:
     maxsize=256
 )  # every run of a twin needs its period of vibration, half of the cost of the run
 def _modes(beam: Beam, count: int) -> BeamModes:
-    mass, stiffness = matrices(beam)
-    factor = np.linalg.cholesky(stiffness)
     # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω², so the wanted modes are the largest. A
     # massless link (singular M) needs no special case, while K φ = ω² M φ would require
     # M to be invertible.
-    half = np.linalg.solve(factor, mass)
-    flexibility = np.linalg.solve(factor, half.T)
-    values, vectors = np.linalg.eigh(0.5 * (flexibility + flexibility.T))
-    order = np.argsort(values)[::-1][:count]
+    _, inverse, flexibility = _unloaded(beam.with_payload(1.0))
+    tip, last = inverse[:, -2], 2 * ELEMENTS - 1
+    flexibility = flexibility + beam.payload * np.outer(tip, tip)
+    values, vectors = eigh(flexibility, subset_by_index=[last + 1 - count, last])
     # A massless link has one eigenvalue; the others are rounding errors of 1e-17
     # relative to it.
-    order = order[values[order] > 1e-13 * values[order[0]]]
+    order = np.flatnonzero(values > 1e-13 * values[-1])[::-1]
     frequencies = 1.0 / np.sqrt(values[order])
-    shapes = (
-        np.linalg.solve(factor.T, vectors[:, order]) * frequencies
-    )  # unit modal mass
+    shapes = inverse.T @ vectors[:, order] * frequencies  # unit modal mass
     # The sign of an eigenvector is arbitrary. With the tip moving forward, the modes of
     # two payloads can be compared and the state of one projected onto the other.
     shapes = shapes * np.where(shapes[-2] < 0.0, -1.0, 1.0)
     # Nodal values of w = x, the straight link rotated by one radian; its slope is 1,
     # which is h in the coordinate h·w′.
-    rigid = np.full(2 * ELEMENTS, beam.length / ELEMENTS)
-    rigid[0::2] *= np.arange(1, ELEMENTS + 1)
-    participation = rigid @ (mass @ shapes)
+    nodes = np.column_stack([np.arange(1, ELEMENTS + 1), np.ones(ELEMENTS)]).ravel()
+    participation = beam.length / ELEMENTS * nodes @ (mass_matrix(beam) @ shapes)
     result = BeamModes(frequencies, participation, shapes[-2] / beam.length, shapes)
     # Results are shared through caches; a change in place would affect all users.
     for array in vars(result).values():
@@ -286,8 +290,7 @@ def modal_shares(beam: Beam) -> tuple[Real, Real]:
     # EI φ''(0), what a gauge at the base reads of a mode, is ω² Γ: the moment of the
     # inertia load, as accurate as the eigenvalue, where differentiating the cubic twice
     # would lose two orders.
-    curvature = modes.frequencies**2 * modes.participation
-    return modes.frequencies, modes.participation * curvature
+    return modes.frequencies, (modes.frequencies * modes.participation) ** 2
 
 
 def modes_of(model: LinkModel) -> int:

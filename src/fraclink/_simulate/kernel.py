@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._arm.beam import matrices
+from fraclink._arm.beam import mass_matrix
 from fraclink._arm.rig import Rig
 from fraclink._law import Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
@@ -380,7 +380,7 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     """
     # Least squares in the norm of the kinetic energy, in which the new modes are
     # orthogonal.
-    mass, _ = matrices(new.beam)
+    mass = mass_matrix(new.beam)
     projection = new.modes.shapes.T @ mass @ old.modes.shapes
     result = np.zeros_like(step.hub)
     result[:2] = state[:2]
