@@ -192,7 +192,7 @@ CEILINGS = {
     "_export": 425,
     "_files": 558,
     "_identify": 2342,
-    "_law": 941,
+    "_law": 939,
     "_reading": 875,
     "_simulate": 1169,
     "lab": 1891,

@@ -47,7 +47,7 @@ struct Loops {
 
     Loops(table_of<double> own_w, table_of<complex> own_rest, table_of<complex> own_slope, table_of<double> own_noise_w,
           table_of<double> own_weight, table_of<complex> own_noise_rest, table_of<double> own_voltage,
-          table_of<double> own_modes_w, table_of<complex> own_modes_level, int mode_points, table_of<double> own_centre, table_of<complex> own_plant,
+          table_of<double> own_modes_w, table_of<complex> own_modes_level, int mode_points, double doubt, table_of<double> own_centre, table_of<complex> own_plant,
           table_of<complex> own_loop, double radius, double lowest, double furthest, vector_of<double> own_resonance,
           vector_of<double> own_highest, table_of<double> own_band, vector_of<int> own_column) {
         const size_t k = own_w.shape(0), n = own_w.shape(1), m = own_noise_w.shape(1), r = own_modes_w.shape(1);
@@ -68,25 +68,22 @@ struct Loops {
         auto pairs = [](const std::vector<complex> &values) { return reinterpret_cast<const cx *>(values.data()); };
         table = {(int)k, (int)n, (int)m, (int)r / mode_points, mode_points, (int)j, (int)terms, w.data(), log_w.data(), pairs(rest), pairs(slope),
                  noise_w.data(), noise_log_w.data(), weight.data(), pairs(noise_rest), voltage.data(), modes_w.data(),
-                 modes_log_w.data(), pairs(modes_level), centre.data(), pairs(plant), pairs(loop), radius, {lowest, furthest}, resonance.data(), highest.data(), band.data(), column.data()};
+                 modes_log_w.data(), pairs(modes_level), doubt, centre.data(), pairs(plant), pairs(loop), radius, {lowest, furthest}, resonance.data(), highest.data(), band.data(), column.data()};
     }
     Loops(const Loops &) = delete; // the table points into its own vectors
 
     auto figures(vector_of<double> x, double reference, int order) const {
-        const size_t p = x.shape(0), k = table.links, r = table.modes;
+        const size_t p = x.shape(0), k = table.links, rows = FIGURE_MODES + table.modes;
         if ((p != 3 && p != FIGURES_PARAMETERS) || order < 0) throw std::invalid_argument("loops: 3 parameters, or 6 with a notch");
         figures_outer outer{(int)p, order, reference, {}};
         std::copy_n(x.data(), p, outer.x);
-        std::vector<double> value(FIGURE_COUNT * k), gradient(FIGURE_COUNT * p * k);
-        std::vector<complex> peak(k * r), peak_gradient(k * r * p);
+        std::vector<double> value(rows * k), gradient(p * rows * k);
         {
             nb::gil_scoped_release release;
-            if (figures_of(&table, &outer, value.data(), gradient.data(), reinterpret_cast<cx *>(peak.data()),
-                           reinterpret_cast<cx *>(peak_gradient.data())))
+            if (figures_of(&table, &outer, value.data(), gradient.data()))
                 throw std::bad_alloc();
         }
-        return std::make_tuple(owned(std::move(value), {(size_t)FIGURE_COUNT, k}), owned(std::move(gradient), {(size_t)FIGURE_COUNT, p, k}),
-                               owned(std::move(peak), {k, r}), owned(std::move(peak_gradient), {k, r, p}));
+        return std::make_tuple(owned(std::move(value), {rows, k}), owned(std::move(gradient), {p, rows, k}));
     }
 };
 
@@ -95,6 +92,6 @@ struct Loops {
 void bind_figures(nb::module_ &m) {
     nb::class_<Loops>(m, "Loops")
         .def(nb::init<table_of<double>, table_of<complex>, table_of<complex>, table_of<double>, table_of<double>, table_of<complex>,
-                      table_of<double>, table_of<double>, table_of<complex>, int, table_of<double>, table_of<complex>, table_of<complex>, double, double, double, vector_of<double>, vector_of<double>, table_of<double>, vector_of<int>>())
+                      table_of<double>, table_of<double>, table_of<complex>, int, double, table_of<double>, table_of<complex>, table_of<complex>, double, double, double, vector_of<double>, vector_of<double>, table_of<double>, vector_of<int>>())
         .def("figures", &Loops::figures, nb::arg("x"), nb::arg("reference"), nb::arg("order"));
 }

@@ -212,10 +212,10 @@ typedef struct {
 
 static void set(const link *l, int figure, double value, const double *gradient)
 {
-    const int links = l->table->links, count = l->c->parameters;
+    const int links = l->table->links, figures = FIGURE_MODES + l->table->modes;
     l->value[figure * links + l->number] = value;
-    for (int k = 0; k < count; k++)
-        l->gradient[(figure * count + k) * links + l->number] = gradient[k];
+    for (int k = 0; k < l->c->parameters; k++)
+        l->gradient[(k * figures + figure) * links + l->number] = gradient[k];
 }
 
 /* The same where it is less than what stands there. */
@@ -412,10 +412,11 @@ static void noise_figures(const link *l)
     }
 }
 
-static void mode_peaks(const link *l, cx *peak, cx *gradient)
+/* About a lightly damped mode L runs round a circle through 0 and its peak P, whose distance to -1 is
+ * |1 + P/2| - |P|/2: the gain that points there is one minus that, or |P| where the phase is in doubt by too much. */
+static void mode_figures(const link *l)
 {
     const figures_table *table = l->table;
-    const int count = l->c->parameters;
     for (int mode = 0; mode < table->modes; mode++) {
         const ptrdiff_t first = ((ptrdiff_t)l->number * table->modes + mode) * table->mode_points;
         ptrdiff_t top = first;
@@ -425,27 +426,36 @@ static void mode_peaks(const link *l, cx *peak, cx *gradient)
             const double gain = log_gain(l->c, &p) + table->modes_level[i].re;
             if (gain > most) most = gain, top = i;
         }
-        const ptrdiff_t entry = (ptrdiff_t)l->number * table->modes + mode;
         const point p = on_axis(l->c, table->modes_w[top], table->modes_log_w[top]);
-        peak[entry] = (cx){most, phase(l->c, &p) + table->modes_level[top].im};
-        gradient_of(l->c, &p, gradient + entry * count);
+        const double angle = remainder(phase(l->c, &p) + table->modes_level[top].im, TAU);
+        const double radius = 0.5 * exp(fmin(most, LOUDEST)), turned = fabs(angle) + table->doubt;
+        double gain = 2.0 * radius, by_gain = gain, by_phase = 0.0;
+        if (turned < PI) {
+            const cx one = {1.0 + radius * cos(turned), radius * sin(turned)};
+            const double apart = sqrt(power_of(one) + DBL_MIN);
+            gain = 1.0 + radius - apart;
+            by_gain = radius * (1.0 - (cos(turned) + radius) / apart);
+            by_phase = copysign(one.im / apart, angle);
+        }
+        gain = fmax(gain, DBL_EPSILON);
+        const cx factor = {by_gain / gain, -by_phase / gain};
+        set_moved(l, FIGURE_MODES + mode, log(gain), table->modes_w[top], table->modes_log_w[top], factor);
     }
 }
 
-int figures_of(const figures_table *table, const figures_outer *outer, double *value, double *gradient, cx *peak,
-               cx *peak_gradient)
+int figures_of(const figures_table *table, const figures_outer *outer, double *value, double *gradient)
 {
     const second_term c = term_of(outer);
-    const int columns = table->columns;
+    const int columns = table->columns, entries = (FIGURE_MODES + table->modes) * table->links;
     link l = {.table = table, .c = &c, .value = value, .gradient = gradient};
     l.logs = malloc(columns * (2 * sizeof(cx) + sizeof(place) + sizeof(double)));
     if (!l.logs) return 1;
     l.slopes = l.logs + columns;
     l.crossings = (place *)(l.slopes + columns);
     l.distances = (double *)(l.crossings + columns);
-    for (int i = 0; i < FIGURE_COUNT * table->links; i++)
+    for (int i = 0; i < entries; i++)
         value[i] = NAN;
-    for (int i = 0; i < FIGURE_COUNT * table->links * c.parameters; i++)
+    for (int i = 0; i < entries * c.parameters; i++)
         gradient[i] = 0.0;
     for (l.number = 0; l.number < table->links; l.number++) {
         const ptrdiff_t row = (ptrdiff_t)l.number * columns;
@@ -463,7 +473,7 @@ int figures_of(const figures_table *table, const figures_outer *outer, double *v
         damping_figure(&l);
         gain_margin_figure(&l);
         noise_figures(&l);
-        mode_peaks(&l, peak, peak_gradient);
+        mode_figures(&l);
     }
     free(l.logs);
     return 0;

@@ -21,7 +21,8 @@ typedef struct {
     const cx *noise_rest;                /* the loop beside C there */
     const double *voltage;               /* from motor reference to voltage [V/rad] */
     const double *modes_w, *modes_log_w; /* links x modes x mode_points, about each of the higher modes */
-    const cx *modes_level;               /* ln of the loop beside C there */
+    const cx *modes_level;               /* ln of the loop beside C there, its imaginary part NaN where no phase counts */
+    double doubt;                        /* of that phase */
     const double *centre;                /* links x expansions: where D and R are expanded, ln w in even steps */
     const cx *plant, *loop;              /* links x expansions x terms: D and R over (ln w - centre)/radius */
     double radius;
@@ -51,13 +52,11 @@ enum {
     FIGURE_DAMPING,     /* damping ratio of the roots of 1 + L near the axis, between the first and the last centre */
     FIGURE_NOISE,       /* ln of the RMS of C/(1 + L) over the noise integral */
     FIGURE_VOLTAGE,     /* the same of the voltage */
-    FIGURE_COUNT
+    FIGURE_MODES        /* ln of the part of the gain at a higher mode that points to -1, a row for each mode */
 };
 
-/* `value`: FIGURE_COUNT x links; `gradient`: FIGURE_COUNT x parameters x links; `peak`: ln L at the peak of every
- * higher mode, links x modes; `peak_gradient`: that of ln C, links x modes x parameters.
+/* `value`: (FIGURE_MODES + modes) x links; `gradient`: parameters x (FIGURE_MODES + modes) x links.
  * Returns 0, or 1 where there is no memory. */
-int figures_of(const figures_table *table, const figures_outer *outer, double *value, double *gradient, cx *peak,
-               cx *peak_gradient);
+int figures_of(const figures_table *table, const figures_outer *outer, double *value, double *gradient);
 
 #endif

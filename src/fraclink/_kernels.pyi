@@ -20,6 +20,7 @@ class Loops:
         modes_w: NDArray[np.float64],
         modes_level: NDArray[np.complex128],
         mode_points: int,
+        doubt: float,
         centre: NDArray[np.float64],
         plant: NDArray[np.complex128],
         loop: NDArray[np.complex128],
@@ -34,12 +35,7 @@ class Loops:
     ) -> None: ...
     def figures(
         self, x: NDArray[np.float64], reference: float, order: int
-    ) -> tuple[
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.complex128],
-        NDArray[np.complex128],
-    ]: ...
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 
 class FitProblem:
     """A log on its grid of rates; see csrc/kernels/fit.h."""

@@ -21,7 +21,7 @@ from fraclink._design.outer import Outer
 from fraclink._design.procedure import link_of, request_of
 from fraclink._design.rows import specification
 from fraclink._design.search import solved
-from fraclink._design.table import Table, Trial, tabulated
+from fraclink._design.table import Figure, Table, Trial, tabulated
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError
@@ -178,7 +178,7 @@ class Links:
         where the loop is unstable.
         """
         trial = Trial(self._table, Outer.of(controller, 1.0))
-        margins = trial.figure("margin").value[0]
+        (margins,) = trial.value(Figure("margin"))
         return np.where(np.isnan(margins), math.pi, margins)
 
 

@@ -118,17 +118,20 @@ class Arms:
                 arm=number,
                 highest=self.highest,
                 motor=(motor.gain, motor.decay),
-                modes=self.modes(number),
+                modes=modes,
                 empty=case.empty,
             )
-            for number, (case, loop) in enumerate(
-                zip(self.cases, self.loops, strict=True)
+            for number, (case, loop, modes) in enumerate(
+                zip(self.cases, self.loops, self.modes, strict=True)
             )
         )
 
-    def modes(self, number: int) -> HigherModes | None:
-        """The higher modes of a case that are judged by their gain."""
-        case = self.cases[number]
+    @cached_property
+    def modes(self) -> tuple[HigherModes | None, ...]:
+        """The higher modes of every case that are judged by their gain."""
+        return tuple(map(self._modes, self.cases))
+
+    def _modes(self, case: Case) -> HigherModes | None:
         if self.modes_above is None or case.empty:
             return None
         modes = higher_modes(case.arm, self.rig, self.motor_loop, case.payloads)
@@ -363,7 +366,7 @@ class Request:
         if second is not None:
             mode = second.frequency
         elif self.mode_gain is not None:
-            modes = self.arms.modes(0)
+            modes = self.arms.modes[0]
             assert modes is not None  # noqa: S101
             mode = float(np.median(modes.frequency[modes.number == 2]))
         else:

@@ -18,6 +18,7 @@ import numpy as np
 
 from fraclink._design.table import Figure, Trial
 from fraclink._law.design import Specification
+from fraclink._law.modes import MODE_POINTS
 from fraclink._law.requirement import Requirement
 from fracsys.checks import Real
 from fracsys.checks.rules import rule
@@ -51,7 +52,7 @@ class Row:
 
     ``figure`` is the logarithm of what is judged unless ``signed``. ``empty`` says
     whether it is asked of the empty gripper, or of the payloads. ``bound`` takes the place of
-    the figure in a search: a value that must not be negative. ``absent`` is achieved
+    the figure in a search: values that must not be negative. ``absent`` is achieved
     where a loop has no such figure, as one that never crosses. What is ``implied`` by
     another row is no row of a search.
     """
@@ -61,30 +62,27 @@ class Row:
     unit: str
     sense: Literal["at least", "at most"]
     wanted: Callable[[Request], float | None]
-    figure: Callable[[Trial, Request], Figure]
+    figure: Callable[[Request], Figure]
     signed: bool = False
     empty: bool = False
-    bound: Callable[[Trial, float], Figure] | None = None
+    bound: Callable[[float], tuple[Figure, ...]] | None = None
     absent: float = math.inf
     reserve: float = RESERVE
     implied: bool = False
 
     def kept(
-        self, trial: Trial, request: Request, wanted: float, reserve: float = 0.0
-    ) -> tuple[Real, Real]:
-        """Return by how much more than a reserve the row is kept at every link, negative
-        where missed, NaN where a link has no such figure, and the gradient; relative, so
-        that an easing of all rows is one number.
+        self, request: Request, wanted: float, reserve: float = 0.0
+    ) -> tuple[Figure, ...]:
+        """Return by how much more than a reserve the row is kept, negative where missed;
+        relative, so that an easing of all rows is one number.
         """
         reserve += self.reserve
         if self.bound is not None:
-            value, gradient = self.bound(trial, wanted).least
-            return value - reserve, gradient
+            return tuple(one.scaled(1.0, -reserve) for one in self.bound(wanted))
         sign = 1.0 if self.sense == "at least" else -1.0
         factor = sign / (wanted or 1.0) if self.signed else sign
         zero = wanted if self.signed else math.log(wanted)
-        figure = self.figure(trial, request).scaled(factor, -factor * zero - reserve)
-        return figure.least
+        return (self.figure(request).scaled(factor, -factor * zero - reserve),)
 
     def measured(
         self, trial: Trial, request: Request, wanted: float, payloads: Real
@@ -92,10 +90,15 @@ class Row:
         """Return what a trial achieves where it is worst, with the payload [kg] of that
         link; for each of its modes where it is their row.
         """
-        figure, judged = self.figure(trial, request), trial.table.empty == self.empty
-        value = figure.value if self.signed else np.exp(figure.value)
+        table, figure = trial.table, self.figure(request)
+        value, judged = trial.value(figure), table.empty == self.empty
+        value = value if self.signed else np.exp(value)
         value = np.where(np.isnan(value), self.absent, value)
-        number = np.zeros(value.shape, int) if figure.number is None else figure.number
+        number = (
+            table.modes_number[:, ::MODE_POINTS].T
+            if figure.name == "modes"
+            else np.zeros(value.shape, int)
+        )
         best, worst = (
             (math.inf, np.argmin)
             if self.sense == "at least"
@@ -126,10 +129,17 @@ def _own(key: str) -> Callable[[Request], float | None]:
     return lambda request: request.spec.get(key)
 
 
-def _noise_share(trial: Trial, request: Request) -> Figure:
+def _crossed_beyond(frequency: float) -> tuple[Figure, Figure]:
+    """ln of the ratio of the crossover, or of the resonance without one, to a frequency
+    [rad/s]; and ln|L| at the resonance, which must be positive for a crossover.
+    """
+    return Figure("reach", offset=-math.log(frequency)), Figure("level")
+
+
+def _noise_share(request: Request) -> Figure:
     rig = request.rig
     size = rig.gauge.noise / request.model.stiffness / rig.motor.voltage_limit
-    return trial.figure("voltage").scaled(1.0, math.log(size))
+    return Figure("voltage", offset=math.log(size))
 
 
 def _gain_margin(request: Request) -> float:
@@ -144,8 +154,8 @@ ROWS = (
         "rad/s",
         "at least",
         lambda request: request.gain_crossover,
-        lambda trial, request: trial.figure("crossover"),
-        bound=lambda trial, wanted: trial.crossed_beyond(wanted),
+        lambda request: Figure("crossover"),
+        bound=_crossed_beyond,
         absent=0.0,
     ),
     Row(
@@ -154,9 +164,9 @@ ROWS = (
         "rad/s",
         "at most",
         lambda request: request.arms.highest,
-        lambda trial, request: trial.figure("last crossing"),
+        lambda request: Figure("last crossing"),
         # beyond the limit of the table, which is the one that is wanted
-        bound=lambda trial, _: trial.figure("quiet"),
+        bound=lambda wanted: (Figure("quiet"),),
         absent=0.0,
     ),
     Row(
@@ -165,10 +175,8 @@ ROWS = (
         "s",
         "at most",
         _own("settling_time"),
-        lambda trial, request: trial.figure("crossover").scaled(
-            -1.0, math.log(math.tau)
-        ),
-        bound=lambda trial, wanted: trial.crossed_beyond(math.tau / wanted),
+        lambda request: Figure("crossover", -1.0, math.log(math.tau)),
+        bound=lambda wanted: _crossed_beyond(math.tau / wanted),
     ),
     Row(
         "phase_margin",
@@ -176,7 +184,7 @@ ROWS = (
         "rad",
         "at least",
         lambda request: request.phase_margin,
-        lambda trial, request: trial.figure("margin"),
+        lambda request: Figure("margin"),
         signed=True,
         absent=math.pi,
     ),
@@ -186,7 +194,7 @@ ROWS = (
         "",
         "at most",
         lambda request: request.max_sensitivity,
-        lambda trial, request: trial.figure("distance").scaled(-1.0, 0.0),
+        lambda request: Figure("distance", -1.0),
         absent=1.0,
     ),
     Row(
@@ -195,7 +203,7 @@ ROWS = (
         "",
         "at least",
         _gain_margin,
-        lambda trial, request: trial.figure("gain margin"),
+        lambda request: Figure("gain margin"),
         implied=True,
     ),
     # A single sample delayed by a period must not make the loop unstable.
@@ -205,7 +213,7 @@ ROWS = (
         "s",
         "at least",
         lambda request: request.rig.period,
-        lambda trial, request: trial.figure("delay"),
+        lambda request: Figure("delay"),
         signed=True,
     ),
     Row(
@@ -214,7 +222,7 @@ ROWS = (
         "",
         "at most",
         lambda request: request.mode_gain,
-        lambda trial, request: trial.modes,
+        lambda request: Figure("modes"),
     ),
     Row(
         "noise_gain",
@@ -222,7 +230,7 @@ ROWS = (
         "",
         "at most",
         _own("noise_gain"),
-        lambda trial, request: trial.figure("noise"),
+        lambda request: Figure("noise"),
     ),
     Row(
         "noise_voltage",
@@ -238,7 +246,7 @@ ROWS = (
         "",
         "at least",
         lambda request: _DAMPING,
-        lambda trial, request: trial.figure("damping"),
+        lambda request: Figure("damping"),
         signed=True,
         absent=1.0,
         reserve=20.0 * RESERVE,
@@ -249,7 +257,7 @@ ROWS = (
         "rad",
         "at least",
         lambda request: 0.0,
-        lambda trial, request: trial.figure("margin"),
+        lambda request: Figure("margin"),
         signed=True,
         empty=True,
         absent=math.pi,

@@ -5,7 +5,7 @@ every link, or else the one whose requested rows have to be eased least.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -19,7 +19,7 @@ from fraclink._arm.controller import Controller
 from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.table import Table, Trial
+from fraclink._design.table import Figure, Index, Table, Trial
 from fraclink._law.requirement import Requirement
 from fracsys.checks import Mask, Real
 
@@ -139,6 +139,30 @@ def lowest(
 
 
 @dataclass(frozen=True, eq=False)
+class Entries:
+    """Figures of links (M,), each by its place in a trial, times a factor plus an offset."""
+
+    place: Index
+    factor: Real
+    offset: Real
+
+    @staticmethod
+    def of(figures: Sequence[tuple[Figure, Mask]], table: Table) -> Entries:
+        """Return some figures, each of some links of a table."""
+        places = [table.places[figure.rows, links].ravel() for figure, links in figures]
+        factors = [[figure.factor, figure.offset] for figure, _ in figures]
+        repeated = np.repeat(np.array(factors), [*map(len, places)], axis=0)
+        return Entries(np.concatenate(places), *repeated.T)
+
+    def at(self, trial: Trial) -> tuple[Real, Real]:
+        """Return (their values, their gradients (P, M)); one where a link has none."""
+        value = self.factor * trial.figures.ravel()[self.place] + self.offset
+        value[np.isnan(value)] = 1.0
+        gradients = trial.gradients.reshape(len(trial.gradients), -1)
+        return value, self.factor * gradients[:, self.place]
+
+
+@dataclass(frozen=True, eq=False)
 class Search:
     """A request over some links of its table, with n and with a notch in an interval
     [rad/s], where there is one.
@@ -191,53 +215,51 @@ class Search:
         return _trial(self, tuple(x))
 
     @cached_property
-    def rows(self) -> tuple[tuple[Row, float], ...]:
-        """The rows of the search with their wanted values."""
-        return tuple(
-            (row, goal) for row, goal in self.request.wanted if not row.implied
+    def figures(self) -> list[tuple[str, Figure, Mask]]:
+        """By how much every row is kept, by its key, and the links that are asked for it;
+        those that may be eased come first.
+        """
+        request = self.request
+        wanted = [pair for pair in request.wanted if not pair[0].implied]
+        return [
+            (row.key, figure, self.table.empty == row.empty)
+            for row, goal in sorted(wanted, key=lambda p: p[0].key not in request.soft)
+            for figure in row.kept(request, goal, self.reserves.get(row.key, 0.0))
+        ]
+
+    @cached_property
+    def _slacks(self) -> Entries:
+        """By how much every row is kept at every link that is asked for it."""
+        figures = [(figure, asked) for _, figure, asked in self.figures]
+        return Entries.of(figures, self.table)
+
+    @cached_property
+    def _eased(self) -> int:
+        """How many of them may be eased, the first ones."""
+        return sum(
+            self.table.places[figure.rows, asked].size
+            for key, figure, asked in self.figures
+            if key in self.request.soft
         )
 
     @cached_property
-    def _asked(self) -> Mask:
-        """Which entries of `least` are asked of their link."""
-        empty = np.array([row.empty for row, _ in self.rows])
-        return np.ravel(self.table.empty == empty[:, None])
-
-    @cached_property
-    def _soft(self) -> Mask:
-        """Which of them may be eased."""
-        soft = [row.key in self.request.soft for row, _ in self.rows]
-        return np.repeat(soft, len(self.links))
-
-    def least(self, trial: Trial) -> tuple[Real, Real, Mask]:
-        """Return (the slack of each row at every link, its gradient, whether the row may
-        be eased); one where nothing is asked of a link.
-        """
-        pairs = [
-            row.kept(trial, self.request, goal, self.reserves.get(row.key, 0.0))
-            for row, goal in self.rows
-        ]
-        value = np.concatenate([value for value, _ in pairs])
-        gradient = np.concatenate([gradient for _, gradient in pairs], axis=1)
-        absent = np.isnan(value) | ~self._asked
-        value[absent], gradient[:, absent] = 1.0, 0.0
-        return value, gradient, self._soft
+    def _noise(self) -> Entries:
+        """ln of the noise gain of every link that has a payload."""
+        return Entries.of([(Figure("noise"), ~self.table.empty)], self.table)
 
     def easing(self, x: Real) -> Bounded:
         """Return by how much each row has to be eased that may be, and the others."""
-        value, gradient, soft = self.least(self.trial(x))
+        value, gradient = self._slacks.at(self.trial(x))
+        eased = self._eased
         # none below zero: what is kept is kept
-        cost, slope = np.append(-value[soft], 0.0), np.zeros((x.size, 1))
-        slopes = np.concatenate([-gradient[:, soft], slope], axis=1)
-        return Bounded(cost, slopes, value[~soft], gradient[:, ~soft])
+        cost = np.append(-value[:eased], 0.0)
+        slope = np.column_stack([-gradient[:, :eased], np.zeros(x.size)])
+        return Bounded(cost, slope, value[eased:], gradient[:, eased:])
 
     def noise(self, x: Real) -> Bounded:
         """Return ln of the noise gain of every link, and all rows."""
         trial = self.trial(x)
-        value, gradient, _ = self.least(trial)
-        cost, slope = trial.figure("noise").least
-        judged = ~np.isnan(cost)
-        return Bounded(cost[judged], slope[:, judged], value, gradient)
+        return Bounded(*self._noise.at(trial), *self._slacks.at(trial))
 
     # ---- where a search begins
 
@@ -323,7 +345,7 @@ class Solution:
     def lost(self) -> bool:
         """Whether rows are missed that may not be eased, or some loop does not cross."""
         return self.missed > 0.0 or bool(
-            np.isnan(self._trial.figure("crossover").value).any()
+            np.isnan(self._trial.value(Figure("crossover"))).any()
         )
 
     def equals(self, other: Solution) -> bool:
@@ -341,8 +363,8 @@ class Solution:
     def crossovers(self) -> tuple[float, float]:
         """Of the heaviest and of the lightest payload [rad/s]; 0 without one."""
         heavy, _, light, _ = self.search.request.first_links
-        frequencies = np.nan_to_num(np.exp(self._trial.figure("crossover").value[0]))
-        return float(frequencies[heavy]), float(frequencies[light])
+        frequencies = np.nan_to_num(np.exp(self._trial.value(Figure("crossover"))))
+        return float(frequencies[0, heavy]), float(frequencies[0, light])
 
     def worst_arm(self, key: str) -> Arm:
         """Return the arm on which a row is kept least."""
@@ -353,7 +375,7 @@ class Solution:
     @property
     def noise_gain(self) -> float:
         """The noise gain at the worst link."""
-        return math.exp(float(np.nanmax(self._trial.figure("noise").value)))
+        return math.exp(float(np.nanmax(self._trial.value(Figure("noise")))))
 
     @cached_property
     def controller(self) -> Controller:
@@ -389,13 +411,13 @@ class Solution:
     @cached_property
     def _worst(self) -> dict[str, tuple[float, int]]:
         """(by how much it is kept, the link) where each row is kept least."""
-        rows = self._every.rows
-        least = self._every.least(self._trial)[0].reshape(len(rows), -1)
-        links = np.argmin(least, axis=1).tolist()
-        return {
-            row.key: (values[link], link)
-            for (row, _), values, link in zip(rows, least, links, strict=True)
-        }
+        worst: dict[str, tuple[float, int]] = {}
+        for key, figure, asked in self._every.figures:
+            value = np.where(asked, self._trial.value(figure), math.nan)
+            least = np.nan_to_num(value, nan=1.0).min(axis=0)
+            link = int(np.argmin(least))
+            worst[key] = min(worst.get(key, (math.inf, 0)), (float(least[link]), link))
+        return worst
 
     def wider(self) -> Search | None:
         """Return the search with the links that are worse than its own; None where there

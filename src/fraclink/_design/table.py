@@ -4,7 +4,7 @@ given Ĉ (`Outer`).
 Every figure follows from g = ∂ ln Ĉ/∂x of the parameters x of Ĉ: a frequency
 at which |L| crosses one moves by −Re g/Re σ with σ = d ln L/d ln ω, its phase by
 Im g − Re g Im σ/Re σ, a distance from −1 by Re(L g/(1 + L)), noise by Re(g/(1 + L)).
-All but the damping are the compiled kernel's (csrc/kernels/figures.c).
+All are the compiled kernel's (csrc/kernels/figures.c).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from fraclink._arm.loop import Loop, noise_points
 from fraclink._design.outer import Outer
 from fraclink._kernels import Loops
-from fraclink._law.modes import MODE_POINTS, HigherModes, gain_towards
+from fraclink._law.modes import MODE_POINTS, PHASE_DOUBT, HigherModes
 from fracsys.checks import Complex, Mask, Real
 
 __all__ = ["Figure", "Table", "Trial", "stacked", "tabulated"]
@@ -54,6 +54,7 @@ FIGURES = (
     "damping",
     "noise",
     "voltage",
+    "modes",  # a row for each of them
 )
 
 
@@ -104,6 +105,12 @@ class Table:
         return np.asarray(np.argmin(distance, axis=1))
 
     @cached_property
+    def places(self) -> Index:
+        """The place of every figure of every link among all that a trial has."""
+        count = len(FIGURES) - 1 + self.modes_w.shape[1] // MODE_POINTS
+        return np.arange(count * len(self)).reshape(count, len(self))
+
+    @cached_property
     def kernel(self) -> Loops:
         """The compiled kernel of these loops."""
         parts = self.w, self.rest, self.slope, self.noise_w, self.weight
@@ -112,6 +119,7 @@ class Table:
             *parts,
             *more,
             MODE_POINTS,
+            PHASE_DOUBT,
             self.centre,
             self.plant,
             self.closing,
@@ -246,60 +254,36 @@ def _widened(name: str, value: NDArray[Any], width: int) -> NDArray[Any]:
     return np.concatenate([value, np.full(missing, fill, value.dtype)], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Figure:
-    """Values (R, K) of K links, each with R of a kind, their gradients (R, P, K), and the
-    number (R, K) of each where they have one; NaN where a link has none.
-    """
+    """One of `FIGURES` times a factor, plus an offset."""
 
-    value: Real
-    gradient: Real
-    number: Index | None = None
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def rows(self) -> slice:
+        """Its rows among those of the kernel."""
+        first = FIGURES.index(self.name)
+        return slice(first, None if self.name == "modes" else first + 1)
 
     def scaled(self, factor: float, offset: float) -> Figure:
         """Return the figure times a factor, plus an offset."""
-        value = factor * self.value + offset
-        return Figure(value, factor * self.gradient, self.number)
-
-    @property
-    def least(self) -> tuple[Real, Real]:
-        """The smallest value of each link (K,), and its gradient (P, K)."""
-        if len(self.value) == 1:
-            return self.value[0], self.gradient[0]
-        row, link = np.argmin(self.value, axis=0), np.arange(self.value.shape[1])
-        return self.value[row, link], self.gradient[row, :, link].T
+        return Figure(self.name, factor * self.factor, factor * self.offset + offset)
 
 
 class Trial:
-    """The loops of a table with Ĉ."""
+    """The figures (R, K) of the K loops of a table with Ĉ, and their gradients (P, R, K);
+    NaN where a link has none.
+    """
 
     def __init__(self, table: Table, outer: Outer) -> None:
         self.table = table
-        self._figures = table.kernel.figures(
+        self.figures, self.gradients = table.kernel.figures(
             outer.x, outer.reference, outer.filter_order
         )
 
-    def figure(self, first: str, last: str | None = None) -> Figure:
-        """Return one of `FIGURES`, or all from one to another."""
-        values, gradients, *_ = self._figures
-        rows = slice(FIGURES.index(first), FIGURES.index(last or first) + 1)
-        return Figure(values[rows], gradients[rows])
-
-    def crossed_beyond(self, frequency: float) -> Figure:
-        """ln of the ratio of the crossover, or of the resonance without one, to a
-        frequency [rad/s]; and ln|L| at the resonance, which must be positive for a
-        crossover.
-        """
-        figure = self.figure("reach", "level")
-        return Figure(figure.value - [[math.log(frequency)], [0.0]], figure.gradient)
-
-    @property
-    def modes(self) -> Figure:
-        """ln of the loop gain towards -1 at each of the higher modes of each link."""
-        *_, peak, slope = self._figures
-        gain, by_gain, by_phase = gain_towards(peak)
-        gain = np.maximum(gain, np.finfo(float).eps)
-        along = by_gain[..., None] * slope.real + by_phase[..., None] * slope.imag
-        gradient = np.moveaxis(along / gain[..., None], 0, 2)
-        number = self.table.modes_number[:, ::MODE_POINTS]
-        return Figure(np.log(gain).T, gradient, number.T)
+    def value(self, figure: Figure) -> Real:
+        """Return a figure of every link, (R, K)."""
+        return figure.factor * self.figures[figure.rows] + figure.offset

@@ -32,8 +32,8 @@ from fracsys.checks import Complex, Real, above
 __all__ = [
     "MODE_LIMIT",
     "MODE_POINTS",
+    "PHASE_DOUBT",
     "HigherModes",
-    "gain_towards",
     "higher_modes",
     "mode_requirements",
 ]
@@ -42,6 +42,9 @@ __all__ = [
 # of the loop gain towards -1: the rest of the distance to it is one over the customary
 # sensitivity peak of 2
 MODE_LIMIT = 0.5
+# The phase at a mode that was not identified may be off by what such a loop stands
+# elsewhere: its phase margin of 29°.
+PHASE_DOUBT = 2.0 * math.asin(0.5 * MODE_LIMIT)
 # so that the points of a strongly damped mode do not extend down to the first mode
 _WIDEST = 0.035
 # points in ln ω as multiples of the damping ratio, densest at the peak
@@ -76,12 +79,11 @@ class HigherModes:
         """
         log = np.log(response(self.frequency)) + self.level
         peak = np.argmax(log.real, axis=1)[:, np.newaxis]
-        return gain_towards(np.take_along_axis(log, peak, axis=1)[:, 0])[0]
+        return _gain_towards(np.take_along_axis(log, peak, axis=1)[:, 0])
 
 
-def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
-    """Return the part of a mode's loop gain that points to -1, from ln L at its peak,
-    and its derivatives by the real and the imaginary part.
+def _gain_towards(peak: Complex) -> Real:
+    """The part of a mode's loop gain that points to -1, from ln L at its peak.
 
     About a lightly damped mode L runs round a circle through 0 and its peak L_p, whose
     distance to -1 is |1 + L_p/2| - |L_p|/2. One minus that is |L_p| where it points to
@@ -89,19 +91,9 @@ def gain_towards(peak: Complex) -> tuple[Real, Real, Real]:
     """
     radius = 0.5 * np.exp(peak.real)
     angle = np.remainder(peak.imag + math.pi, math.tau) - math.pi
-    # The phase at a mode that was not identified may be off by what such a loop stands
-    # elsewhere: its phase margin of 29°.
-    turned = np.abs(angle) + 2.0 * math.asin(0.5 * MODE_LIMIT)
-    known = turned < math.pi
-    turned = np.where(known, turned, math.pi)
-    apart = np.maximum(np.abs(1.0 + radius * np.exp(1j * turned)), np.finfo(float).eps)
-    by_gain = radius * (1.0 - (np.cos(turned) + radius) / apart)
-    by_phase = np.where(known, radius * np.sin(turned) / apart * np.sign(angle), 0.0)
-    return (
-        np.where(known, 1.0 + radius - apart, 2.0 * radius),
-        np.where(known, by_gain, 2.0 * radius),
-        by_phase,
-    )
+    turned = np.abs(angle) + PHASE_DOUBT
+    towards = 1.0 + radius - np.abs(1.0 + radius * np.exp(1j * turned))
+    return np.where(turned < math.pi, towards, 2.0 * radius)
 
 
 def higher_modes(
