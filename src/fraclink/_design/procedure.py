@@ -275,7 +275,7 @@ def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]
     eased = 1.0 - best.easing if goal == "margin" else math.exp(-best.easing)
     highest = most / unit * eased
     if best.missed or highest <= least:
-        return [(request, None)]
+        return [(request, best)]
     # below the resonance there is no crossover to ask for
     values = dict.fromkeys(_floored(max(share * highest, least)) for share in _SHARES)
     requests = [request.asking(**{key: unit * value}) for value in values]

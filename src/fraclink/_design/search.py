@@ -470,17 +470,20 @@ def solved(request: Request, near: Solution | None = None) -> Solution:
     keeps it, if one is known; or else with every n without a notch, then with one, from
     each start until one keeps every row, or two ease them equally.
     """
-    if near is not None:
-        solution = replace(near.search, request=request).over_links(near.x)
-        if solution.kept:
-            return solution
+    known = (
+        []
+        if near is None
+        else [replace(near.search, request=request).over_links(near.x)]
+    )
+    if known and known[0].kept:
+        return known[0]
     # A loop that crosses below the resonance does not affect the vibration. From a
     # crossover beyond all reach a descent may not find back to the rows that may not be
     # eased: then it begins halfway to the slowest one.
     slowest = request.arms.resonance
     fastest = max(request.reference, slowest)
     for crossover in dict.fromkeys((fastest, math.sqrt(fastest * slowest))):
-        solutions: list[Solution] = []
+        solutions = [*known]
         for notch, order in product(request.notches, request.filter_orders):
             search = Search(request, request.first_links, order, notch)
             for start in search.starts(crossover):
