@@ -76,25 +76,33 @@ PHASES = ("until sent", "until answered", "until drawn", "until the frame")
 
 
 def previews(count: int) -> None:
-    """CPU of the Python of a drag."""
+    """CPU of the Python of a drag, for each handle."""
     rig = fl.Rig.named("paper-2023")
     made = fl.design(
         rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
     )
     subject = Subject(rig, rig.model, made.law())
-    taken, near = [], made.controller
-    for k in range(count):
-        state = {
-            "gain_crossover": 12.0 + 0.01 * k,
-            "phase_margin_deg": 50.0,
-            "payloads": [0.02, 0.04],
-        }
-        begin = time.process_time()
-        answer, near = preview(subject, state, near=near)
-        size = len(answer.packed(k, "preview"))
-        taken.append(1e3 * (time.process_time() - begin))
-    value = f"{np.median(taken):.1f} ms, p95 {np.quantile(taken, 0.95):.1f} ms"
-    line("Python CPU a drag", value, "<= 8 ms", note=f"{size} bytes a drag")
+    begun = {
+        "gain_crossover": 12.0,
+        "phase_margin_deg": 50.0,
+        "payloads": [0.02, 0.04],
+    }
+    places = np.linspace(0.0, 1.0, count)
+    moved: dict[str, list[object]] = {
+        "gain_crossover": [12.0 + 2.0 * place for place in places],
+        "phase_margin_deg": [50.0 - 10.0 * place for place in places],
+        "payloads": [[0.02 + 0.01 * place, 0.04] for place in places],
+    }
+    for handle, values in moved.items():
+        taken, near = [], made.controller
+        for k, value in enumerate(values):
+            begin = time.process_time()
+            answer, near = preview(subject, {**begun, handle: value}, near=near)
+            size = len(answer.packed(k, "preview"))
+            taken.append(1e3 * (time.process_time() - begin))
+        took = f"{np.median(taken):.1f} ms, p95 {np.quantile(taken, 0.95):.1f} ms"
+        name = f"Python CPU a drag, {handle}"
+        line(name, took, "<= 8 ms", note=f"{size} bytes a drag")
 
 
 def started(place: Path) -> tuple[subprocess.Popen[str], str, float]:
