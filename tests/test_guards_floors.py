@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1291,
     "_export": 425,
     "_files": 558,
-    "_identify": 2342,
+    "_identify": 2329,
     "_law": 939,
     "_reading": 875,
     "_simulate": 1169,

@@ -318,8 +318,7 @@ class Choice:
         """
         # If the two criteria disagree, the log has not decided; otherwise the gap is
         # the smaller of the two.
-        pairs = zip(self.criteria[name], self.criteria[self.preferred], strict=True)
-        gaps = [a - b for a, b in pairs]
+        gaps = np.subtract(self.criteria[name], self.criteria[self.preferred]).tolist()
         return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
 

@@ -223,18 +223,17 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
 
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
     for name in fit.at_bound:
-        if name == "delay" and (fit.delay == 0 or fit.hold == "zero"):
-            # a rough angle cannot show a negative delay, a held one none between its
-            # samples
-            continue
-        evidence = {name: fit.delay if name == "delay" else getattr(fit.model, name)}
-        yield Finding(
-            "W301",
-            "warning",
-            f"{name} ended at the bound of its range and has no standard error",
-            evidence,
-            _AT_BOUND.get(name, "look at the log"),
-        )
+        value = fit.delay if name == "delay" else getattr(fit.model, name)
+        # A rough angle cannot show a negative delay, a held one none between its
+        # samples.
+        if name != "delay" or (value != 0 and fit.hold != "zero"):
+            yield Finding(
+                "W301",
+                "warning",
+                f"{name} ended at the bound of its range and has no standard error",
+                {name: value},
+                _AT_BOUND.get(name, "look at the log"),
+            )
     if not fit.converged:
         yield Finding(
             "W302",

@@ -175,7 +175,7 @@ class JointProblem(Problem):
             zip(self.searches, self.weights, strict=True)
         ):
             shapes, chain = self.shapes(places, log)
-            at = quadratic_of(search.kernel, shapes, chain, search.gain, search.offset)
+            at = quadratic_of(search.kernel, shapes, chain, *search.known)
             possible = [row[2] <= largest_ratio(float(row[3])) for row in shapes]
             own = self.index[log]
             cost += np.where(possible, weight * at.cost, math.inf)

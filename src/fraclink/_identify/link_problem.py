@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -168,7 +169,7 @@ class LinkProblem(Problem):
     def quadratic(self, places: Real) -> Quadratic:
         """See `Problem`."""
         own = self.search
-        return quadratic_of(own.kernel, *self.expanded(places), own.gain, own.offset)
+        return quadratic_of(own.kernel, *self.expanded(places), *own.known)
 
     def parameters(
         self, places: Real, names: tuple[str, ...], *, squared: bool = False
@@ -195,8 +196,7 @@ class LinkProblem(Problem):
         weights = np.zeros((len(self.free) + 2, 2 + len(chain)))
         weights[:-2, 2:] = self.solution.gain * chain.T
         weights[-2:, :2] = np.eye(2)
-        kept = [name in self.linear for name in ("gain", "offset")]
-        return weights[[True] * len(self.free) + kept]
+        return weights[[True] * len(self.free) + [*np.isnan(self.search.known)]]
 
     @property
     def normal(self) -> Real:
@@ -215,5 +215,4 @@ class LinkProblem(Problem):
     @property
     def linear(self) -> tuple[str, ...]:
         """Linear parameters that are free."""
-        free = {"gain": self.search.gain, "offset": self.search.offset}
-        return tuple(name for name, value in free.items() if math.isnan(value))
+        return tuple(compress(("gain", "offset"), np.isnan(self.search.known)))

@@ -109,14 +109,9 @@ class Search:
     )
 
     @property
-    def gain(self) -> float:
-        """The gain if fixed, NaN if free."""
-        return self.fixed.get("gain", math.nan)
-
-    @property
-    def offset(self) -> float:
-        """The offset if fixed, NaN if free."""
-        return self.fixed.get("offset", math.nan)
+    def known(self) -> tuple[float, float]:
+        """Gain and offset, each NaN if it is free."""
+        return self.fixed.get("gain", math.nan), self.fixed.get("offset", math.nan)
 
     @cached_property
     def _range(self) -> tuple[float, float]:
@@ -160,7 +155,7 @@ class Search:
         shares, widths = np.empty(len(links)), self.window.widths(np.exp(links[:, 1]))
         for width in {*widths.tolist()}:
             (kernel, power), own = self.averages(width), widths == width
-            shares[own] = kernel.costs(links[own], self.gain, self.offset) / power
+            shares[own] = kernel.costs(links[own], *self.known) / power
         return shares
 
     # --- starts
@@ -291,7 +286,7 @@ class Search:
         shapes = np.array([end.shape for end in first])
         width = int(self.window.widths(np.exp(shapes[:, 1])).min())
         kernel = self.averages(width)[0]
-        costs = kernel.costs(shapes, self.gain, self.offset).tolist()
+        costs = kernel.costs(shapes, *self.known).tolist()
         if not math.isfinite(min(costs)):
             raise NotConvergedError(
                 f"the fit of {name}",
@@ -352,8 +347,7 @@ class Search:
             mask_of(free),
             lower,
             upper,
-            self.gain,
-            self.offset,
+            *self.known,
             # Enough for an undamped link on a damped log, by a third per step.
             FIRST_STEPS if first else ROUNDS,
         )
@@ -381,22 +375,28 @@ class Search:
         channel is delayed: for a rough angle a delay is negative only beyond one
         sample.
         """
-        period, name = self.window.period, found.structure
-        held, row, ends = self.window.hold == "zero", found.shape.copy(), [found]
+        period, name, shape = self.window.period, found.structure, found.shape[:4]
+        held = self.window.hold == "zero"
         if not held and not self.window.is_rough:
             return found
-        shortest, longest = self._delays(row)
-        first = math.floor(row[4] / period)
-        for k in range(first, first + 3):
-            row[4] = (k - 0.5) * period
-            low = max((k - 1 + 1e-6) * period, shortest)
-            high = min(k * period, longest)
-            if low <= high:
-                ends.append(self._descended(name, row, (low, high)))
-        best = min(ends, key=lambda each: each.cost)
+        shortest, longest = self._delays(found.shape)
+        first = math.floor(found.shape[4] / period)
+        starts = [
+            (
+                (k - 0.5) * period,
+                (max((k - 1 + 1e-6) * period, shortest), min(k * period, longest)),
+            )
+            for k in range(first, first + 3)
+        ]
+        ends = [
+            self._descended(name, np.append(shape, delay), limits)
+            for delay, limits in starts
+            if limits[0] <= limits[1]
+        ]
+        best = min([found, *ends], key=lambda each: each.cost)
         if not held and -1.5 * period < best.shape[4] < 0:
-            row[4] = 0.5 * period
-            return self._descended(name, row, (0.0, longest))
+            start = np.append(shape, 0.5 * period)
+            return self._descended(name, start, (0.0, longest))
         return best
 
     def _special(self, name: str) -> Iterator[Real]:

@@ -125,10 +125,11 @@ def identify_structure(
         longest, offset = _TURNS / data.band[1], 0.0
         whole, fitted = samples, data.frequency.size
     else:
-        if isinstance(data, Recording):
-            record, moved = data, data.input
-        else:
-            record, moved = Recording.of(data), moving_angle(data)
+        record, moved = (
+            (data, data.input)
+            if isinstance(data, Recording)
+            else (Recording.of(data), moving_angle(data))
+        )
         # A single step: its end cannot be predicted from its beginning.
         share = 0.0 if heldout is None and np.ptp(record.input) == 0 else heldout
         fitted = fitted_samples(record.input, record.output, share)

@@ -42,6 +42,8 @@ def mean_power(transforms: Complex) -> Real:
     return np.mean(np.abs(transforms) ** 2, axis=0)
 
 
+# Frequencies without motion are left out.
+@np.errstate(divide="ignore", invalid="ignore")
 def welch_response(log: Experiment, fit: Fit) -> tuple[Real, Complex, Complex, Real]:
     """Frequency [rad/s], the averaged responses (Welch) of measurement and prediction to
     the motor's angle, and the coherence; shape (N,).
@@ -67,10 +69,9 @@ def welch_response(log: Experiment, fit: Fit) -> tuple[Real, Complex, Complex, R
     usable = power > EXCITED * power.max()
     cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
     product = np.maximum(power * mean_power(y), 1e-300)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return (
-            frequency[usable],
-            (cross / power)[usable],
-            (other / power)[usable],
-            np.minimum(np.abs(cross) ** 2 / product, 1.0)[usable],
-        )
+    return (
+        frequency[usable],
+        (cross / power)[usable],
+        (other / power)[usable],
+        np.minimum(np.abs(cross) ** 2 / product, 1.0)[usable],
+    )
