@@ -283,7 +283,9 @@ def _distinct(
         # would waste one of three places.
         if all(abs(cost - other) > 1e-3 * cost for other, _ in distinct):
             distinct.append((cost, candidates[i]))
-    return [c for _, c in distinct[:_KEPT]]
+        if len(distinct) == _KEPT:
+            break
+    return [c for _, c in distinct]
 
 
 # --- Starting poles by pole relocation (vector fitting), reflected into the stable half plane ---------
@@ -295,7 +297,7 @@ def _distinct(
 def _relocated(
     band: tuple[float, float], order: int, target: Target
 ) -> PartialFractions:
-    """A fraction (poles only) after at most twelve rounds, each of which solves a linear
+    """A fraction (poles only) after twelve rounds, each of which solves a linear
     problem, from poles spread evenly on a logarithmic scale of Ω: a real one below
     where the order is odd, pairs at 45° above.
 
@@ -303,31 +305,24 @@ def _relocated(
     F is linear, and the zeros of σ are the next poles.
     """
     pairs, real = divmod(order, 2)
-    logs = np.linspace(math.log(band[0]), math.log(band[1]), 2 * (real + pairs) + 1)[
-        1::2
-    ]
+    places = (np.arange(real + pairs) + 0.5) / (real + pairs)
+    logs = math.log(band[0]) + places * math.log(band[1] / band[0])
     here = _fractions(logs[:real], logs[real:], np.full(pairs, 0.55))
-    poles = np.full(order, np.nan)
     for _ in range(12):
         basis = here.basis(target.omega)
-        columns = target.rows(
-            np.concatenate([target.whole * basis, -target.wanted * basis[1:]])
-        ).T
+        both = [target.whole * basis, -target.wanted * basis[1:]]
+        columns = target.rows(np.concatenate(both)).T
         size = np.linalg.norm(columns, axis=0) + 1e-300
         # Columns are scaled to equal length: poles three decades apart give columns of
         # very different size, and the cut-off at 1e-13 is meant for dependent columns,
         # not for small ones.
         solution = np.linalg.lstsq(columns / size, target.aim, rcond=1e-13)[0] / size
-        before, poles = poles, _zeros_of_denominator(here, solution[len(basis) :])
-        here = _from_poles(poles, target)
-        # Newton's method, which goes on from here, moves them farther.
-        if np.all(np.abs(poles - before) <= 1e-3 * np.abs(poles)):
-            break
+        here = _from_poles(_zeros_of_denominator(here, solution[len(basis) :]), target)
     return here
 
 
 def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
-    """Sorted eigenvalues of A − b c for σ(x) = 1 + c (x − A)^(-1) b."""
+    """Eigenvalues of A − b c for σ(x) = 1 + c (x − A)^(-1) b."""
     sigma, q = np.exp(at.real_logs), at.poles_of_pairs()
     n, m = len(sigma), len(q)
     a = np.diag(-np.concatenate([sigma, q.real, q.real]))
@@ -339,7 +334,7 @@ def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
     gain = q * (weights[n : n + m] + 1j * weights[n + m :])
     c = np.concatenate([weights[:n] * sigma, gain.real, -gain.imag])
     a[: n + m] -= c
-    return np.sort_complex(np.linalg.eigvals(a))
+    return np.asarray(np.linalg.eigvals(a), complex)
 
 
 def _from_poles(x: Complex, target: Target) -> PartialFractions:
