@@ -67,6 +67,12 @@ def test_a_common_order_is_refused_where_it_is_not() -> None:
     assert "cannot be common" in fit.verdict
 
 
+@pytest.mark.parametrize("tweak", [0.0, 1e-3])
+def test_rounding_is_no_difference_and_a_difference_no_rounding(tweak: float) -> None:
+    logs = payload_logs(LINK, noise=0.0, tweak=tweak)
+    assert identify_payloads(logs, "UD-FOM").test.common is (tweak == 0.0)
+
+
 @pytest.mark.slow
 def test_one_stiffness_by_equation_5() -> None:
     fit = identify_payloads(payload_logs(LINK), tied=True, length=0.65)

@@ -29,7 +29,7 @@ HEADERS = {
         double sin(double), cos(double), tan(double), asin(double), atan(double), atan2(double, double);
         double cosh(double), tanh(double), pow(double, double);
         double fmin(double, double), fmax(double, double);
-        double copysign(double, double), fmod(double, double);
+        double copysign(double, double), fmod(double, double), remainder(double, double);
     """,
     "string.h": """
         #include <stddef.h>

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.link_problem import quadratic_of
-from fraclink._identify.problem import Problem, Quadratic
+from fraclink._identify.problem import RESOLUTION, Problem, Quadratic
 from fraclink._identify.residual import autoregression
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -44,13 +44,15 @@ def weight_of(search: Search, solution: Solution) -> float:
     """1/(σ² k): a coloured residual counts as k times fewer samples.
 
     What a log says of a link it says at the resonance: the scores of its parameters are
-    of that frequency, and the noise there over its mean over all frequencies is k.
+    of that frequency, and the noise there over its mean over all frequencies is k. What
+    is fitted more closely than 16 bits resolve has the white noise of their rounding.
     """
     raw = columns_of(search.kernel, solution.shape)[0]
     residual = search.window.output - solution.gain * raw - solution.offset
     variance = solution.cost / search.window.samples
-    if not variance > 0:
-        return 1.0
+    least = RESOLUTION * float(np.var(search.window.output))
+    if variance <= least:
+        return 1 / least
     coefficients, innovation = autoregression(residual)
     turn = np.exp(1j * solution.resonance * search.window.period)
     power = innovation / float(np.abs(np.polyval(coefficients, turn))) ** 2

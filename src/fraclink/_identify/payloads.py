@@ -20,7 +20,7 @@ from fraclink._identify.compare import preferred_structure
 from fraclink._identify.fit import SYMBOLS
 from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import JointProblem, weight_of
-from fraclink._identify.problem import descend, inverted
+from fraclink._identify.problem import RESOLUTION, descend, inverted
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, columns_of, model_of
 from fraclink._identify.uncertainty import structure_criteria
@@ -363,15 +363,13 @@ def _test(
     mse: Sequence[float],
     alone_mse: Sequence[float],
 ) -> LikelihoodRatio:
+    # Below what 16 bits resolve, errors are rounding.
+    least = [RESOLUTION * float(np.var(log.output)) for log in logs]
+    together, own = np.maximum([mse, alone_mse], least)
     # A coloured residual has fewer independent samples than samples: k divides their
     # number, and weight · own is 1/k.
-    statistic = sum(
-        log.output.size * weight * own * math.log(max(together / own, 1.0))
-        for log, weight, together, own in zip(
-            logs, joint.weights, mse, alone_mse, strict=True
-        )
-        if own > 0
-    )
+    samples = [log.output.size for log in logs] * np.array(joint.weights) * own
+    statistic = float(samples @ np.log(np.maximum(together / own, 1.0)))
     # The difference in the number of parameters between the separate fits and the joint
     # fit.
     degrees = joint.index.size - joint.box[0].size
