@@ -98,8 +98,7 @@ def _phase_slope(code: Any, draw: Draw) -> Sides:
     )
     printed = -at.order * at.square * math.sin(angle) * w ** (at.order - 1) / size
     true = slope_of(lambda x: cmath.phase(_value(at, x) / _value(at, w)), w, 1e-4)
-    _, slope = code(_loop_of(at), w, at.natural)
-    return printed, float(slope.imag) / w, true
+    return printed, float(code(_loop_of(at), w, at.natural).imag) / w, true
 
 
 def _positive(code: Any, draw: Draw) -> Sides:

@@ -248,6 +248,10 @@ class Loop(GaugedLink):
         value, up, down = self.log(around, natural_frequency)
         return value, (up - down) / (2.0 * _STEP)
 
+    def slope(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
+        """Return d ln L / d ln ω."""
+        return self.log_and_slope(frequency, natural_frequency)[1]
+
     def crossings(self, natural_frequency: ArrayLike) -> Crossings:
         """Return every crossing of |L| = 1 below `highest` for each ω₀ of the array."""
         w0 = np.atleast_1d(np.asarray(natural_frequency, float))

@@ -209,8 +209,8 @@ def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
             gain=math.exp(log_chi) / crossover**beta,
             upper=float(upper),
             chi=math.exp(log_chi),
-            slope_low=float(loop.log_and_slope(crossover, low)[1].real),
-            slope_high=float(loop.log_and_slope(upper, high)[1].real),
+            slope_low=float(loop.slope(crossover, low).real),
+            slope_high=float(loop.slope(upper, high).real),
         )
 
 
