@@ -7,7 +7,7 @@
 #define TAU (2.0 * PI)
 #define LONGEST 0.2     /* step in ln w that stays in the valley it began in */
 #define CLOSE 1e-6      /* a step behind which the error, its square, is that of the arithmetic */
-#define NEWTON_STEPS 20 /* across the expansions, ln(4/0.3) = 2.6 wide, and half a dozen to converge */
+#define NEWTON_STEPS 20 /* across the expansions, ln(4.3/0.28) = 2.7 wide, and half a dozen to converge */
 #define LOUDEST 50.0 /* ln of a gain beside which one is nothing, and whose powers do not overflow */
 
 static double square(double a) { return a * a; }

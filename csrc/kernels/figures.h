@@ -49,7 +49,7 @@ enum {
     FIGURE_DELAY,       /* the delay that takes its phase to the lower edge [s] */
     FIGURE_DISTANCE,    /* ln of the local minima of |1 + L| */
     FIGURE_GAIN_MARGIN, /* ln of the factor by which |L| < 1 may grow where the phase passes -180 degrees */
-    FIGURE_DAMPING,     /* damping ratio of the roots of 1 + L near the axis, between the first and the last centre */
+    FIGURE_DAMPING,     /* damping ratio of the roots of 1 + L near the axis, within the region */
     FIGURE_NOISE,       /* ln of the RMS of C/(1 + L) over the noise integral */
     FIGURE_VOLTAGE,     /* the same of the voltage */
     FIGURE_MODES        /* ln of the part of the gain at a higher mode that points to -1, a row for each mode */
