@@ -112,7 +112,7 @@ def test_calls_out_of_order(arm: Imported) -> None:
     arm.initialize()
     _refused(
         arm,
-        "before initialization only",
+        "right after instantiation or a reset",
         "EnterInitializationMode",
     )
     arm.call("Reset")

@@ -71,24 +71,12 @@ typedef void (*fmi3UnlockPreemptionCallback)(void);
 #define FMI3(name) FMU_NAME(FMU_PREFIX, name)
 #define FMI3_STATUS(name) FMU_EXPORT fmi3Status FMI3(name)
 
-typedef fmi3Status fmu_status;
-#define FMU_OK fmi3OK
-#define FMU_ERROR fmi3Error
-
-typedef struct {
-    fmi3LogMessageCallback log;
-    fmi3InstanceEnvironment environment;
-    bool logging;
-} fmu_host;
+/* The standard fixes the parameters, also those that this FMU has no use for. */
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
 
 #include "fmu_core.h"
-
-/* FMI 3 requires silence while logging is off: then only the status reports the error. */
-static void fmu_tell(const fmu_host *host, const char *message)
-{
-    if (host->logging && (host->log != NULL))
-        host->log(host->environment, fmi3Error, "logStatusError", message);
-}
 
 FMU_EXPORT const char *FMI3(GetVersion)(void) { return "3.0"; }
 
@@ -113,12 +101,6 @@ FMU_EXPORT fmi3Instance FMI3(InstantiateCoSimulation)(fmi3String name, fmi3Strin
     /* the reason why there is no instance is always reported, since there was no way yet to switch its logging off */
     fmu_host host = {log, environment, true};
     fmu_instance *me = NULL;
-    (void)name;
-    (void)resources;
-    (void)visible;
-    (void)early_return;
-    (void)intermediate;
-    (void)update;
     if (events || (intermediate_count > 0U)) {
         fmu_tell(&host, "this FMU has neither event mode nor intermediate updates");
         return NULL;
@@ -135,11 +117,6 @@ FMU_EXPORT fmi3Instance FMI3(InstantiateModelExchange)(fmi3String name, fmi3Stri
                                                        fmi3LogMessageCallback log)
 {
     const fmu_host host = {log, environment, true};
-    (void)name;
-    (void)token;
-    (void)resources;
-    (void)visible;
-    (void)logging;
     fmu_tell(&host, "this FMU is for co-simulation, not for model exchange");
     return NULL;
 }
@@ -150,14 +127,6 @@ FMU_EXPORT fmi3Instance FMI3(InstantiateScheduledExecution)(
     fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
 {
     const fmu_host host = {log, environment, true};
-    (void)name;
-    (void)token;
-    (void)resources;
-    (void)visible;
-    (void)logging;
-    (void)update;
-    (void)lock;
-    (void)unlock;
     fmu_tell(&host, "this FMU is for co-simulation, not for scheduled execution");
     return NULL;
 }
@@ -167,16 +136,31 @@ FMU_EXPORT void FMI3(FreeInstance)(fmi3Instance me) { free(me); }
 FMI3_STATUS(EnterInitializationMode)(fmi3Instance me, fmi3Boolean with_tolerance, fmi3Float64 tolerance,
                                      fmi3Float64 start, fmi3Boolean with_end, fmi3Float64 end)
 {
-    const fmu_status status = fmu_set_start(me, start);
-    (void)with_tolerance;
-    (void)tolerance;
-    (void)with_end;
-    (void)end;
-    return (status == FMU_OK ? fmu_enter_initialization(me) : status);
+    fmu_memory *const m = &((fmu_instance *)me)->memory;
+    if (m->phase != FMU_INSTANTIATED)
+        return fmu_refuse(me, "initialization is entered once, right after instantiation or a reset");
+    m->time = start;
+    m->phase = FMU_INITIALIZING;
+    return fmi3OK;
 }
 
-FMI3_STATUS(ExitInitializationMode)(fmi3Instance me) { return fmu_exit_initialization(me); }
-FMI3_STATUS(Terminate)(fmi3Instance me) { return fmu_terminate(me); }
+FMI3_STATUS(ExitInitializationMode)(fmi3Instance me)
+{
+    fmu_memory *const m = &((fmu_instance *)me)->memory;
+    if (m->phase != FMU_INITIALIZING)
+        return fmu_refuse(me, "initialization is left without having been entered");
+    m->phase = FMU_STEPPING;
+    return fmi3OK;
+}
+
+FMI3_STATUS(Terminate)(fmi3Instance me)
+{
+    fmu_memory *const m = &((fmu_instance *)me)->memory;
+    if (m->phase != FMU_STEPPING)
+        return fmu_refuse(me, "only a simulation that runs can be terminated");
+    m->phase = FMU_TERMINATED;
+    return fmi3OK;
+}
 
 FMI3_STATUS(Reset)(fmi3Instance me)
 {
@@ -187,8 +171,7 @@ FMI3_STATUS(Reset)(fmi3Instance me)
 FMI3_STATUS(DoStep)(fmi3Instance me, fmi3Float64 now, fmi3Float64 step, fmi3Boolean no_rollback, fmi3Boolean *events,
                     fmi3Boolean *terminate, fmi3Boolean *early_return, fmi3Float64 *reached)
 {
-    const fmu_status status = fmu_step(me, now, step);
-    (void)no_rollback;
+    const fmi3Status status = fmu_step(me, now, step);
     *events = false;
     *terminate = false;
     *early_return = false;
@@ -204,31 +187,64 @@ static fmi3Status not_scalar(fmu_instance *me)
 FMI3_STATUS(GetFloat64)(fmi3Instance me, const fmi3ValueReference references[], size_t count, fmi3Float64 values[],
                         size_t value_count)
 {
-    return value_count == count ? fmu_get_reals(me, references, count, values) : not_scalar(me);
+    const fmu_memory *const m = &((const fmu_instance *)me)->memory;
+    if (value_count != count)
+        return not_scalar(me);
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] < FMU_REALS) {
+            values[i] = m->reals[references[i]];
+        } else if (references[i] == FMU_TIME) {
+            values[i] = m->time;
+        } else if (references[i] == FMU_PAYLOAD) {
+            values[i] = m->payload;
+        } else {
+            return fmu_refuse(me, "a value reference is read that is no real number; see modelDescription.xml");
+        }
+    }
+    return fmi3OK;
 }
 
 FMI3_STATUS(SetFloat64)(fmi3Instance me, const fmi3ValueReference references[], size_t count,
                         const fmi3Float64 values[], size_t value_count)
 {
-    return value_count == count ? fmu_set_reals(me, references, count, values) : not_scalar(me);
+    fmu_memory *const m = &((fmu_instance *)me)->memory;
+    if (value_count != count)
+        return not_scalar(me);
+    if (m->phase == FMU_TERMINATED)
+        return fmu_refuse(me, "an input is set after the end; reset the FMU first");
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] < FMU_INPUTS) {
+            m->reals[references[i]] = values[i];
+        } else if (references[i] == FMU_PAYLOAD) {
+            m->payload = values[i];
+        } else {
+            return fmu_refuse(me, "a value reference is set that is no input; see modelDescription.xml");
+        }
+    }
+    if (m->phase != FMU_STEPPING)
+        fmu_rest(m);
+    return fmi3OK;
 }
 
+/* mode, reason or flags */
 FMI3_STATUS(GetUInt32)(fmi3Instance me, const fmi3ValueReference references[], size_t count, fmi3UInt32 values[],
                        size_t value_count)
 {
-    fmu_status status = value_count == count ? FMU_OK : not_scalar(me);
-    for (size_t i = 0; (i < count) && (status == FMU_OK); i++)
-        status = fmu_get_mark(me, references[i], &values[i]);
-    return status;
+    const fmu_memory *const m = &((const fmu_instance *)me)->memory;
+    if (value_count != count)
+        return not_scalar(me);
+    for (size_t i = 0; i < count; i++) {
+        if ((references[i] < FMU_REALS) || (references[i] >= FMU_VALUES))
+            return fmu_refuse(me, "a value reference is read that is no whole number; see modelDescription.xml");
+        values[i] = m->marks[references[i] - FMU_REALS];
+    }
+    return fmi3OK;
 }
 
 #define FMI3_NO_VARIABLES(access, constness, type)                                                                     \
     FMI3_STATUS(access)(fmi3Instance me, const fmi3ValueReference references[], size_t count, constness type values[], \
                         size_t value_count)                                                                            \
     {                                                                                                                  \
-        (void)references;                                                                                              \
-        (void)values;                                                                                                  \
-        (void)value_count;                                                                                             \
         return fmu_no_variables(me, count);                                                                            \
     }
 #define FMI3_NO_ACCESS(name, type)       \
@@ -246,12 +262,32 @@ FMI3_NO_ACCESS(Boolean, fmi3Boolean)
 FMI3_NO_ACCESS(String, fmi3String)
 FMI3_NO_VARIABLES(SetUInt32, const, fmi3UInt32)
 
-FMI3_STATUS(GetFMUState)(fmi3Instance me, fmi3FMUState *state) { return fmu_save(me, state); }
-FMI3_STATUS(SetFMUState)(fmi3Instance me, fmi3FMUState state) { return fmu_restore(me, state); }
+/* Room for a snapshot, where `state` is not an earlier one to overwrite. */
+static bool fmu_room(fmi3FMUState *state)
+{
+    if (*state == NULL)
+        *state = malloc(sizeof(fmu_memory));
+    return *state != NULL;
+}
+
+FMI3_STATUS(GetFMUState)(fmi3Instance me, fmi3FMUState *state)
+{
+    if (!fmu_room(state))
+        return fmu_refuse(me, "out of memory");
+    memcpy(*state, &((const fmu_instance *)me)->memory, sizeof(fmu_memory));
+    return fmi3OK;
+}
+
+FMI3_STATUS(SetFMUState)(fmi3Instance me, fmi3FMUState state)
+{
+    if (state == NULL)
+        return fmu_refuse(me, "there is no state to restore");
+    memcpy(&((fmu_instance *)me)->memory, state, sizeof(fmu_memory));
+    return fmi3OK;
+}
 
 FMI3_STATUS(FreeFMUState)(fmi3Instance me, fmi3FMUState *state)
 {
-    (void)me;
     if (state != NULL) {
         free(*state);
         *state = NULL;
@@ -261,20 +297,30 @@ FMI3_STATUS(FreeFMUState)(fmi3Instance me, fmi3FMUState *state)
 
 FMI3_STATUS(SerializedFMUStateSize)(fmi3Instance me, fmi3FMUState state, size_t *size)
 {
-    (void)me;
-    (void)state;
     *size = sizeof(fmu_memory);
     return fmi3OK;
 }
 
 FMI3_STATUS(SerializeFMUState)(fmi3Instance me, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
-    return fmu_serialize(me, state, bytes, size);
+    if ((state == NULL) || (size < sizeof(fmu_memory)))
+        return fmu_refuse(me, "the room for a state is too small, or there is no state");
+    memcpy(bytes, state, sizeof(fmu_memory));
+    return fmi3OK;
 }
 
 FMI3_STATUS(DeserializeFMUState)(fmi3Instance me, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
-    return fmu_deserialize(me, bytes, size, state);
+    fmu_memory memory;
+    if (size != sizeof memory)
+        return fmu_refuse(me, "a serialized state has another size: it is not of this FMU");
+    memcpy(&memory, bytes, sizeof memory);
+    if ((memory.owner != law_data.crc) || (memory.phase > FMU_TERMINATED))
+        return fmu_refuse(me, "a serialized state is of another law, or damaged");
+    if (!fmu_room(state))
+        return fmu_refuse(me, "out of memory");
+    memcpy(*state, &memory, sizeof memory);
+    return fmi3OK;
 }
 
 #include "fmi3_not_offered.h"

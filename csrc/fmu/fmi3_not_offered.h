@@ -1,104 +1,76 @@
 /* The functions of FMI 3.0 that modelDescription.xml does not offer: clocks, binary variables, event mode,
- * configuration, dependencies at run time, derivatives, model exchange, scheduled execution. Each returns an error.
- *
- * One macro for each number of arguments: a definition in C99 must name its parameters, and compilers warn about
- * unused names. */
+ * configuration, dependencies at run time, derivatives, model exchange, scheduled execution. Each returns an error. */
 #ifndef FRACLINK_FMI3_NOT_OFFERED_H
 #define FRACLINK_FMI3_NOT_OFFERED_H
 
-#define FMI3_REFUSED_0(name) \
-    FMI3_STATUS(name)(fmi3Instance me) { return fmu_not_offered(me); }
-#define FMI3_REFUSED_1(name, A)             \
-    FMI3_STATUS(name)(fmi3Instance me, A a) \
-    {                                       \
-        (void)a;                            \
-        return fmu_not_offered(me);         \
-    }
-#define FMI3_REFUSED_2(name, A, B)               \
-    FMI3_STATUS(name)(fmi3Instance me, A a, B b) \
-    {                                            \
-        (void)a, (void)b;                        \
-        return fmu_not_offered(me);              \
-    }
-#define FMI3_REFUSED_3(name, A, B, C)                 \
-    FMI3_STATUS(name)(fmi3Instance me, A a, B b, C c) \
-    {                                                 \
-        (void)a, (void)b, (void)c;                    \
-        return fmu_not_offered(me);                   \
-    }
-#define FMI3_REFUSED_4(name, A, B, C, D)                   \
-    FMI3_STATUS(name)(fmi3Instance me, A a, B b, C c, D d) \
-    {                                                      \
-        (void)a, (void)b, (void)c, (void)d;                \
-        return fmu_not_offered(me);                        \
-    }
-#define FMI3_REFUSED_5(name, A, B, C, D, E)                     \
-    FMI3_STATUS(name)(fmi3Instance me, A a, B b, C c, D d, E e) \
-    {                                                           \
-        (void)a, (void)b, (void)c, (void)d, (void)e;            \
-        return fmu_not_offered(me);                             \
-    }
-#define FMI3_REFUSED_6(name, A, B, C, D, E, F)                       \
-    FMI3_STATUS(name)(fmi3Instance me, A a, B b, C c, D d, E e, F f) \
-    {                                                                \
-        (void)a, (void)b, (void)c, (void)d, (void)e, (void)f;        \
-        return fmu_not_offered(me);                                  \
-    }
-#define FMI3_REFUSED_8(name, A, B, C, D, E, F, G, H)                           \
-    FMI3_STATUS(name)(fmi3Instance me, A a, B b, C c, D d, E e, F f, G g, H h) \
-    {                                                                          \
-        (void)a, (void)b, (void)c, (void)d, (void)e, (void)f, (void)g;         \
-        (void)h;                                                               \
-        return fmu_not_offered(me);                                            \
-    }
+#define FMI3_REFUSED(name, parameters) \
+    FMI3_STATUS(name) parameters { return fmu_not_offered(me); }
 
 /* modes that this FMU does not have */
-FMI3_REFUSED_0(EnterEventMode)
-FMI3_REFUSED_0(EnterStepMode)
-FMI3_REFUSED_0(EnterConfigurationMode)
-FMI3_REFUSED_0(ExitConfigurationMode)
-FMI3_REFUSED_0(EvaluateDiscreteStates)
-FMI3_REFUSED_6(UpdateDiscreteStates, fmi3Boolean *, fmi3Boolean *, fmi3Boolean *, fmi3Boolean *, fmi3Boolean *,
-               fmi3Float64 *)
+FMI3_REFUSED(EnterEventMode, (fmi3Instance me))
+FMI3_REFUSED(EnterStepMode, (fmi3Instance me))
+FMI3_REFUSED(EnterConfigurationMode, (fmi3Instance me))
+FMI3_REFUSED(ExitConfigurationMode, (fmi3Instance me))
+FMI3_REFUSED(EvaluateDiscreteStates, (fmi3Instance me))
+FMI3_REFUSED(UpdateDiscreteStates, (fmi3Instance me, fmi3Boolean *again, fmi3Boolean *terminate,
+                                    fmi3Boolean *nominals_changed, fmi3Boolean *values_changed,
+                                    fmi3Boolean *event_time_defined, fmi3Float64 *event_time))
 
 /* variables and dependencies */
-FMI3_REFUSED_5(GetBinary, const fmi3ValueReference *, size_t, size_t *, fmi3Binary *, size_t)
-FMI3_REFUSED_5(SetBinary, const fmi3ValueReference *, size_t, const size_t *, const fmi3Binary *, size_t)
-FMI3_REFUSED_2(GetNumberOfVariableDependencies, fmi3ValueReference, size_t *)
-FMI3_REFUSED_6(GetVariableDependencies, fmi3ValueReference, size_t *, fmi3ValueReference *, size_t *,
-               fmi3DependencyKind *, size_t)
+FMI3_REFUSED(GetBinary, (fmi3Instance me, const fmi3ValueReference references[], size_t count, size_t sizes[],
+                         fmi3Binary values[], size_t value_count))
+FMI3_REFUSED(SetBinary, (fmi3Instance me, const fmi3ValueReference references[], size_t count, const size_t sizes[],
+                         const fmi3Binary values[], size_t value_count))
+FMI3_REFUSED(GetNumberOfVariableDependencies, (fmi3Instance me, fmi3ValueReference reference, size_t *count))
+FMI3_REFUSED(GetVariableDependencies, (fmi3Instance me, fmi3ValueReference dependent, size_t elements[],
+                                       fmi3ValueReference independents[], size_t independent_elements[],
+                                       fmi3DependencyKind kinds[], size_t count))
 
 /* derivatives */
-FMI3_REFUSED_8(GetDirectionalDerivative, const fmi3ValueReference *, size_t, const fmi3ValueReference *, size_t,
-               const fmi3Float64 *, size_t, fmi3Float64 *, size_t)
-FMI3_REFUSED_8(GetAdjointDerivative, const fmi3ValueReference *, size_t, const fmi3ValueReference *, size_t,
-               const fmi3Float64 *, size_t, fmi3Float64 *, size_t)
-FMI3_REFUSED_5(GetOutputDerivatives, const fmi3ValueReference *, size_t, const fmi3Int32 *, fmi3Float64 *, size_t)
+FMI3_REFUSED(GetDirectionalDerivative, (fmi3Instance me, const fmi3ValueReference unknowns[], size_t unknown_count,
+                                        const fmi3ValueReference knowns[], size_t known_count,
+                                        const fmi3Float64 seed[], size_t seed_count, fmi3Float64 sensitivity[],
+                                        size_t sensitivity_count))
+FMI3_REFUSED(GetAdjointDerivative, (fmi3Instance me, const fmi3ValueReference unknowns[], size_t unknown_count,
+                                    const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[],
+                                    size_t seed_count, fmi3Float64 sensitivity[], size_t sensitivity_count))
+FMI3_REFUSED(GetOutputDerivatives, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                    const fmi3Int32 orders[], fmi3Float64 values[], size_t value_count))
 
 /* clocks */
-FMI3_REFUSED_3(GetClock, const fmi3ValueReference *, size_t, fmi3Clock *)
-FMI3_REFUSED_3(SetClock, const fmi3ValueReference *, size_t, const fmi3Clock *)
-FMI3_REFUSED_4(GetIntervalDecimal, const fmi3ValueReference *, size_t, fmi3Float64 *, fmi3IntervalQualifier *)
-FMI3_REFUSED_5(GetIntervalFraction, const fmi3ValueReference *, size_t, fmi3UInt64 *, fmi3UInt64 *,
-               fmi3IntervalQualifier *)
-FMI3_REFUSED_3(GetShiftDecimal, const fmi3ValueReference *, size_t, fmi3Float64 *)
-FMI3_REFUSED_4(GetShiftFraction, const fmi3ValueReference *, size_t, fmi3UInt64 *, fmi3UInt64 *)
-FMI3_REFUSED_3(SetIntervalDecimal, const fmi3ValueReference *, size_t, const fmi3Float64 *)
-FMI3_REFUSED_4(SetIntervalFraction, const fmi3ValueReference *, size_t, const fmi3UInt64 *, const fmi3UInt64 *)
-FMI3_REFUSED_3(SetShiftDecimal, const fmi3ValueReference *, size_t, const fmi3Float64 *)
-FMI3_REFUSED_4(SetShiftFraction, const fmi3ValueReference *, size_t, const fmi3UInt64 *, const fmi3UInt64 *)
+FMI3_REFUSED(GetClock, (fmi3Instance me, const fmi3ValueReference references[], size_t count, fmi3Clock values[]))
+FMI3_REFUSED(SetClock, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                        const fmi3Clock values[]))
+FMI3_REFUSED(GetIntervalDecimal, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                  fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[]))
+FMI3_REFUSED(GetIntervalFraction, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                   fmi3UInt64 counters[], fmi3UInt64 resolutions[],
+                                   fmi3IntervalQualifier qualifiers[]))
+FMI3_REFUSED(GetShiftDecimal, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                               fmi3Float64 shifts[]))
+FMI3_REFUSED(GetShiftFraction, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                fmi3UInt64 counters[], fmi3UInt64 resolutions[]))
+FMI3_REFUSED(SetIntervalDecimal, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                  const fmi3Float64 intervals[]))
+FMI3_REFUSED(SetIntervalFraction, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                   const fmi3UInt64 counters[], const fmi3UInt64 resolutions[]))
+FMI3_REFUSED(SetShiftDecimal, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                               const fmi3Float64 shifts[]))
+FMI3_REFUSED(SetShiftFraction, (fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                                const fmi3UInt64 counters[], const fmi3UInt64 resolutions[]))
 
 /* model exchange and scheduled execution */
-FMI3_REFUSED_0(EnterContinuousTimeMode)
-FMI3_REFUSED_3(CompletedIntegratorStep, fmi3Boolean, fmi3Boolean *, fmi3Boolean *)
-FMI3_REFUSED_1(SetTime, fmi3Float64)
-FMI3_REFUSED_2(SetContinuousStates, const fmi3Float64 *, size_t)
-FMI3_REFUSED_2(GetContinuousStateDerivatives, fmi3Float64 *, size_t)
-FMI3_REFUSED_2(GetEventIndicators, fmi3Float64 *, size_t)
-FMI3_REFUSED_2(GetContinuousStates, fmi3Float64 *, size_t)
-FMI3_REFUSED_2(GetNominalsOfContinuousStates, fmi3Float64 *, size_t)
-FMI3_REFUSED_1(GetNumberOfEventIndicators, size_t *)
-FMI3_REFUSED_1(GetNumberOfContinuousStates, size_t *)
-FMI3_REFUSED_2(ActivateModelPartition, fmi3ValueReference, fmi3Float64)
+FMI3_REFUSED(EnterContinuousTimeMode, (fmi3Instance me))
+FMI3_REFUSED(CompletedIntegratorStep, (fmi3Instance me, fmi3Boolean no_rollback, fmi3Boolean *enter_events,
+                                       fmi3Boolean *terminate))
+FMI3_REFUSED(SetTime, (fmi3Instance me, fmi3Float64 time))
+FMI3_REFUSED(SetContinuousStates, (fmi3Instance me, const fmi3Float64 states[], size_t count))
+FMI3_REFUSED(GetContinuousStateDerivatives, (fmi3Instance me, fmi3Float64 derivatives[], size_t count))
+FMI3_REFUSED(GetEventIndicators, (fmi3Instance me, fmi3Float64 indicators[], size_t count))
+FMI3_REFUSED(GetContinuousStates, (fmi3Instance me, fmi3Float64 states[], size_t count))
+FMI3_REFUSED(GetNominalsOfContinuousStates, (fmi3Instance me, fmi3Float64 nominals[], size_t count))
+FMI3_REFUSED(GetNumberOfEventIndicators, (fmi3Instance me, size_t *count))
+FMI3_REFUSED(GetNumberOfContinuousStates, (fmi3Instance me, size_t *count))
+FMI3_REFUSED(ActivateModelPartition, (fmi3Instance me, fmi3ValueReference clock, fmi3Float64 time))
 
 #endif

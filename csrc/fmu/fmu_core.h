@@ -1,9 +1,7 @@
-/* The life cycle of an FMU around law_step.
+/* An instance of the FMU: its memory, and its steps around law_step.
  *
- * Included by fmi3.c, which first defines `fmu_status` with FMU_OK and FMU_ERROR, and `fmu_host`, the data passed by
- * the importer; its own functions follow the include and only translate types. Everything here is static, so that the
- * sources of several FMUs link into one program. The generated all.c includes law.c, law_data, FMU_TOKEN and
- * FMU_PERIOD first. */
+ * Included by fmi3.c behind the types of the standard. Everything here is static, so that the sources of several FMUs
+ * link into one program. The generated all.c includes law.c, law_data, FMU_TOKEN and FMU_PERIOD first. */
 #ifndef FRACLINK_FMU_CORE_H
 #define FRACLINK_FMU_CORE_H
 
@@ -48,19 +46,30 @@ typedef struct {
     law_state law;
 } fmu_memory;
 
+/* What the importer passed. */
+typedef struct {
+    fmi3LogMessageCallback log;
+    fmi3InstanceEnvironment environment;
+    bool logging;
+} fmu_host;
+
 typedef struct {
     fmu_host host;
     fmu_memory memory;
 } fmu_instance;
 
-/* Pass a message to the importer's logger. */
-static void fmu_tell(const fmu_host *host, const char *message);
+/* FMI 3 requires silence while logging is off: then only the status reports the error. */
+static void fmu_tell(const fmu_host *host, const char *message)
+{
+    if (host->logging && (host->log != NULL))
+        host->log(host->environment, fmi3Error, "logStatusError", message);
+}
 
-static fmu_status fmu_refuse(fmu_instance *me, const char *message)
+static fmi3Status fmu_refuse(fmu_instance *me, const char *message)
 {
     me->memory.phase = FMU_TERMINATED;
     fmu_tell(&me->host, message);
-    return FMU_ERROR;
+    return fmi3Error;
 }
 
 static void fmu_restart(fmu_instance *me)
@@ -89,38 +98,6 @@ static fmu_instance *fmu_instantiate(const fmu_host *host, const char *token)
     return me;
 }
 
-static fmu_status fmu_enter_initialization(fmu_instance *me)
-{
-    if (me->memory.phase != FMU_INSTANTIATED)
-        return fmu_refuse(me, "initialization is entered once, right after instantiation or a reset");
-    me->memory.phase = FMU_INITIALIZING;
-    return FMU_OK;
-}
-
-static fmu_status fmu_exit_initialization(fmu_instance *me)
-{
-    if (me->memory.phase != FMU_INITIALIZING)
-        return fmu_refuse(me, "initialization is left without having been entered");
-    me->memory.phase = FMU_STEPPING;
-    return FMU_OK;
-}
-
-static fmu_status fmu_set_start(fmu_instance *me, double start)
-{
-    if (me->memory.phase != FMU_INSTANTIATED)
-        return fmu_refuse(me, "the start time is set before initialization only");
-    me->memory.time = start;
-    return FMU_OK;
-}
-
-static fmu_status fmu_terminate(fmu_instance *me)
-{
-    if (me->memory.phase != FMU_STEPPING)
-        return fmu_refuse(me, "only a simulation that runs can be terminated");
-    me->memory.phase = FMU_TERMINATED;
-    return FMU_OK;
-}
-
 /* Before the first step the outputs are those of an arm at rest at the angle of its encoder, so that a drive that
  * follows motor_reference does not jump to 0 for a period. */
 static void fmu_rest(fmu_memory *m)
@@ -133,62 +110,18 @@ static void fmu_rest(fmu_memory *m)
         m->reals[FMU_TIP_ESTIMATE] -= torque * (double)law_data.compliance;
 }
 
-static fmu_status fmu_get_reals(fmu_instance *me, const uint32_t references[], size_t count, double values[])
-{
-    for (size_t i = 0; i < count; i++) {
-        if (references[i] < FMU_REALS) {
-            values[i] = me->memory.reals[references[i]];
-        } else if (references[i] == FMU_TIME) {
-            values[i] = me->memory.time;
-        } else if (references[i] == FMU_PAYLOAD) {
-            values[i] = me->memory.payload;
-        } else {
-            return fmu_refuse(me, "a value reference is read that is no real number; see modelDescription.xml");
-        }
-    }
-    return FMU_OK;
-}
-
-/* mode, reason or flags */
-static fmu_status fmu_get_mark(fmu_instance *me, uint32_t reference, uint32_t *value)
-{
-    if ((reference < FMU_REALS) || (reference >= FMU_VALUES))
-        return fmu_refuse(me, "a value reference is read that is no whole number; see modelDescription.xml");
-    *value = me->memory.marks[reference - FMU_REALS];
-    return FMU_OK;
-}
-
-static fmu_status fmu_set_reals(fmu_instance *me, const uint32_t references[], size_t count, const double values[])
-{
-    fmu_memory *const m = &me->memory;
-    if (m->phase == FMU_TERMINATED)
-        return fmu_refuse(me, "an input is set after the end; reset the FMU first");
-    for (size_t i = 0; i < count; i++) {
-        if (references[i] < FMU_INPUTS) {
-            m->reals[references[i]] = values[i];
-        } else if (references[i] == FMU_PAYLOAD) {
-            m->payload = values[i];
-        } else {
-            return fmu_refuse(me, "a value reference is set that is no input; see modelDescription.xml");
-        }
-    }
-    if (m->phase != FMU_STEPPING)
-        fmu_rest(m);
-    return FMU_OK;
-}
-
 /* A type that no variable has: there is nothing to read or to set. */
-static fmu_status fmu_no_variables(fmu_instance *me, size_t count)
+static fmi3Status fmu_no_variables(fmu_instance *me, size_t count)
 {
-    return count == 0U ? FMU_OK : fmu_refuse(me, "no variable has the type that is read or set");
+    return count == 0U ? fmi3OK : fmu_refuse(me, "no variable has the type that is read or set");
 }
 
-static fmu_status fmu_not_offered(fmu_instance *me)
+static fmi3Status fmu_not_offered(fmu_instance *me)
 {
     return fmu_refuse(me, "a function is called that modelDescription.xml does not offer");
 }
 
-static fmu_status fmu_step(fmu_instance *me, double now, double step)
+static fmi3Status fmu_step(fmu_instance *me, double now, double step)
 {
     fmu_memory *const m = &me->memory;
     char message[FMU_MESSAGE];
@@ -227,50 +160,7 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
     m->marks[2] = out.flags;
     m->tick++;
     m->time = now + step;
-    return FMU_OK;
-}
-
-/* Take a snapshot; `snapshot` is NULL or an earlier one to overwrite. */
-static fmu_status fmu_save(fmu_instance *me, void **snapshot)
-{
-    if (*snapshot == NULL)
-        *snapshot = malloc(sizeof me->memory);
-    if (*snapshot == NULL)
-        return fmu_refuse(me, "out of memory");
-    memcpy(*snapshot, &me->memory, sizeof me->memory);
-    return FMU_OK;
-}
-
-static fmu_status fmu_restore(fmu_instance *me, const void *snapshot)
-{
-    if (snapshot == NULL)
-        return fmu_refuse(me, "there is no state to restore");
-    memcpy(&me->memory, snapshot, sizeof me->memory);
-    return FMU_OK;
-}
-
-static fmu_status fmu_serialize(fmu_instance *me, const void *snapshot, void *bytes, size_t size)
-{
-    if ((snapshot == NULL) || (size < sizeof me->memory))
-        return fmu_refuse(me, "the room for a state is too small, or there is no state");
-    memcpy(bytes, snapshot, sizeof me->memory);
-    return FMU_OK;
-}
-
-static fmu_status fmu_deserialize(fmu_instance *me, const void *bytes, size_t size, void **snapshot)
-{
-    fmu_memory memory;
-    if (size != sizeof memory)
-        return fmu_refuse(me, "a serialized state has another size: it is not of this FMU");
-    memcpy(&memory, bytes, sizeof memory);
-    if ((memory.owner != law_data.crc) || (memory.phase > FMU_TERMINATED))
-        return fmu_refuse(me, "a serialized state is of another law, or damaged");
-    if (*snapshot == NULL)
-        *snapshot = malloc(sizeof memory);
-    if (*snapshot == NULL)
-        return fmu_refuse(me, "out of memory");
-    memcpy(*snapshot, &memory, sizeof memory);
-    return FMU_OK;
+    return fmi3OK;
 }
 
 #endif
