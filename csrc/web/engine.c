@@ -129,32 +129,3 @@ int EXPORT(run_twin)(int single, int size, int length)
     }
     return 0;
 }
-
-/* What a compiler may call for structs that it copies or clears. */
-void *memcpy(void *to, const void *from, __SIZE_TYPE__ count)
-{
-    char *t = to;
-    const char *f = from;
-    while (count--)
-        *t++ = *f++;
-    return to;
-}
-
-void *memmove(void *to, const void *from, __SIZE_TYPE__ count)
-{
-    char *t = to;
-    const char *f = from;
-    if (t <= f)
-        return memcpy(to, from, count);
-    while (count--)
-        t[count] = f[count];
-    return to;
-}
-
-void *memset(void *to, int value, __SIZE_TYPE__ count)
-{
-    char *t = to;
-    while (count--)
-        *t++ = (char)value;
-    return to;
-}

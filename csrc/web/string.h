@@ -1,11 +1,11 @@
-/* What of C's strings the loop and the twin need; engine.c has them. */
+/* What of C's strings the loop and the twin need: WebAssembly copies and fills memory by itself. */
 #ifndef FRACLINK_WEB_STRING_H
 #define FRACLINK_WEB_STRING_H
 
 #include <stddef.h>
 
-void *memcpy(void *to, const void *from, size_t count);
-void *memmove(void *to, const void *from, size_t count);
-void *memset(void *to, int value, size_t count);
+#define memcpy __builtin_memcpy
+#define memmove __builtin_memmove
+#define memset __builtin_memset
 
 #endif
