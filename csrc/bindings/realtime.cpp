@@ -5,6 +5,7 @@
 
 #include <cerrno>
 #include <cmath>
+#include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <memory>
@@ -40,7 +41,7 @@ struct Io {
     Io(Io &&other) noexcept
         : channel(std::exchange(other.channel, nullptr)), read(std::move(other.read)), write(std::move(other.write)), seal(std::move(other.seal)) {}
     ~Io() {
-        if (channel) channel->close(channel);
+        std::free(channel);
     }
 };
 

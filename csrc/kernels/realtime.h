@@ -152,21 +152,20 @@ typedef struct {
     uint64_t run; /* drawn by the arm for one visit of a controller and returned in its commands; 0: not known yet */
 } realtime_message;
 
-void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES]);
 /* Return 1, or 0 for bytes that are not a message: wrong magic, version or checksum. */
 int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *message);
 
 /* A connection for messages between two processes. `receive` returns 1 with a message, 0 without; `send` returns 0,
- * or 1 if it was not taken. `keep` restricts the connection to the sender of the last message, `forget` ends that. */
+ * or 1 if it was not taken. While an arm has `kept` its controller, it receives from no other. */
 typedef struct realtime_channel {
     int (*send)(struct realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES]);
     int (*receive)(struct realtime_channel *self, uint8_t bytes[MESSAGE_BYTES]);
-    void (*keep)(struct realtime_channel *self);
-    void (*forget)(struct realtime_channel *self);
-    void (*close)(struct realtime_channel *self);
     /* Compute the tag of a datagram with the shared key; 0, or -1. NULL without a key. */
     int (*seal)(void *sealer, const uint8_t bytes[MESSAGE_BYTES], uint8_t tag[MESSAGE_TAG]);
     void *sealer;
+    int file;
+    int is_arm;
+    int kept;          /* a controller is connected */
     uint32_t sent;
     uint32_t taken;    /* sequence of the last message that was used; 0: none yet */
     uint32_t rejected; /* messages that were damaged, of another kind or run, or too old */
@@ -174,11 +173,13 @@ typedef struct realtime_channel {
     uint64_t former;   /* at an arm: the previous run, whose stop may be repeated */
 } realtime_channel;
 
-/* All return NULL with errno set; the caller still owns `file`. A controller's socket is connected, an arm's is
- * bound. */
+/* Both return NULL with errno set; the caller still owns `file`, and frees the channel. A controller's socket is
+ * connected, an arm's is bound. */
 realtime_channel *realtime_open_socket(int file, int is_arm);
 realtime_channel *realtime_open_serial(int file, int is_arm);
 
+/* Number a message within its run and send it, from an arm only to its controller; 0, or 1 if it was not taken. */
+int realtime_send(realtime_channel *channel, realtime_message *message);
 /* The newest message of `kind` since the last call; 1 or 0. */
 int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *message);
 /* End a visit at the arm: forget the controller, and draw the number of the next run. */

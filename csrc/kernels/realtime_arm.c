@@ -44,13 +44,12 @@ static void listen_once(const served_plan *plan, realtime_channel *channel, serv
 
 static void send_sample(const served_plan *plan, realtime_channel *channel, int64_t tick, double angle, double torque)
 {
-    const realtime_message sample = {MESSAGE_SAMPLE, ++channel->sent,
-                                     (uint32_t)tick, angle,
-                                     torque,         {(uint32_t)plan->period_ns, 0U, 0U},
-                                     channel->run};
-    uint8_t bytes[MESSAGE_BYTES];
-    realtime_encode(&sample, bytes);
-    (void)channel->send(channel, bytes); /* no controller, or it notices by the number */
+    realtime_message sample = {.kind = MESSAGE_SAMPLE,
+                               .tick = (uint32_t)tick,
+                               .first = angle,
+                               .second = torque,
+                               .words = {(uint32_t)plan->period_ns, 0U, 0U}};
+    (void)realtime_send(channel, &sample); /* its controller notices a lost one by the number */
 }
 
 /* The voltage of this period: `queue` periods old, within the amplifier's limit. */

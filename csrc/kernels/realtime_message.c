@@ -52,7 +52,7 @@ static uint32_t checksum(const uint8_t *bytes, int count)
     return crc ^ 0xFFFFFFFFU;
 }
 
-void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES])
+static void encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES])
 {
     put(bytes, MAGIC, 4);
     put(bytes + 4, VERSION, 2);
@@ -98,7 +98,8 @@ static int of_this_run(realtime_channel *channel, const realtime_message *messag
 void realtime_next_run(realtime_channel *channel)
 {
     channel->former = channel->run;
-    channel->forget(channel);
+    channel->kept = 0;
+    channel->taken = 0U;
     /* Random, so that no recorded number is repeated; without randomness the next number is still a different one. */
     if (getrandom(&channel->run, sizeof(channel->run), GRND_NONBLOCK) != (ssize_t)sizeof(channel->run))
         channel->run = channel->former + (uint64_t)realtime_now(NULL);
@@ -128,8 +129,7 @@ int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *
             continue;
         channel->taken = each.sequence;
         /* A sender that leaves is not taken for a new controller. */
-        if (kind == MESSAGE_COMMAND && each.words[0] != ARM_MODE_OFF)
-            channel->keep(channel);
+        channel->kept |= kind == MESSAGE_COMMAND && each.words[0] != ARM_MODE_OFF;
         *message = each;
         found = 1;
     }
@@ -147,19 +147,25 @@ static int read_sample(void *self, realtime_sample *sample)
     return 1;
 }
 
+int realtime_send(realtime_channel *channel, realtime_message *message)
+{
+    uint8_t bytes[MESSAGE_BYTES];
+    message->sequence = ++channel->sent;
+    message->run = channel->run;
+    if (channel->is_arm && !channel->kept)
+        return 0;
+    encode(message, bytes);
+    return channel->send(channel, bytes);
+}
+
 static int write_command(void *self, const arm_command *command)
 {
-    realtime_channel *const channel = (realtime_channel *)self;
-    const realtime_message message = {MESSAGE_COMMAND,
-                                      ++channel->sent,
-                                      command->tick,
-                                      command->motor_reference,
-                                      command->voltage,
-                                      {command->mode, command->reason, command->flags},
-                                      channel->run};
-    uint8_t bytes[MESSAGE_BYTES];
-    realtime_encode(&message, bytes);
-    return channel->send(channel, bytes);
+    realtime_message message = {.kind = MESSAGE_COMMAND,
+                                .tick = command->tick,
+                                .first = command->motor_reference,
+                                .second = command->voltage,
+                                .words = {command->mode, command->reason, command->flags}};
+    return realtime_send((realtime_channel *)self, &message);
 }
 
 realtime_io realtime_io_of(realtime_channel *channel)

@@ -15,24 +15,18 @@
 
 typedef struct {
     realtime_channel base;
-    int file;
-    int is_arm;
-    int kept;    /* a controller is connected */
     size_t held; /* bytes of an incomplete message */
     uint8_t bytes[ROOM];
 } serial_channel;
 
 static int send_bytes(realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES])
 {
-    const serial_channel *const c = (const serial_channel *)self;
     int waiting = 0;
-    if (c->is_arm && !c->kept)
-        return 0;
     /* Queued messages would all arrive late: a controller that introduces itself sends more often than the line can
      * carry. */
-    if (ioctl(c->file, TIOCOUTQ, &waiting) == 0 && waiting >= MESSAGE_BYTES)
+    if (ioctl(self->file, TIOCOUTQ, &waiting) == 0 && waiting >= MESSAGE_BYTES)
         return 1;
-    return write(c->file, bytes, MESSAGE_BYTES) == MESSAGE_BYTES ? 0 : 1;
+    return write(self->file, bytes, MESSAGE_BYTES) == MESSAGE_BYTES ? 0 : 1;
 }
 
 static void drop(serial_channel *c, size_t count)
@@ -56,7 +50,7 @@ static int receive_bytes(realtime_channel *self, uint8_t bytes[MESSAGE_BYTES])
 {
     serial_channel *const c = (serial_channel *)self;
     realtime_message each;
-    const ssize_t size = read(c->file, c->bytes + c->held, ROOM - c->held);
+    const ssize_t size = read(self->file, c->bytes + c->held, ROOM - c->held);
     if (size > 0)
         c->held += (size_t)size;
     while (aligned(c)) {
@@ -71,22 +65,6 @@ static int receive_bytes(realtime_channel *self, uint8_t bytes[MESSAGE_BYTES])
     return 0;
 }
 
-static void keep_controller(realtime_channel *self)
-{
-    ((serial_channel *)self)->kept = 1;
-}
-
-static void forget_controller(realtime_channel *self)
-{
-    ((serial_channel *)self)->kept = 0;
-    self->taken = 0U;
-}
-
-static void close_line(realtime_channel *self)
-{
-    free(self);
-}
-
 realtime_channel *realtime_open_serial(int file, int is_arm)
 {
     serial_channel *const c = calloc(1, sizeof(*c));
@@ -94,11 +72,8 @@ realtime_channel *realtime_open_serial(int file, int is_arm)
         return NULL;
     c->base.send = send_bytes;
     c->base.receive = receive_bytes;
-    c->base.keep = keep_controller;
-    c->base.forget = forget_controller;
-    c->base.close = close_line;
-    c->file = file;
-    c->is_arm = is_arm;
+    c->base.file = file;
+    c->base.is_arm = is_arm;
     return &c->base;
 }
 
