@@ -56,8 +56,8 @@ class MotorFit(Judged):
     inertia
         J [kg·m²], given or identified from the torque, else None.
     standard_errors
-        of gain, decay, coulomb_voltage (and inertia, spring), autocorrelation allowed
-        for.
+        of gain, decay, coulomb_voltage (and inertia; spring and rest, k θ₀/J),
+        autocorrelation allowed for.
     nmse
         unexplained share of the accelerations' mean square [1].
     windows
@@ -230,45 +230,36 @@ def _judged(fit: MotorFit) -> MotorFit:
     Estimates for a motor with little friction scatter around zero, so a negative value
     is impossible only if its standard error cannot explain it.
     """
-    for name, symbol, value in (
-        ("gain", "K/J", fit.gain),
-        ("decay", "ν/J", fit.decay),
-        ("coulomb_voltage", "Coulomb friction", fit.coulomb_voltage),
+    for name, symbol in (
+        ("gain", "K/J"),
+        ("decay", "ν/J"),
+        ("coulomb_voltage", "Coulomb friction"),
+        ("inertia", "J"),
     ):
-        error = fit.standard_errors[name]
+        value, error = getattr(fit, name), fit.standard_errors.get(name, math.inf)
         # A gain of zero or below is impossible, whatever its uncertainty: nothing can
         # be controlled with it.
-        if value < -CERTAIN * error or (name == "gain" and value <= 0):
+        if (name == "gain" and value <= 0) or (value or 0.0) < -CERTAIN * error:
             raise LogError(
                 name,
                 value,
                 f"{symbol} of an impossible sign, with a standard error of {error:.3g}",
                 ">= 0",
-                "check the sign of voltage and angle, the period, and give the link's torque if there is one",
+                "check the sign of voltage and angle, the period, and the sign and unit of the link's torque",
             )
     findings = []
-    if fit.inertia is not None and "inertia" in fit.standard_errors:
-        # The fit determines 1/J, whose error is that of J divided by its square.
-        error = fit.standard_errors["inertia"] / fit.inertia**2
-        if 1 / fit.inertia < -CERTAIN * error:
-            raise LogError(
-                "inertia",
-                fit.inertia,
-                f"J of an impossible sign, 1/J with a standard error of {error:.3g}",
-                "> 0",
-                "check the sign and the unit of the link's torque, and that it is of this motor",
+    error = fit.standard_errors.get("inertia", 0.0)
+    if fit.inertia is not None and fit.inertia < CERTAIN * error:
+        findings.append(
+            Finding(
+                "W303",
+                "warning",
+                "the link's torque does not show in the motion, and so neither does the inertia",
+                {"inertia": fit.inertia, "standard_error": error},
+                "state the inertia, or bend the link more",
             )
-        if 1 / fit.inertia < CERTAIN * error:
-            findings.append(
-                Finding(
-                    "W303",
-                    "warning",
-                    "the link's torque does not show in the motion, and so neither does the inertia",
-                    {"reciprocal": 1 / fit.inertia, "standard_error": error},
-                    "state the inertia, or bend the link more",
-                )
-            )
-            fit = replace(fit, inertia=None, coulomb_torque=None)
+        )
+        fit = replace(fit, inertia=None, coulomb_torque=None)
     if fit.nmse > _NMSE_MOST:
         findings.append(
             Finding(
@@ -296,7 +287,7 @@ class _Bumps:
         starts: Sequence[int] = (),
         spring: bool = False,
     ) -> None:
-        self.period, self.half, self.spring = period, half, spring
+        self.period, self.half = period, half
         width = half * period
         x = np.arange(-half, half + 1) / half
         # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, since φ and its slope vanish
@@ -324,38 +315,33 @@ class _Bumps:
         # equations, fewer lose information.
         self.places = (np.flatnonzero(steady) + half)[:: max(1, half // 4)]
         self.centres = self.places + half
-        self.sign = np.sign(mean[self.places])
-        self.acceleration = (np.correlate(angle, second, "valid") * period)[self.places]
-        self.velocity = slope[self.places]
-        self.area = float(np.sum(_BUMP(x)) * period)
-        self.load = (
-            None
-            if load is None
-            else (np.correlate(load, _BUMP(x), "valid") * period)[self.places]
-        )
-        self.angle = (np.correlate(angle, _BUMP(x), "valid") * period)[self.places]
+
+        def integral(weights: Real, signal: Real) -> Real:
+            return (np.correlate(signal, weights, "valid") * period)[self.places]
+
+        self.acceleration = integral(second, angle)
+        area = integral(_BUMP(x), np.ones(angle.size))
+        self.columns = {
+            "decay": -slope[self.places],
+            "coulomb_voltage": -np.sign(mean[self.places]) * area,
+        }
+        if load is not None:
+            self.columns["inertia"] = -integral(_BUMP(x), load)
+        if spring:
+            self.columns |= {"spring": -integral(_BUMP(x), angle), "rest": area}
 
     def driven(self, u: Real, delay: float) -> Real:
         """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
-        width = self.half * self.period
+        shift = delay / self.period
+        whole, reach = math.floor(shift), self.half + 1
+        edges = np.arange(-reach, reach + 2) + (shift - whole)
         # A held voltage is a staircase: its integral with the bump is a sum of
         # differences of the antiderivative, also for delays of a fraction of a sample.
-        integral = _BUMP.integ()
-        reach = self.half + 1
-        shift = delay / self.period
-        whole = math.floor(shift)
-        edges = np.arange(-reach, reach + 2) + (shift - whole)
-        inside = np.clip(edges * self.period / width, -1, 1)
-        weights = np.diff(integral(inside)) * width
+        integral = _BUMP.integ()(np.clip(edges / self.half, -1, 1))
+        weights = np.diff(integral) * (self.half * self.period)
         # Before and after the log the voltage is assumed constant, since bumps near the
         # ends extend there.
-        padded = np.concatenate(
-            [
-                np.full(reach + abs(whole) + 1, u[0]),
-                u,
-                np.full(reach + abs(whole) + 1, u[-1]),
-            ]
-        )
+        padded = np.pad(u, reach + abs(whole) + 1, mode="edge")
         products = np.correlate(padded, weights, "valid")
         # products[k] has the sample k − (abs(whole) + 1) of u, shifted by `whole`, at
         # the centre of its bump.
@@ -365,22 +351,10 @@ class _Bumps:
         """The matrix with the columns of A, B, C (and 1/J) (and k/J, and k θ₀/J), their
         least-squares values, and the error.
         """
-        columns = [
-            self.driven(np.sign(u) * np.maximum(np.abs(u) - zone, 0), delay),
-            -self.velocity,
-            -self.sign * self.area,
-        ]
-        if self.load is not None:
-            columns.append(-self.load)
-        if self.spring:
-            columns += [-self.angle, np.full(self.sign.size, self.area)]
-        matrix = np.column_stack(columns)
+        driven = self.driven(np.sign(u) * np.maximum(np.abs(u) - zone, 0), delay)
+        matrix = np.column_stack([driven, *self.columns.values()])
         values = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
-        return (
-            matrix,
-            np.asarray(values),
-            self.acceleration - matrix @ values,
-        )
+        return matrix, np.asarray(values), self.acceleration - matrix @ values
 
 
 def _search(
@@ -431,27 +405,20 @@ def _result(
     inverse = np.linalg.pinv(matrix.T @ matrix)
     # the bumps overlap eightfold
     meat = long_run_covariance((matrix * error[:, None]).T, min(16, error.size // 4))
-    covariance = inverse @ meat @ inverse
-    gain, decay, coulomb = (float(v) for v in values[:3])
-    # Γc/K is a quotient of two correlated estimates; the gradient accounts for their
-    # covariance.
-    by_gain = np.array([-coulomb / gain**2, 0.0, 1 / gain])
-    errors = {
-        "gain": math.sqrt(max(covariance[0, 0], 0)),
-        "decay": math.sqrt(max(covariance[1, 1], 0)),
-        "coulomb_voltage": math.sqrt(
-            max(float(by_gain @ covariance[:3, :3] @ by_gain), 0)
-        ),
-    }
-    if bumps.load is not None:
-        # Column 1/J: the error of the reciprocal is its square times the error of 1/J.
-        inertia = 1 / float(values[3])
-        errors["inertia"] = math.sqrt(max(covariance[3, 3], 0)) * inertia**2
-    if bumps.spring:
-        errors["spring"] = math.sqrt(max(covariance[-2, -2], 0))
+    names = ("gain", *bumps.columns)
+    found = dict(zip(names, values.tolist(), strict=True))
+    gain, coulomb = found["gain"], found["coulomb_voltage"]
+    # Γc/K is a quotient and J a reciprocal of the estimates: rows of their gradients.
+    slopes = np.eye(values.size)
+    slopes[2, [0, 2]] = -coulomb / gain**2, 1 / gain
+    if "inertia" in found:
+        inertia = 1 / found["inertia"]
+        slopes[3, 3] = inertia**2
+    variances = np.diag(slopes @ inverse @ meat @ inverse @ slopes.T)
+    errors = dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True))
     return MotorFit(
         gain=gain,
-        decay=decay,
+        decay=found["decay"],
         coulomb_voltage=coulomb / gain,
         coulomb_torque=None if inertia is None else coulomb * inertia,
         dead_zone=zone,
@@ -460,5 +427,5 @@ def _result(
         standard_errors=errors,
         nmse=float(np.sum(error**2) / np.sum(bumps.acceleration**2)),
         windows=int(bumps.places.size),
-        spring=float(values[-2]) if bumps.spring else None,
+        spring=found.get("spring"),
     )
