@@ -27,7 +27,7 @@ from fraclink._identify.fit import Fit
 from fraclink._identify.fitting import simulated_torque
 from fraclink._identify.problem import CLEARLY_LESS, QUANTILE
 from fraclink._identify.shape import moving_angle
-from fraclink._identify.welch import EXCITED, mean_power, segments
+from fraclink._identify.welch import averaged_response
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, Judged, worst_first
 from fracsys.checks import Complex, Real, checked_noun
@@ -264,19 +264,16 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
     bias = float(np.mean(log.output - predicted))
     residual = log.output - predicted - bias
     power = float(np.var(log.output))
-    frequencies, (expected, measured, rest) = segments(
-        (predicted, log.output, residual), log.period
-    )
-    motion, cross = mean_power(expected), np.mean(expected.conj() * measured, axis=0)
-    excited = motion > EXCITED * motion.max()
+    frequencies, ratio, coherence = averaged_response(predicted, log.output, log.period)
     return LogValidation(
         log=log,
         predicted=predicted,
         nmse=float(np.mean(residual**2)) / power if power > 0.0 else math.inf,
         bias=bias,
-        frequencies=frequencies[excited],
-        ratio=cross[excited] / motion[excited],
-        share=(mean_power(rest) / mean_power(measured))[excited],
+        frequencies=frequencies,
+        ratio=ratio,
+        # P_rr/P_yy of the residual r = y − ŷ, with |H|² P_ŷŷ = γ² P_yy.
+        share=1.0 + coherence * (1.0 - 2.0 * ratio.real) / np.abs(ratio) ** 2,
         fit=identify(log, fit.structure),
     )
 

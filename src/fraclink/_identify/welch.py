@@ -1,77 +1,55 @@
-"""Welch's method: transforms of half-overlapping segments, applied to a log and its
-fit.
-"""
+"""Welch's method: averages over the transforms of half-overlapping segments."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from fraclink._arm.experiment import Experiment
-from fraclink._identify.fit import Fit
 from fracsys.checks import Complex, Real
 
 # The average over this many lengths of half-overlapping segments has a standard error
 # of a quarter: enough to see at which frequencies a model is wrong, and a coherence of
 # 0.3 is not accidental.
 _SEGMENTS = 8
-# Fraction of the largest power of the motion: the leakage of the Hann window is smaller,
+# Fraction of the largest power of the input: the leakage of the Hann window is smaller,
 # and a frequency with less motion says nothing about the link.
 EXCITED = 1e-4
 
 
-def segments(signals: Sequence[Real], period: float) -> tuple[Real, list[Complex]]:
-    """Frequencies above zero [rad/s], and the transforms of every segment of each
-    signal: half-overlapping, without mean, with a Hann window.
+def segments(signal: Real, period: float) -> tuple[Real, Complex]:
+    """Frequencies above zero [rad/s], shape (K,), and the transforms (segments, K) of
+    the half-overlapping segments of a signal, without their means, with a Hann window.
     """
-    size = max(2 * (signals[0].size // (_SEGMENTS + 1)), 4)
-    transforms = []
-    for signal in signals:
-        rows = sliding_window_view(signal, size)[:: size // 2]
-        rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
-        transforms.append(np.fft.rfft(rows)[:, 1:])
+    size = max(2 * (signal.size // (_SEGMENTS + 1)), 4)
+    rows = sliding_window_view(signal, size)[:: size // 2]
+    rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
     frequency = math.tau * np.fft.rfftfreq(size, period)[1:]
-    return np.asarray(frequency), transforms
+    return np.asarray(frequency), np.fft.rfft(rows)[:, 1:]
 
 
-def mean_power(transforms: Complex) -> Real:
-    """Mean power of the segments at each frequency."""
-    return np.mean(np.abs(transforms) ** 2, axis=0)
-
-
-# Frequencies without motion are left out.
-@np.errstate(divide="ignore", invalid="ignore")
-def welch_response(log: Experiment, fit: Fit) -> tuple[Real, Complex, Complex, Real]:
-    """Frequency [rad/s], the averaged responses (Welch) of measurement and prediction to
-    the motor's angle, and the coherence; shape (N,).
+# An output without power has no coherence.
+@np.errstate(invalid="ignore")
+def averaged_response(
+    source: Real, output: Real, period: float
+) -> tuple[Real, Complex, Real]:
+    """Frequency [rad/s], response of the output to the source, and coherence, shape
+    (K,), where the source has at least a hundredth of its largest amplitude.
 
         H = P_yu / P_uu,    γ² = |P_yu|² / (P_uu P_yy)
 
-    Both use the same windows, which affect a sharp resonance in the same way.
-    Frequencies at which the motor moved less than a hundredth of the largest amplitude
-    are left out.
-
-    >>> from fraclink._identify import identify
-    >>> from fraclink._reading.reading import bundled_log, read_log
-    >>> log = read_log(bundled_log("prbs_30g"))
-    >>> frequency, measured, _, coherence = welch_response(log, identify(log, details=False))
-    >>> told = coherence > 0.9  # elsewhere the noise has the peaks
-    >>> round(float(frequency[told][np.argmax(np.abs(measured[told]))]))
-    16
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(1).normal(size=4000)
+    >>> frequency, response, coherence = averaged_response(noise, 2 * noise, 0.01)
+    >>> bool(np.allclose(response, 2)), bool(np.allclose(coherence, 1))
+    (True, True)
     """
-    frequency, (u, y, model) = segments(
-        (log.motor_angle, log.output, fit.predicted), log.period
-    )
-    power = mean_power(u)
-    usable = power > EXCITED * power.max()
-    cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
-    product = np.maximum(power * mean_power(y), 1e-300)
-    return (
-        frequency[usable],
-        (cross / power)[usable],
-        (other / power)[usable],
-        np.minimum(np.abs(cross) ** 2 / product, 1.0)[usable],
-    )
+    frequency, u = segments(source, period)
+    y = segments(output, period)[1]
+    power, response_power = (np.mean(np.abs(x) ** 2, axis=0) for x in (u, y))
+    cross = np.mean(y * u.conj(), axis=0)
+    excited = power > EXCITED * power.max()
+    frequency, power, cross = frequency[excited], power[excited], cross[excited]
+    coherence = np.abs(cross) ** 2 / (power * response_power[excited])
+    return frequency, cross / power, np.minimum(coherence, 1.0)

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 
 from fraclink._arm.experiment import Experiment
 from fraclink._identify import Comparison, Fit, StructureFit, Validation
-from fraclink._identify.welch import segments, welch_response
+from fraclink._identify.welch import averaged_response, segments
 from fraclink.logs._start import Start
 from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Band, Curve, Mark, Upright, record
@@ -282,7 +282,7 @@ def _residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     residual = fit.residual[: fit.fitted_samples]
     if not np.ptp(residual) > 0.0:
         return None
-    frequency, (lines,) = segments((residual,), fit.period)
+    frequency, lines = segments(residual, fit.period)
     # Parseval: the mean of |FFT|² of windowed white noise is its variance times the
     # energy of the window.
     energy = float(np.sum(np.hanning(2 * lines.shape[1]) ** 2))
@@ -302,8 +302,12 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     """Draw the responses of log and model with the noise's 95 % band; None if fewer
     than two frequencies contain information about the link.
     """
-    w, measured, predicted, coherence = welch_response(log, fit)
-    count = _independent(len(segments((log.output,), log.period)[1][0]))
+    # With the same windows, which affect a sharp resonance in the same way.
+    (w, measured, coherence), (_, predicted, _) = (
+        averaged_response(log.motor_angle, output, log.period)
+        for output in (log.output, fit.predicted)
+    )
+    count = _independent(len(segments(log.output, log.period)[1]))
     # With n segments, the coherence of noise alone exceeds this in only 1 % of cases:
     # lines below it contain no information about the link.
     good = coherence > 1.0 - 0.01 ** (1.0 / (count - 1.0))
