@@ -4,6 +4,7 @@ intervals, and what must be refused.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -288,6 +289,21 @@ def test_an_option_that_would_be_ignored(
     assert (caught.value.field, caught.value.problem) == (field, problem)
 
 
+@pytest.mark.parametrize("noise", [0.1, 0.6])
+def test_a_structure_must_predict_what_was_held_out(noise: float) -> None:
+    """A third of the power is too much, whatever the fitted part leaves."""
+    data = recording(LAG, {"k": 2.0, "a": 0.8, "w": 1.5}, noise=0.2)
+    rng, tail = np.random.default_rng(1), data.output[1500:]
+    scale = noise * np.std(data.output)
+    louder = np.append(
+        data.output[:1500], tail + scale * rng.standard_normal(tail.size)
+    )
+    noisy = dataclasses.replace(data, output=louder)
+    fit = fl.identify_structure(noisy, LAG, details=False)
+    assert fit.nmse < fit.heldout_nmse
+    assert ("W318" in [each.code for each in fit.findings]) == (noise > 0.5)
+
+
 def test_data_without_information() -> None:
     still = fl.extend.Recording(
         0.1, np.zeros(300), np.random.default_rng(0).normal(size=300)
@@ -297,6 +313,10 @@ def test_data_without_information() -> None:
     few = fl.FrequencyResponse([1.0, 2.0, 3.0], [1.0, 0.5, 0.3])
     with pytest.raises(FieldError, match="too few"):
         fl.identify_structure(few, LAG)
+    coherence = np.full(20, 0.9)
+    silent = fl.FrequencyResponse(np.arange(1.0, 21.0), np.arange(20.0), coherence)
+    with pytest.raises(FieldError, match="zero at a line"):
+        fl.identify_structure(silent, LAG)
     improper = recording(LAG, {"k": 1, "a": 1, "w": 1}, samples=400)
     with pytest.raises(NotConvergedError, match="proper"):
         fl.identify_structure(improper, "k*s**2/(s + w)")

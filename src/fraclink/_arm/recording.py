@@ -294,14 +294,6 @@ def coherence_weights(response: Complex, coherence: Real) -> Real:
     """Weight √(γ²/(1 − γ²))/|H| of each line's error: proportional to the inverse of
     its standard deviation.
     """
-    if not np.all(np.abs(response) > 0):
-        raise FieldError(
-            "response",
-            0,
-            "zero at a line",
-            "|H| > 0",
-            "leave that line out",
-        )
     # γ² = 1 would have infinite weight. A limit of one millionth below is an error of
     # 0.1 % of a line, less than any measurement has.
     share = np.minimum(coherence, 1 - 1e-6)

@@ -40,57 +40,70 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
     }
     shares = {name: _explained(output[inner], each) for name, each in sources.items()}
     nearest = max(shares, key=lambda name: shares[name])
-    if shares[nearest] > COPIED_LEAST:
-        yield Finding(
-            "W324",
-            "error",
-            f"the output is the motor's {nearest} times a constant: no vibration is in it",
-            {"explained": shares[nearest], "most": COPIED_LEAST},
-            "check the column of the output; a stiff link needs faster moves to vibrate",
-        )
     time = np.arange(output.size, dtype=np.float64)
-    if _explained(output, time) > COPIED_LEAST or _is_ramp(output):
-        yield Finding(
-            "W324",
-            "error",
-            "the output grows steadily with time: a clock, a counter, or the drift of an amplifier",
-            {"first": float(output[0]), "last": float(output[-1])},
-            "check the column of the output, and let the amplifier warm up",
-        )
-    if _is_ramp(angle):
-        yield Finding(
-            "W324",
-            "error",
-            "the motor angle grows by one step at each sample: a clock, or a speed that excites nothing",
-            {"first": float(angle[0]), "last": float(angle[-1])},
-            "check the column of the motor angle, or excite the arm: a pulse, a PRBS or a square wave",
-        )
-    share = sum(held for _, held in rails(output)) / output.size
-    if share > STOPPED_MOST:
-        yield Finding(
-            "W213",
-            "error",
-            f"{100 * share:.3g} % of the samples lie at the largest or smallest output: the amplifier "
-            "saturates, or this is a command, not a measurement",
-            {
-                "share": share,
-                "most": STOPPED_MOST,
-                "low": float(output.min()),
-                "high": float(output.max()),
-            },
-            "move less or lower the amplifier's gain, and check the column of the output",
-        )
+    stopped = sum(held for _, held in rails(output)) / output.size
     largest = float(np.max(np.abs(angle - angle[0])))
-    # On the output side of the gear no flexible arm turns more than once, but 7 degrees
-    # labelled as radians do.
-    if largest > math.tau:
-        yield Finding(
-            "W209",
-            "error",
-            "the motor turns by more than one revolution: are these degrees labelled as radians?",
-            {"largest_angle": largest, "if_degrees": math.radians(largest)},
-            'give the angle at the link\'s side of the gear in rad, or state unit = "deg"',
-        )
+    checks = (
+        (
+            shares[nearest] > COPIED_LEAST,
+            Finding(
+                "W324",
+                "error",
+                f"the output is the motor's {nearest} times a constant: no vibration is in it",
+                {"explained": shares[nearest], "most": COPIED_LEAST},
+                "check the column of the output; a stiff link needs faster moves to vibrate",
+            ),
+        ),
+        (
+            _explained(output, time) > COPIED_LEAST or _is_ramp(output),
+            Finding(
+                "W324",
+                "error",
+                "the output grows steadily with time: a clock, a counter, or the drift of an amplifier",
+                {"first": float(output[0]), "last": float(output[-1])},
+                "check the column of the output, and let the amplifier warm up",
+            ),
+        ),
+        (
+            _is_ramp(angle),
+            Finding(
+                "W324",
+                "error",
+                "the motor angle grows by one step at each sample: a clock, or a speed that excites nothing",
+                {"first": float(angle[0]), "last": float(angle[-1])},
+                "check the column of the motor angle, or excite the arm: a pulse, a PRBS or a square wave",
+            ),
+        ),
+        (
+            stopped > STOPPED_MOST,
+            Finding(
+                "W213",
+                "error",
+                f"{100 * stopped:.3g} % of the samples lie at the largest or smallest output: the amplifier "
+                "saturates, or this is a command, not a measurement",
+                {
+                    "share": stopped,
+                    "most": STOPPED_MOST,
+                    "low": float(output.min()),
+                    "high": float(output.max()),
+                },
+                "move less or lower the amplifier's gain, and check the column of the output",
+            ),
+        ),
+        (
+            # On the output side of the gear no flexible arm turns more than once, but 7
+            # degrees labelled as radians do.
+            largest > math.tau,
+            Finding(
+                "W209",
+                "error",
+                "the motor turns by more than one revolution: are these degrees labelled as radians?",
+                {"largest_angle": largest, "if_degrees": math.radians(largest)},
+                'give the angle at the link\'s side of the gear in rad, or state unit = "deg"',
+            ),
+        ),
+    )
+    yield from (finding for shown, finding in checks if shown)
 
 
 def motion_at_start(

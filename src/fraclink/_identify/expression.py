@@ -60,7 +60,11 @@ class Expression:
         logarithm = np.log(points)
         arrays = {name: np.asarray(value, np.float64) for name, value in values.items()}
         leaves = _Leaves(
-            points, lambda _, order: np.exp(order * logarithm), np.exp, arrays
+            self.text,
+            points,
+            lambda _, order: np.exp(order * logarithm),
+            np.exp,
+            arrays,
         )
         # a candidate may overflow: its cost is infinite, and it is dropped
         return _value(self.tree, leaves)
@@ -70,7 +74,7 @@ class Expression:
         negative delay).
         """
         exact = {name: float(value) for name, value in values.items()}
-        result = _value(self.tree, _Leaves(s, operator.pow, _delayed, exact))
+        result = _value(self.tree, _Leaves(self.text, s, operator.pow, _delayed, exact))
         return (
             result
             if isinstance(result, FractionalTransferFunction)
@@ -80,8 +84,9 @@ class Expression:
 
 @dataclass(frozen=True)
 class _Leaves:
-    """The values of s, s**a, exp and the parameters in one algebra."""
+    """The values of s, s**a, exp and the parameters of a text in one algebra."""
 
+    text: str
     variable: Any
     power: Callable[[Any, Any], Any]
     exponential: Callable[[Any], Any]
@@ -94,7 +99,10 @@ def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
     """
     if depth > _DEEPEST:
         raise _refused(
-            node, "nested too deeply", "write it with fewer brackets and terms"
+            leaves.text,
+            node,
+            "nested too deeply",
+            "write it with fewer brackets and terms",
         )
     if isinstance(node, ast.Name) and node.id not in ("exp", "offset"):
         return leaves.variable if node.id == "s" else leaves.values[node.id]
@@ -105,7 +113,9 @@ def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
         return float(node.value)  # type: ignore[arg-type]
     operation = _operation(node, leaves)
     if operation is None:
-        raise _refused(node, "a piece that is not known", "write it with these alone")
+        raise _refused(
+            leaves.text, node, "a piece that is not known", "write it with these alone"
+        )
     values = [_value(operand, leaves, depth + 1) for operand in _operands(node)]
     try:
         result = operation(*values)
@@ -113,7 +123,7 @@ def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
         if type(result) is complex:
             raise ArithmeticError
     except (ArithmeticError, FieldError, TypeError) as error:
-        raise _refused(node, *_cause(node, error)) from error
+        raise _refused(leaves.text, node, *_cause(node, error)) from error
     return result
 
 
@@ -178,10 +188,11 @@ def parse_expression(text: str) -> Expression:
             "a text",
             'write it as in "k/(T*s**a + 1)"',
         )
+    text = " ".join(text.split())
     try:
         # Parsed as Python but never executed: `_value` compares every node with the few
         # kinds that a transfer function consists of, and rejects any other by name.
-        tree = ast.parse(text.strip(), mode="eval").body
+        tree = ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = (
             f" at character {error.offset}"
@@ -199,9 +210,12 @@ def parse_expression(text: str) -> Expression:
     # mistake.
     if not _has_s(tree):
         raise _refused(
-            tree, "without s", "write the transfer function, such as k/(T*s**a + 1)"
+            text,
+            tree,
+            "without s",
+            "write the transfer function, such as k/(T*s**a + 1)",
         )
-    expression = Expression(" ".join(text.split()), _roles(tree), tree)
+    expression = Expression(text, _roles(tree), tree)
     # At values of which no two are equal and no sum is zero: a piece without a value
     # there is none of a transfer function. An array's power is its principal value,
     # which is not s^(ab) for (s^a)^b with an order a above 2.
@@ -214,7 +228,9 @@ def parse_expression(text: str) -> Expression:
     if not np.allclose(
         expression.response(values, point), expression.function(values)(point)
     ):
-        raise _refused(tree, "a power of a power of s", "write (s**a)**b as s**(a*b)")
+        raise _refused(
+            text, tree, "a power of a power of s", "write (s**a)**b as s**(a*b)"
+        )
     return expression
 
 
@@ -234,12 +250,10 @@ def _has_s(node: ast.expr) -> bool:
     return "s" in _names(node)
 
 
-def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
-    try:
-        text = ast.unparse(node)
-    except RecursionError:  # a sum of hundreds of terms is a tree of that depth
-        text = f"characters {node.col_offset + 1} to {node.end_col_offset}"
-    return FieldError("expression", text, problem, _FORMS, remedy)
+def _refused(text: str, node: ast.expr, problem: str, remedy: str) -> FieldError:
+    return FieldError(
+        "expression", ast.get_source_segment(text, node), problem, _FORMS, remedy
+    )
 
 
 def _roles(tree: ast.expr) -> dict[str, Role]:

@@ -68,7 +68,20 @@ def findings_of(
         *(
             _of_the_vibration(fit, solution, sure[0])
             if audible
-            else (_no_signal(signal, least, log),)
+            else (
+                Finding(
+                    "W313",
+                    "error",
+                    "no signal: this model predicts the output hardly better than a constant does",
+                    {
+                        "signal": signal,
+                        "least": least,
+                        "motor_range": float(np.ptp(log.motor_angle)),
+                    },
+                    "check that the gauge is connected and shielded from mains hum, that the motor turns, and that "
+                    "both channels are of one recording; or move further",
+                ),
+            )
         ),
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
@@ -103,18 +116,6 @@ def likelihood_ratio(
 ) -> float:
     """n ln(cost/least)/k: for Gaussian noise twice the difference in log-likelihood."""
     return samples * math.log(max(cost / max(least, 1e-300), 1.0)) / inflation
-
-
-def _no_signal(signal: float, least: float, log: Experiment) -> Finding:
-    travel = float(np.ptp(log.motor_angle))
-    return Finding(
-        "W313",
-        "error",
-        "no signal: this model predicts the output hardly better than a constant does",
-        {"signal": signal, "least": least, "motor_range": travel},
-        "check that the gauge is connected and shielded from mains hum, that the motor turns, and that "
-        "both channels are of one recording; or move further",
-    )
 
 
 def _of_the_vibration(

@@ -116,6 +116,9 @@ class LinkProblem(Problem):
             # Without damping α has no meaning, and any value will do.
             low[3] = (self.solution.shape[2] or 1.0) * _stiffening(ALPHA_LIMITS[1])
             high[3] = 1.0
+        elif self.solution.shape[3] < 1:
+            # Beyond the largest damping ratio ω₀² would be negative.
+            high[2] = min(high[2], largest_ratio(float(self.solution.shape[3])))
         return low[list(self.free)], high[list(self.free)]
 
     @property
@@ -154,16 +157,12 @@ class LinkProblem(Problem):
         return shapes, chain[:, :, list(self.free)]
 
     def clip(self, places: Real) -> Real:
-        """See `Problem`: beyond the largest damping ratio ω₀² would be negative."""
+        """See `Problem`: the range of r is that of α at each damping ratio."""
         places = super().clip(places)
         if self.turned and 3 in self.free:
             ratio, column = places[:, self.free.index(2)], self.free.index(3)
             most, least = (ratio * _stiffening(order) for order in ALPHA_LIMITS)
             places[:, column] = np.clip(places[:, column], least, most)
-        elif 2 in self.free and self.solution.shape[3] < 1:
-            column = self.free.index(2)
-            largest = largest_ratio(float(self.solution.shape[3]))
-            places[:, column] = np.minimum(places[:, column], largest)
         return places
 
     def quadratic(self, places: Real) -> Quadratic:

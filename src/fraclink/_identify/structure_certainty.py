@@ -74,15 +74,16 @@ def certainty_of(
         )
     shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
     blind = tuple(compress(names, shares > _SHARE))  # the offset comes last
-    errors = {name: covariance.errors[name] for name in names if name not in blind}
     # For a cost that is a parabola in the coordinates.
     reach = QUANTILE * np.array([covariance.errors[name] for name in names])
-    low, high = problem.box
-    below, above = np.maximum(place - reach, low), np.minimum(place + reach, high)
-    straight = zip(below, above, below <= low, above >= high, strict=True)
+    bounded = zip(names, place - reach, place + reach, *problem.box, strict=True)
     intervals = {
-        name: _in_values(problem, name, Interval(*ends))
-        for name, ends in zip(names, straight, strict=True)
+        name: _in_values(
+            problem,
+            name,
+            Interval(max(below, low), min(above, high), below <= low, above >= high),
+        )
+        for name, below, above, low, high in bounded
         if name not in blind
     }
     # A profile cannot determine a parameter that is undetermined by its standard error,
@@ -110,8 +111,8 @@ def certainty_of(
     )
     widest = max((covariance.inflation[name] for name in intervals), default=1.0)
     standard_errors = {
-        name: error * float(problem.slope(name, values[name]))
-        for name, error in errors.items()
+        name: covariance.errors[name] * float(problem.slope(name, values[name]))
+        for name in intervals
     }
     return Certainty(intervals, standard_errors, stuck, undetermined, blind, widest)
 

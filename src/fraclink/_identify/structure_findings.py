@@ -93,10 +93,8 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
             {"nmse": fit.nmse, "most": CLEARLY_LESS},
             "check the channels and their units, or take another structure",
         )
-    heldout = fit.heldout_nmse
-    if heldout is not None and (
-        CLEARLY_LESS * heldout > fit.nmse and heldout > RESOLUTION
-    ):
+    heldout = fit.heldout_nmse or 0.0
+    if heldout > min(CLEARLY_LESS, max(fit.nmse / CLEARLY_LESS, RESOLUTION)):
         yield Finding(
             "W318",
             "error" if heldout > CLEARLY_LESS else "warning",

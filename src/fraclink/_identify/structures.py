@@ -193,14 +193,25 @@ def identify_structure(
 def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines:
     """Lines in ascending order, with their weights."""
     order = np.argsort(measured.frequency, kind="stable")
-    h = measured.response[order]
-    kind = weighting or ("relative" if measured.coherence is None else "coherence")
-    weights = {"coherence": measured.coherence, "magnitude": measured.magnitude}
-    column = weights.get(kind)
-    if column is not None:
-        weight = column[order]
-        weight = coherence_weights(h, weight) if kind == "coherence" else weight
-    elif kind in weights:
+    h, coherence = measured.response, measured.coherence
+    # A relative weight of such a line would be infinite, and with any other its phase
+    # is still meaningless.
+    if not np.all(np.abs(h) > 0):
+        raise FieldError(
+            "response",
+            0,
+            "zero at a line",
+            "|H| > 0",
+            "leave that line out",
+        )
+    kind = weighting or ("relative" if coherence is None else "coherence")
+    weight = {
+        "relative": 1.0 / np.abs(h),
+        "absolute": np.ones(h.size),
+        "magnitude": measured.magnitude,
+        "coherence": None if coherence is None else coherence_weights(h, coherence),
+    }[kind]
+    if weight is None:
         raise FieldError(
             "weighting",
             kind,
@@ -208,22 +219,10 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
             f"a response with {kind}",
             "weigh errors as relative",
         )
-    else:
-        # A relative weight of such a line would be infinite, and with an absolute one
-        # its phase is still meaningless.
-        if not np.all(np.abs(h) > 0):
-            raise FieldError(
-                "response",
-                0,
-                "zero at a line",
-                "|H| > 0",
-                "leave that line out",
-            )
-        weight = 1.0 / np.abs(h) if kind == "relative" else np.ones(h.size)
     # Scaled to a sum of squares of 1: the error is then a share, as used by the gates
     # and limits of the search.
     points = np.asarray(1j * measured.frequency[order])
-    return Lines(points, h, weight / np.linalg.norm(weight * h))
+    return Lines(points, h[order], (weight / np.linalg.norm(weight * h))[order])
 
 
 def _check_used(
@@ -336,8 +335,7 @@ def _check_start(
             "measure more, or fix parameters that are known",
         )
     for name, value in (start or {}).items():
-        low, high = problem.limits[name]
-        Between(low, high, remedy="begin inside the bounds").check(
+        Between(*problem.limits[name], remedy="begin inside the bounds").check(
             f"start[{name!r}]", value
         )
     missing = {*problem.names} - {*(start or problem.names)}
