@@ -32,9 +32,10 @@ Index = NDArray[np.int64]
 # to 2e-5, since the table includes its slope.
 _DENSITY = 28
 _NEAR = np.geomspace(1e-4, 0.2, 12)  # on both sides of a sharp resonance
-# Roots of 1 + L between these multiples of the resonance, in ln ω, are vibrations of the
-# link: one farther away belongs to the motor loop or to the delay of the gauge.
-_REGION = math.log(0.28), math.log(4.3)
+# Roots of 1 + L up to this distance from the resonance, in ln ω, are vibrations of the
+# link: the second mode of a link with mass lies 4.4 times as high at least, and what is
+# farther away belongs to it, to the motor loop, or to the delay of the gauge.
+_REGION = math.log(4.4)
 # Radius in ln ω of the expansions about the axis, in which roots are looked for: with a
 # damping ratio of more than sin 0.6 = 0.56 nothing vibrates. The factors of the loop have
 # their next singularity near the negative axis, π/2 away: 20 terms leave 0.38^20 = 4e-9.
@@ -124,7 +125,8 @@ class Table:
             self.plant,
             self.closing,
             _RADIUS,
-            *_REGION,
+            -_REGION,
+            _REGION,
             self.mode,
             self.highest,
             self.band,
@@ -209,9 +211,9 @@ def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Comple
     The links share the centres, multiples of a quarter of the radius, and both
     expansions are linear in 1/ω₀²: those of a rigid link and of another give all.
     """
-    spacing, (low, high) = 0.25 * _RADIUS, _REGION
-    first = np.floor((np.log(mode[:, None]) + low) / spacing).astype(int)
-    places = first + np.arange(math.ceil((high - low) / spacing) + 2)
+    spacing = 0.25 * _RADIUS
+    first = np.floor((np.log(mode[:, None]) - _REGION) / spacing).astype(int)
+    places = first + np.arange(math.ceil(2.0 * _REGION / spacing) + 2)
     start, stop = int(places.min()), int(places.max()) + 1
     terms = _expanded(bare, spacing, start, stop)[:, :, places - start]
     rigid, soft, inverse = terms[:, 0], terms[:, 1], w0[:, None, None] ** -2.0
