@@ -1,13 +1,12 @@
-// The closed loop from Python: one call for one arm or many, arrays in, arrays out.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
+// Closed loops from Python: the same law with a different arm in each run, LOOP_LANES at a time.
+#include <algorithm>
 #include <complex>
 
+#include "arrays.h"
 #include "words.h"
 
 extern "C" {
-#include "batch.h"
+#include "loop.h"
 #include "twin.h"
 }
 
@@ -15,133 +14,148 @@ namespace nb = nanobind;
 
 namespace {
 
-template <typename T, int N>
-using Read = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
-template <typename T, int N>
-using Write = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 using Complex = std::complex<double>;
 
-// Links of R arms: decay (R, n), weight (R, 6, n), pair (R, m), pair_weight (R, 6, m), first (R, 6), and second
-// (R, LOOP_SECOND) or (0, LOOP_SECOND).
+// What all rigs of a call have in common.
+enum { SAMPLED, SUBSTEPS, PERIOD, POLE, ENCODER, LIMIT, QUANTUM, START, SHARED };
+
+// Columns of a run's numbers.
+enum {
+    STIFFNESS,      // c [N m/rad]
+    GAIN,           // A of the motor [rad/(s^2 V)]
+    DECAY,          // B of the motor [1/s]
+    FRICTION,       // Coulomb deceleration [rad/s^2]
+    OFFSET,         // of the gauge [N m]
+    NOISE,          // standard deviation of a gauge sample [N m]
+    DELAY,          // whole periods
+    AMPLITUDE,      // amplitude of the reference [rad]
+    GAUGE_DELAY,    // in periods, not necessarily whole
+    GAUGE_GAIN,     // [1]
+    PAYLOAD,        // payload given to the law [kg]; 0: none
+    COLUMNS
+};
+
+loop_rig rig_of(const double *shared, const double *row, const void *estimator) {
+    loop_rig rig{};
+    rig.sampled = int(shared[SAMPLED]);
+    rig.substeps = int(shared[SUBSTEPS]);
+    rig.period = shared[PERIOD];
+    rig.pole = shared[POLE];
+    rig.encoder = shared[ENCODER];
+    rig.limit = shared[LIMIT];
+    rig.quantum = shared[QUANTUM];
+    rig.start = shared[START];
+    rig.gain = row[GAIN];
+    rig.decay = row[DECAY];
+    rig.friction = row[FRICTION];
+    rig.offset = row[OFFSET];
+    rig.noise = row[NOISE];
+    rig.delay = int(row[DELAY]);
+    rig.gauge_delay = row[GAUGE_DELAY];
+    rig.gauge_gain = row[GAUGE_GAIN];
+    rig.payload = row[PAYLOAD];
+    rig.estimator = estimator;
+    rig.weights = loop_weights_of(&rig);
+    return rig;
+}
+
+// Links of R arms, padded to the same number of real modes and pairs; `second` may have no rows.
 struct Links {
-    Read<double, 2> decay;
-    Read<double, 3> weight;
-    Read<double, 2> first;
-    Read<double, 2> second;
-    size_t pairs;
-    std::vector<double> pair_re, pair_im, weight_re, weight_im;
+    Read<double, -1, -1> decay;
+    Read<double, -1, LOOP_POWERS, -1> weight;
+    Read<Complex, -1, -1> pair;
+    Read<Complex, -1, LOOP_POWERS, -1> pair_weight;
+    Read<double, -1, LOOP_POWERS> first;
+    Read<double, -1, LOOP_SECOND> second;
 
-    Links(Read<double, 2> decay_, Read<double, 3> weight_, Read<Complex, 2> pair, Read<Complex, 3> pair_weight,
-          Read<double, 2> first_, Read<double, 2> second_)
-        : decay(decay_), weight(weight_), first(first_), second(second_), pairs(pair.shape(1)) {
+    explicit Links(nb::handle links)
+        : decay(nb::cast<decltype(decay)>(links.attr("decay"))),
+          weight(nb::cast<decltype(weight)>(links.attr("weight"))),
+          pair(nb::cast<decltype(pair)>(links.attr("pair"))),
+          pair_weight(nb::cast<decltype(pair_weight)>(links.attr("pair_weight"))),
+          first(nb::cast<decltype(first)>(links.attr("first"))),
+          second(nb::cast<decltype(second)>(links.attr("second"))) {
         const size_t runs = decay.shape(0);
-        if (weight.shape(0) != runs || weight.shape(1) != LOOP_POWERS || weight.shape(2) != decay.shape(1) ||
-            pair.shape(0) != runs || pair_weight.shape(0) != runs || pair_weight.shape(1) != LOOP_POWERS ||
-            pair_weight.shape(2) != pairs || first.shape(0) != runs || first.shape(1) != LOOP_POWERS ||
-            (second.shape(0) != runs && second.shape(0) != 0) || second.shape(1) != LOOP_SECOND)
-            throw std::invalid_argument("array shapes of the links disagree");
-        split(pair.data(), pair.size(), pair_re, pair_im);
-        split(pair_weight.data(), pair_weight.size(), weight_re, weight_im);
+        require(weight.shape(0) == runs && pair.shape(0) == runs && pair_weight.shape(0) == runs &&
+                    first.shape(0) == runs && (second.shape(0) == runs || second.shape(0) == 0) &&
+                    weight.shape(2) == decay.shape(1) && pair_weight.shape(2) == pair.shape(1),
+                "array shapes of the links disagree");
     }
 
-    // The kernel's vectors run over modes, so real and imaginary parts are stored separately.
-    static void split(const Complex *z, size_t count, std::vector<double> &re, std::vector<double> &im) {
-        re.resize(count);
-        im.resize(count);
-        for (size_t i = 0; i < count; i++) {
-            re[i] = z[i].real();
-            im[i] = z[i].imag();
-        }
-    }
-
-    batch_links view() const {
-        return {int(decay.shape(1)), int(pairs),       decay.data(),     weight.data(), pair_re.data(),
-                pair_im.data(),      weight_re.data(), weight_im.data(), first.data(),
-                second.shape(0) ? second.data() : nullptr};
+    loop_link of(size_t run, double stiffness) const {
+        const size_t n = decay.shape(1), m = pair.shape(1);
+        const auto *poles = reinterpret_cast<const cx *>(pair.data());
+        const auto *pole_weights = reinterpret_cast<const cx *>(pair_weight.data());
+        loop_link link = {int(n), int(m), decay.data() + run * n, weight.data() + run * n * LOOP_POWERS, poles + run * m,
+                          pole_weights + run * m * LOOP_POWERS, {}, stiffness,
+                          second.shape(0) ? second.data() + run * LOOP_SECOND : nullptr};
+        std::copy_n(first.data() + run * LOOP_POWERS, LOOP_POWERS, link.first);
+        return link;
     }
 };
 
-// `numbers` (R, BATCH_COLUMNS); `path` (K, 2, N): angle, acceleration; `faults` (N or 0, TWIN_INPUTS); `signals` (3 or 8, R, N): tip, motor reference,
-// voltage, and motor, torque, measured torque, tip estimate, measured angle; `marks` (3, R, N): flags, mode, reason.
-// `estimator`: empty, or the payload estimator's parameters.
-void run(nb::bytes params, bool single, nb::bytes estimator, const loop_rig &shared, const Links &links, Read<double, 2> numbers,
-         Read<uint64_t, 1> seeds, Read<int32_t, 1> chosen, Read<double, 3> path, Read<double, 2> faults,
-         Write<double, 3> signals, Write<uint32_t, 3> marks) {
+// `path` (K, 2, N) holds references of unit amplitude, angle and acceleration, of which a run follows the `chosen` one;
+// `faults` (N or 0, TWIN_INPUTS) are those of all runs, `estimator` the payload estimator's parameters, or empty. Returns
+// the signals and marks in the order of loop.h: (LOOP_SIGNALS, R, N) and (LOOP_MARKS, R, N).
+nb::tuple run(nb::bytes params, bool single, nb::bytes estimator, Read<double, SHARED> shared, nb::handle given_links,
+              Read<double, -1, COLUMNS> numbers, Read<std::uint64_t, -1> seeds, Read<std::int32_t, -1> chosen,
+              Read<double, -1, 2, -1> path, Read<double, -1, TWIN_INPUTS> faults) {
+    const Links links(given_links);
     const size_t runs = numbers.shape(0), n = path.shape(2);
-    if (numbers.shape(1) != BATCH_COLUMNS || path.shape(1) != 2 || faults.shape(1) != TWIN_INPUTS ||
-        (faults.shape(0) != n && faults.shape(0) != 0) || seeds.shape(0) != runs ||
-        chosen.shape(0) != runs || links.decay.shape(0) != runs ||
-        (signals.shape(0) != 3 && signals.shape(0) != 8) || signals.shape(1) != runs || signals.shape(2) != n ||
-        marks.shape(0) != 3 || marks.shape(1) != runs || marks.shape(2) != n)
-        throw std::invalid_argument("array shapes of the closed loop disagree");
-    for (size_t r = 0; r < runs; r++)
-        if (chosen.data()[r] < 0 || size_t(chosen.data()[r]) >= path.shape(0))
-            throw std::invalid_argument("a run follows a reference that is not there");
-    const batch_links view = links.view();
-    const size_t plane = runs * n;
-    double *o = signals.data();
-    double *rest = signals.shape(0) == 8 ? o + 3 * plane : nullptr;
-    std::uint32_t *f = marks.data();
-    const loop_trace traces = {o,
-                               o + plane,
-                               o + 2 * plane,
-                               f,
-                               f + plane,
-                               f + 2 * plane,
-                               rest,
-                               rest ? rest + plane : nullptr,
-                               rest ? rest + 2 * plane : nullptr,
-                               rest ? rest + 3 * plane : nullptr,
-                               rest ? rest + 4 * plane : nullptr};
+    require(seeds.size() == runs && chosen.size() == runs && links.decay.shape(0) == runs &&
+                (faults.shape(0) == n || faults.shape(0) == 0),
+            "array shapes of the closed loop disagree");
+    require(std::all_of(chosen.data(), chosen.data() + runs, [&path](int c) { return c >= 0 && size_t(c) < path.shape(0); }),
+            "a run follows a reference that is not there");
     const law_port &law = port_of(single);
     const auto block = words_of(params, law.sizes[LAW_PARAMS], "params");
     const auto bank = words_of(estimator, estimator.size() ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
-    loop_rig rig = shared;
-    rig.estimator = estimator.size() ? bank.data() : nullptr;
-    std::vector<double> noise(LOOP_LANES * n);
-    int failed = 0;
+    std::vector<double> signals(LOOP_SIGNALS * runs * n), noise(LOOP_LANES * n);
+    std::vector<std::uint32_t> marks(LOOP_MARKS * runs * n);
+    bool failed = false;
     {
-        nb::gil_scoped_release release;
-        failed = batch_run(int64_t(runs), int64_t(n), &view, &rig, numbers.data(), seeds.data(), chosen.data(),
-                           path.data(), faults.shape(0) ? faults.data() : nullptr, &law, block.data(),
-                           noise.data(), &traces);
+        const nb::gil_scoped_release release;
+        for (size_t begin = 0; begin < runs && !failed; begin += LOOP_LANES) {
+            loop_arm arms[LOOP_LANES];
+            const size_t count = std::min<size_t>(runs - begin, LOOP_LANES);
+            for (size_t l = 0; l < count; l++) {
+                const size_t each = begin + l;
+                const double *row = numbers.data() + each * COLUMNS, *unit = path.data() + chosen.data()[each] * 2 * n;
+                double *const normal = noise.data() + l * n;
+                loop_arm &arm = arms[l];
+                arm = {links.of(each, row[STIFFNESS]), rig_of(shared.data(), row, estimator.size() ? bank.data() : nullptr),
+                       row[AMPLITUDE], unit, unit + n, normal, faults.shape(0) ? faults.data() : nullptr, {}, {}};
+                for (size_t i = 0; i < LOOP_SIGNALS; i++) arm.signal[i] = signals.data() + (i * runs + each) * n;
+                for (size_t i = 0; i < LOOP_MARKS; i++) arm.mark[i] = marks.data() + (i * runs + each) * n;
+                if (arm.rig.noise > 0.0) loop_normals(seeds.data()[each], normal, std::int64_t(n));
+            }
+            failed = loop_run(arms, int(count), &law, block.data(), std::int64_t(n)) != 0;
+        }
     }
-    if (failed) throw std::invalid_argument("too many modes or too long a delay for the closed loop");
+    require(!failed, "too many modes or too long a delay for the closed loop");
+    return nb::make_tuple(owned(std::move(signals), {LOOP_SIGNALS, runs, n}), owned(std::move(marks), {LOOP_MARKS, runs, n}));
+}
+
+Result<double> normals(std::uint64_t seed, size_t count) {
+    std::vector<double> values(count);
+    loop_normals(seed, values.data(), std::int64_t(count));
+    return owned(std::move(values), {count});
+}
+
+nb::tuple weights(double decay, double period, int substeps) {
+    loop_rig rig{};
+    rig.sampled = 1;
+    rig.decay = decay;
+    rig.period = period;
+    rig.substeps = substeps;
+    const loop_weights w = loop_weights_of(&rig);
+    return nb::make_tuple(w.keep, w.first, w.second);
 }
 
 }  // namespace
 
 void bind_loop(nb::module_ &m) {
-    nb::class_<Links>(m, "Links")
-        .def(nb::init<Read<double, 2>, Read<double, 3>, Read<Complex, 2>, Read<Complex, 3>, Read<double, 2>,
-                      Read<double, 2>>(),
-             nb::kw_only(), nb::arg("decay"), nb::arg("weight"), nb::arg("pair"), nb::arg("pair_weight"),
-             nb::arg("first"), nb::arg("second"));
-    nb::class_<loop_rig>(m, "LoopRig")
-        .def("__init__",
-             [](loop_rig *self, bool sampled, int substeps, double period, double pole, double encoder,
-                double limit, double quantum, double start) {
-                 new (self) loop_rig{};
-                 self->sampled = sampled;
-                 self->substeps = substeps;
-                 self->period = period;
-                 self->pole = pole;
-                 self->encoder = encoder;
-                 self->limit = limit;
-                 self->quantum = quantum;
-                 self->start = start;
-             },
-             nb::kw_only(), nb::arg("sampled"), nb::arg("substeps"), nb::arg("period"), nb::arg("pole"),
-             nb::arg("encoder"), nb::arg("limit"), nb::arg("quantum"), nb::arg("start"));
     m.def("loop_run", &run, "Closed loops of one or many arms under one law.");
-    m.def("loop_normal", &loop_normal);
-    m.def("loop_weights", [](double decay, double period, int substeps) {
-        loop_rig rig = {};
-        rig.sampled = 1;
-        rig.decay = decay;
-        rig.period = period;
-        rig.substeps = substeps;
-        const loop_weights w = loop_weights_of(&rig);
-        return nb::make_tuple(w.keep, w.first, w.second);
-    });
+    m.def("loop_normals", &normals, "Standard normal numbers, the first ones of a seed's stream.");
+    m.def("loop_weights", &weights, "Weights of a step of the motor.");
 }

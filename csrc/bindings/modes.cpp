@@ -1,50 +1,39 @@
 // Binding of the recursions of exponential modes: arrays in, arrays out.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
-
-#include <algorithm>
 #include <complex>
-#include <memory>
-#include <stdexcept>
+
+#include "arrays.h"
 
 extern "C" {
 #include "modes.h"
 }
 
 namespace nb = nanobind;
-using reals = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using complexes = nb::ndarray<const std::complex<double>, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using output_array = nb::ndarray<nb::numpy, double, nb::ndim<1>>;
 
 namespace {
 
-output_array result(std::unique_ptr<double[]> values, size_t n) {
-    double *data = values.release();
-    nb::capsule owner(data, [](void *p) noexcept { delete[] static_cast<double *>(p); });
-    return output_array(data, {n}, owner);
-}
+using Complexes = Read<std::complex<double>, -1>;
 
-output_array response(reals u, double direct, double first, reals log_decays, reals gains,
-                      complexes pole_log_decays, complexes pole_gains, reals initial) {
-    size_t real_count = log_decays.shape(0), pairs = pole_log_decays.shape(0), n = u.shape(0);
-    if (gains.shape(0) != real_count || pole_gains.shape(0) != pairs ||
-        initial.shape(0) != real_count + 2 * pairs)
-        throw std::invalid_argument("modes: arrays of different length");
-    modes_system system{direct,
-                        first,
-                        (ptrdiff_t)real_count,
-                        (ptrdiff_t)pairs,
-                        log_decays.data(),
-                        gains.data(),
-                        reinterpret_cast<const double *>(pole_log_decays.data()),
-                        reinterpret_cast<const double *>(pole_gains.data())};
-    std::unique_ptr<double[]> y(new double[std::max<size_t>(n, 1)]);
+Result<double> response(Read<double, -1> u, double direct, double first, Read<double, -1> log_decays,
+                        Read<double, -1> gains, Complexes pole_log_decays, Complexes pole_gains,
+                        Read<double, -1> initial) {
+    const size_t reals = log_decays.size(), pairs = pole_log_decays.size(), n = u.size();
+    require(gains.size() == reals && pole_gains.size() == pairs && initial.size() == reals + 2 * pairs,
+            "modes: arrays of different length");
+    const modes_system system{direct,
+                              first,
+                              ptrdiff_t(reals),
+                              ptrdiff_t(pairs),
+                              log_decays.data(),
+                              gains.data(),
+                              reinterpret_cast<const double *>(pole_log_decays.data()),
+                              reinterpret_cast<const double *>(pole_gains.data())};
+    std::vector<double> y(n);
     {
-        nb::gil_scoped_release release;
-        std::unique_ptr<double[]> scratch(new double[modes_scratch(&system)]);
-        modes_response(&system, initial.data(), u.data(), y.get(), (ptrdiff_t)n, scratch.get());
+        const nb::gil_scoped_release release;
+        std::vector<double> scratch(modes_scratch(&system));
+        modes_response(&system, initial.data(), u.data(), y.data(), ptrdiff_t(n), scratch.data());
     }
-    return result(std::move(y), n);
+    return owned(std::move(y), {n});
 }
 
 } // namespace

@@ -1,6 +1,4 @@
 // The real-time loops from Python: a connection to the arm, one call per run, arrays in and out.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
 
 #include <cerrno>
@@ -9,12 +7,9 @@
 #include <cstring>
 #include <exception>
 #include <memory>
-#include <stdexcept>
 #include <system_error>
-#include <utility>
-#include <vector>
 
-#include "twin_arrays.h"
+#include "twin_arm.h"
 #include "words.h"
 
 extern "C" {
@@ -22,13 +17,9 @@ extern "C" {
 }
 
 namespace nb = nanobind;
-using namespace twin_arrays;
 
 #ifdef __linux__
 namespace {
-
-using Record = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Marks = nb::ndarray<std::uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 // A connection to the arm. Exactly one of the three is in use: a channel, the two functions of a library, two
 // callables.
@@ -179,71 +170,67 @@ nb::dict told(const realtime_outcome &o) {
 }
 
 // Rows of `path`: reference, acceleration, one value per period. `estimator` and `estimate`: empty, or the payload
-// estimator's parameters and first state.
-nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, double payload,
-             nb::bytes estimator, nb::bytes estimate, Record record,
-             Marks marks, std::int64_t period_ns, std::int64_t patience_ns, int priority, bool lock_memory,
-             Clock &clock) {
+// estimator's parameters and first state. Returns the outcome, the record and the marks, which are filled before the
+// run and not only allocated, so that no page of them is missing in the loop.
+nb::tuple run(Io &io, nb::bytes params, nb::bytes state, bool single, Read<double, 2, -1> path, double payload,
+              nb::bytes estimator, nb::bytes estimate, std::int64_t period_ns, std::int64_t patience_ns, int priority,
+              bool lock_memory, Clock &clock) {
     const std::size_t length = path.shape(1);
-    require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
-    require(record.shape(0) == length && record.shape(1) == REALTIME_COLUMNS, "record: (periods, columns)");
-    require(marks.shape(0) == length && marks.shape(1) == REALTIME_MARKS, "marks: (periods, marks)");
+    require(length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
     const law_port &law = port_of(single);
     const bool estimated = estimator.size() != 0;
     const auto block = words_of(params, law.sizes[LAW_PARAMS], "params");
     auto memory = words_of(state, law.sizes[LAW_STATE], "state");
     const auto bank = words_of(estimator, estimated ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
     auto estimates = words_of(estimate, estimated ? law.sizes[PAYLOAD_STATE] : int(estimate.size()), "estimate");
+    std::vector<double> record(length * REALTIME_COLUMNS, NAN);
+    std::vector<std::uint32_t> marks(length * REALTIME_MARKS, 0U);
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
                                 estimated ? bank.data() : nullptr, estimates.data(), patience_ns, priority,
                                 lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
     {
-        nb::gil_scoped_release release;
+        const nb::gil_scoped_release release;
         realtime_run(&plan, &way, &law, memory.data(), block.data(), record.data(), marks.data(), &outcome);
     }
     if (io.failure) std::rethrow_exception(std::exchange(io.failure, nullptr));
-    return told(outcome);
+    const std::size_t count = std::size_t(outcome.count);
+    return nb::make_tuple(told(outcome), owned(std::move(record), {count, REALTIME_COLUMNS}),
+                          owned(std::move(marks), {count, REALTIME_MARKS}));
 }
 
-nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
+nb::dict bare(Write<double, -1> latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
     const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, 0, priority,
                                 lock_memory, clock.clock};
     realtime_outcome outcome;
     {
-        nb::gil_scoped_release release;
+        const nb::gil_scoped_release release;
         realtime_bare(&plan, latency.data(), &outcome);
     }
     return told(outcome);
 }
 
-nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Mutable state,
-               Mutable gauge, Mutable voltage, Mutable sensed, Counters counters, Vector gauge_error, Record record,
-               std::int64_t period_ns, std::int64_t watchdog, bool once, int priority, Clock &clock) {
+// Returns the outcome and the record, which is filled in advance as above.
+nb::tuple serve(Io &io, nb::handle state, Read<double, -1> gauge_error, std::int64_t period_ns, std::int64_t watchdog,
+                bool once, int priority, Clock &clock) {
     require(io.channel != nullptr, "serve: messages only");
-    const twin_step step = step_of(transition, hub, tip, outputs);
-    const twin_rig rig = rig_of(rig_values);
-    require(record.shape(0) == gauge_error.size() && record.shape(1) == SERVED_COLUMNS, "record: (periods, columns)");
-    Memory buffers{state, gauge, voltage, sensed, counters, {}};
-    twin_memory memory = buffers.checked(rig, hub.size());
-    const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, rig.voltage_delay, once,
-                              gauge_error.data(), priority, clock.clock};
+    TwinArm arm(state);
+    std::vector<double> record(gauge_error.size() * SERVED_COLUMNS, 0.0);
+    const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, once, gauge_error.data(), priority,
+                              clock.clock};
     served_outcome outcome;
     {
-        nb::gil_scoped_release release;
-        realtime_serve(&plan, io.channel, &step, &rig, &memory, record.data(), &outcome);
+        const nb::gil_scoped_release release;
+        realtime_serve(&plan, io.channel, &arm.step, &arm.rig, &arm.memory, record.data(), &outcome);
     }
-    buffers.keep(memory);
     nb::dict d;
-    d["stop"] = outcome.stop;
-    d["count"] = outcome.count;
     d["late"] = outcome.late;
     d["controllers"] = outcome.controllers;
     d["silences"] = outcome.silences;
     d["rejected"] = outcome.rejected;
     d["priority_error"] = outcome.privileges.priority_error;
-    return d;
+    return nb::make_tuple(d, owned(std::move(record), {std::size_t(outcome.count), SERVED_COLUMNS}));
 }
 
 }  // namespace
@@ -275,9 +262,6 @@ void bind_realtime(nb::module_ &m) {
     nb::class_<realtime_privileges>(m, "RealtimePrivileges");
     m.def("realtime_prepare", &realtime_prepare);
     m.def("realtime_relax", [](const realtime_privileges &before) { realtime_relax(&before); });
-    m.attr("REALTIME_COLUMNS") = int(REALTIME_COLUMNS);
-    m.attr("REALTIME_MARKS") = int(REALTIME_MARKS);
-    m.attr("SERVED_COLUMNS") = int(SERVED_COLUMNS);
 #else
     m.attr("REALTIME") = false;
 #endif

@@ -7,7 +7,7 @@
 #define TAU (2.0 * PI)
 #define LONGEST 0.2     /* step in ln w that stays in the valley it began in */
 #define CLOSE 1e-6      /* a step behind which the error, its square, is that of the arithmetic */
-#define NEWTON_STEPS 20 /* across the expansions, ln(4.3/0.28) = 2.7 wide, and half a dozen to converge */
+#define NEWTON_STEPS 20 /* across the expansions, 2 ln 4.4 = 3.0 wide, and half a dozen to converge */
 #define LOUDEST 50.0 /* ln of a gain beside which one is nothing, and whose powers do not overflow */
 
 static double square(double a) { return a * a; }
@@ -336,7 +336,7 @@ static void damping_from(const link *l, int column)
     cx u = {l->log_w[column], 0.0};
     for (int step = 0; step < NEWTON_STEPS; step++) {
         const double away = u.re - log_resonance;
-        if (!(away >= table->region[0] && away <= table->region[1])) return;
+        if (!(fabs(away) <= table->region)) return;
         const int nearest = (int)fmin(fmax(nearbyint((u.re - centre[0]) / spacing), 0.0), last);
         const cx v = {(u.re - centre[nearest]) / table->radius, u.im / table->radius};
         if (!(power_of(v) < 1.0)) return;

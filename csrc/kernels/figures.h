@@ -6,6 +6,7 @@
 #ifndef FRACLINK_FIGURES_H
 #define FRACLINK_FIGURES_H
 #include <stddef.h>
+#include <stdint.h>
 
 #include "complex_pair.h"
 
@@ -26,10 +27,10 @@ typedef struct {
     const double *centre;                /* links x expansions: where D and R are expanded, ln w in even steps */
     const cx *plant, *loop;              /* links x expansions x terms: D and R over (ln w - centre)/radius */
     double radius;
-    double region[2];                    /* ln of the multiples of the resonance between which roots are looked for */
+    double region;                       /* how far from the resonance roots are looked for, in ln w */
     const double *resonance, *highest;   /* links: the first mode, and where nothing may cross any more */
     const double *band;                  /* links x 2: what belongs to the second mode */
-    const int *column;                   /* links: the column of the resonance */
+    const int64_t *column;               /* links: the column of the resonance */
 } figures_table;
 
 typedef struct {

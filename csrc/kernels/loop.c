@@ -23,14 +23,10 @@ typedef struct {
 
 typedef struct {
     double real[LOOP_MODES];
-    double re[LOOP_MODES];
-    double im[LOOP_MODES];
+    cx pair[LOOP_MODES];
     double tip;
-    double second_re;
-    double second_im;
+    cx second;
 } link_state;
-
-static const link_state STRAIGHT = {{0}, {0}, {0}, 0.0, 0.0, 0.0};
 
 static double rounded_to(double value, double quantum)
 {
@@ -89,33 +85,23 @@ static double move_reals(double *restrict x, const loop_link *link, const double
 static void move_link(link_state *s, const loop_link *link, const double q[LOOP_POWERS])
 {
     const int m = link->pairs;
-    const double *a = link->weight_re;
-    const double *b = link->weight_im;
     double tip = move_reals(s->real, link, q);
     for (int j = 0; j < LOOP_POWERS; j++)
         tip += link->first[j] * q[j];
     for (int i = 0; i < m; i++) {
-        double re = link->pair_re[i] * s->re[i] - link->pair_im[i] * s->im[i];
-        double im = link->pair_re[i] * s->im[i] + link->pair_im[i] * s->re[i];
-        for (int j = 0; j < LOOP_POWERS; j++) {
-            re += a[j * m + i] * q[j];
-            im += b[j * m + i] * q[j];
-        }
-        s->re[i] = re;
-        s->im[i] = im;
-        tip += re;
+        cx z = mul(link->pair[i], s->pair[i]);
+        for (int j = 0; j < LOOP_POWERS; j++)
+            z = add(z, scale(q[j], link->pair_weight[j * m + i]));
+        s->pair[i] = z;
+        tip += z.re;
     }
     s->tip = tip;
     if (link->second) {
         const double *n = link->second;
-        double re = n[1] * s->second_re - n[2] * s->second_im;
-        double im = n[1] * s->second_im + n[2] * s->second_re;
-        for (int j = 0; j < LOOP_POWERS; j++) {
-            re += n[3 + j] * q[j];
-            im += n[3 + LOOP_POWERS + j] * q[j];
-        }
-        s->second_re = re;
-        s->second_im = im;
+        cx z = mul((cx){n[1], n[2]}, s->second);
+        for (int j = 0; j < LOOP_POWERS; j++)
+            z = add(z, scale(q[j], (cx){n[3 + j], n[3 + LOOP_POWERS + j]}));
+        s->second = z;
     }
 }
 
@@ -123,7 +109,7 @@ static void move_link(link_state *s, const loop_link *link, const double q[LOOP_
 static double root_torque(const link_state *s, const loop_link *link, double motor)
 {
     const double bend = motor - s->tip;
-    return link->stiffness * (link->second ? bend + (link->second[0] * motor + s->second_re) : bend);
+    return link->stiffness * (link->second ? bend + (link->second[0] * motor + s->second.re) : bend);
 }
 
 /* The torques of the last periods, for a gauge that shows an older one. A delay between two samples is interpolated by
@@ -149,8 +135,6 @@ static void set_gauge(gauge_line *g, double delay)
             if (j != i)
                 g->weight[i] *= (at - j) / (i - j);
     }
-    for (int i = 0; i < GAUGE_MEMORY; i++)
-        g->torque[i] = 0.0;
 }
 
 static double shown_torque(gauge_line *g, double torque, int64_t k)
@@ -259,7 +243,7 @@ static void follow_alone(const loop_arm *arm, motor_lanes *m, int l, double appl
 {
     const loop_rig *const rig = &arm->rig;
     motor_state one = motor_of(m, l);
-    arm->trace.voltage[k] = servo_voltage(&one, rig, applied);
+    arm->signal[LOOP_VOLTAGE][k] = servo_voltage(&one, rig, applied);
     follow_reference(&one, rig, &rig->weights, applied);
     m->angle[l] = one.angle;
     m->speed[l] = one.speed;
@@ -275,15 +259,7 @@ static void begin(const loop_arm *arm, const law_port *law, const void *params, 
     m->second[l] = w->second;
     m->decay[l] = arm->rig.decay;
     m->impulse[l] = arm->rig.friction * w->first;
-    s->link = STRAIGHT;
     set_gauge(&s->gauge, arm->rig.gauge_delay);
-    for (int i = 0; i <= arm->rig.delay; i++)
-        s->pending[i] = 0.0;
-    for (int i = 0; i < PORT_OUTPUTS; i++)
-        s->out[i] = 0.0;
-    for (int i = 0; i < PORT_MARKS; i++)
-        s->marks[i] = 0U;
-    s->seen_angle = s->seen_torque = 0.0;
     (void)law->begin(&s->law, params);
     if (arm->rig.estimator)
         (void)law->begin_estimate(&s->estimate, arm->rig.estimator);
@@ -293,7 +269,6 @@ static void begin(const loop_arm *arm, const law_port *law, const void *params, 
 static double decide(const loop_arm *arm, const law_port *law, const void *params, arm_state *s, double motor, int64_t k)
 {
     const loop_rig *const rig = &arm->rig;
-    const loop_trace *const to = &arm->trace;
     const double *const fault = arm->faults ? arm->faults + k * TWIN_INPUTS : HEALTHY;
     const int broken = (int)fault[TWIN_FAULTS];
     const double torque = root_torque(&s->link, &arm->link, motor);
@@ -315,19 +290,20 @@ static double decide(const loop_arm *arm, const law_port *law, const void *param
         for (int i = (broken & TWIN_TICK_REPEATED) ? 2 : 1; i; i--)
             law->step(&s->law, params, (uint32_t)k, in, s->out, s->marks);
     }
-    to->tip[k] = rig->start + s->link.tip;
-    to->motor_reference[k] = s->out[PORT_MOTOR_REFERENCE];
-    to->voltage[k] = s->out[PORT_VOLTAGE];
-    to->flags[k] = s->marks[PORT_FLAGS];
-    to->mode[k] = s->marks[PORT_MODE];
-    to->reason[k] = s->marks[PORT_REASON];
-    if (to->motor) {
-        to->motor[k] = rig->start + motor;
-        to->torque[k] = torque;
-        to->measured[k] = measured;
-        to->tip_estimate[k] = s->out[PORT_TIP_ESTIMATE];
-        to->encoder[k] = angle;
-    }
+    const double signals[LOOP_SIGNALS] = {
+        [LOOP_TIP_ANGLE] = rig->start + s->link.tip,
+        [LOOP_MOTOR_REFERENCE] = s->out[PORT_MOTOR_REFERENCE],
+        [LOOP_VOLTAGE] = s->out[PORT_VOLTAGE],
+        [LOOP_MOTOR_ANGLE] = rig->start + motor,
+        [LOOP_TORQUE] = torque,
+        [LOOP_TORQUE_MEASURED] = measured,
+        [LOOP_TIP_ESTIMATE] = s->out[PORT_TIP_ESTIMATE],
+        [LOOP_MOTOR_ANGLE_MEASURED] = angle};
+    for (int i = 0; i < LOOP_SIGNALS; i++)
+        arm->signal[i][k] = signals[i];
+    arm->mark[LOOP_FLAGS][k] = s->marks[PORT_FLAGS];
+    arm->mark[LOOP_MODE][k] = s->marks[PORT_MODE];
+    arm->mark[LOOP_REASON][k] = s->marks[PORT_REASON];
     if (!rig->sampled)
         return s->out[PORT_MOTOR_REFERENCE] - rig->start;
     /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
@@ -336,8 +312,8 @@ static double decide(const loop_arm *arm, const law_port *law, const void *param
 
 int loop_run(const loop_arm *arms, int count, const law_port *law, const void *params, int64_t length)
 {
-    arm_state states[LOOP_LANES];
-    motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
+    arm_state states[LOOP_LANES] = {0}; /* at rest, with everything zero */
+    motor_lanes motor = {0};
     const int sampled = arms[0].rig.sampled;
     for (int l = 0; l < count; l++) {
         if (out_of_bounds(&arms[l].link, &arms[l].rig))

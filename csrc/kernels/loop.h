@@ -4,6 +4,7 @@
 
 #include <stdint.h>
 
+#include "complex_pair.h"
 #include "law_port.h"
 
 #define LOOP_POWERS 6
@@ -20,10 +21,8 @@ typedef struct {
     int pairs;
     const double *decay;     /* reals */
     const double *weight;    /* 6 x reals */
-    const double *pair_re;   /* pairs */
-    const double *pair_im;   /* pairs */
-    const double *weight_re; /* 6 x pairs */
-    const double *weight_im; /* 6 x pairs */
+    const cx *pair;          /* pairs */
+    const cx *pair_weight;   /* 6 x pairs */
     double first[LOOP_POWERS];
     double stiffness;
     const double *second; /* gain, decay (re, im), 6 weights re, 6 im; null where there is none */
@@ -59,20 +58,19 @@ typedef struct {
     const void *estimator; /* payload_params of the law's precision, whose estimate the law is given; null: `payload` */
 } loop_rig;
 
-/* One row per period; the last five are kept where they are not null. */
-typedef struct {
-    double *tip;
-    double *motor_reference;
-    double *voltage;
-    uint32_t *flags;
-    uint32_t *mode;
-    uint32_t *reason;
-    double *motor;
-    double *torque;
-    double *measured;
-    double *tip_estimate;
-    double *encoder;
-} loop_trace;
+/* What is recorded, one value for each period. */
+enum {
+    LOOP_TIP_ANGLE,
+    LOOP_MOTOR_REFERENCE,
+    LOOP_VOLTAGE,
+    LOOP_MOTOR_ANGLE,
+    LOOP_TORQUE,
+    LOOP_TORQUE_MEASURED,
+    LOOP_TIP_ESTIMATE,
+    LOOP_MOTOR_ANGLE_MEASURED,
+    LOOP_SIGNALS
+};
+enum { LOOP_FLAGS, LOOP_MODE, LOOP_REASON, LOOP_MARKS };
 
 /* One arm, and what comes from outside period by period. Its reference is `amplitude` times the one here. */
 typedef struct {
@@ -83,7 +81,8 @@ typedef struct {
     const double *acceleration;
     const double *normal; /* standard normal numbers of the gauge's noise; not read where the rig has none */
     const double *faults; /* rows of the twin's inputs (twin.h), of which those of a fault are read; null: healthy */
-    loop_trace trace;
+    double *signal[LOOP_SIGNALS];
+    uint32_t *mark[LOOP_MARKS];
 } loop_arm;
 
 /* Arms that run in step: one alone waits, as each friction substep needs the speed of the one before, and eight side
@@ -99,10 +98,7 @@ int loop_run(const loop_arm *arms, int count, const law_port *law, const void *p
 
 loop_weights loop_weights_of(const loop_rig *rig);
 
-/* Standard normal number `counter` of stream `seed`: the same wherever and in whatever order it is drawn. */
-double loop_normal(uint64_t seed, uint64_t counter);
-
-/* Those of counters 0 ... length - 1. */
+/* Standard normal numbers of counters 0 ... length - 1 of stream `seed`: the same wherever they are drawn. */
 void loop_normals(uint64_t seed, double *out, int64_t length);
 
 #endif

@@ -84,11 +84,6 @@ static double uniform(uint64_t stream, uint64_t counter)
     return ((double)(int64_t)(bits >> 12) + 0.5) * 0x1p-52;
 }
 
-double loop_normal(uint64_t seed, uint64_t counter)
-{
-    return quantile(uniform(mixed(seed + 0x9E3779B97F4A7C15ULL), counter));
-}
-
 /* The approximation for the middle for all numbers in vectors, then the tails, 15 in 100, one by one. */
 FRACLINK_CLONES
 void loop_normals(uint64_t seed, double *out, int64_t length)

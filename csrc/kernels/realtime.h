@@ -189,20 +189,13 @@ realtime_io realtime_io_of(realtime_channel *channel);
 
 /* ---- the simulated arm ---- */
 
-enum {
-    SERVED_TIP_ANGLE,
-    SERVED_MOTOR_ANGLE,
-    SERVED_TORQUE,
-    SERVED_VOLTAGE,   /* voltage that acted in this period */
-    SERVED_CONNECTED, /* 1 while a controller is connected */
-    SERVED_COLUMNS
-};
+/* Columns of the record: those of twin_drive, and 1 while a controller is connected. */
+enum { SERVED_CONNECTED = TWIN_DRIVEN_COLUMNS, SERVED_COLUMNS };
 
 typedef struct {
     int64_t period_ns;
     int64_t length;     /* periods */
     int64_t watchdog;   /* periods without a command after which the drive is switched off */
-    int queue;          /* further periods between a command and its effect, >= 0 */
     int once;           /* end when the first controller has left */
     const double *gauge_error; /* [N m], one value per period */
     int priority;       /* of SCHED_FIFO; 0: not requested */

@@ -7,7 +7,6 @@
 #ifdef __linux__
 
 #include <math.h>
-#include <string.h>
 
 typedef struct {
     int connected;
@@ -52,15 +51,6 @@ static void send_sample(const served_plan *plan, realtime_channel *channel, int6
     (void)realtime_send(channel, &sample); /* its controller notices a lost one by the number */
 }
 
-/* The voltage of this period: `queue` periods old, within the amplifier's limit. */
-static double acting(const served_plan *plan, const twin_rig *rig, double asked, double *queue)
-{
-    queue[plan->queue] = isfinite(asked) ? asked : 0.0;
-    const double voltage = fmax(fmin(queue[0], rig->voltage_limit), -rig->voltage_limit);
-    memmove(queue, queue + 1, sizeof(double) * (size_t)plan->queue);
-    return voltage;
-}
-
 void realtime_serve(const served_plan *plan, realtime_channel *channel, const twin_step *step, const twin_rig *rig,
                     twin_memory *memory, double *record, served_outcome *outcome)
 {
@@ -88,14 +78,8 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
         twin_sense(rig, memory, input, &angle, &torque);
         send_sample(plan, channel, k, angle, torque);
         outcome->late += realtime_now(plan->clock) > start + (k + 1) * plan->period_ns;
-        const double voltage = acting(plan, rig, who.voltage, memory->voltage);
-        record[SERVED_TIP_ANGLE] = twin_output(step, 2, memory->state);
-        record[SERVED_MOTOR_ANGLE] = memory->state[0];
-        record[SERVED_TORQUE] = twin_output(step, 3, memory->state);
-        record[SERVED_VOLTAGE] = voltage;
+        twin_drive(step, rig, memory, who.voltage, record);
         record[SERVED_CONNECTED] = who.connected;
-        for (int j = 0; j < rig->substeps; j++)
-            twin_motor_step(step, rig, rig->torque_per_volt * voltage, 0.0, memory);
         outcome->count = k + 1;
         if (!(fabs(memory->state[0]) < 1e6))
             break; /* diverged: later numbers would be infinite */

@@ -191,3 +191,25 @@ void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, 
     memmove(memory->gauge, memory->gauge + 1, sizeof(double) * (size_t)rig->gauge_delay);
     memory->gauge[rig->gauge_delay] = twin_output(step, 3, memory->state);
 }
+
+double twin_voltage(const twin_rig *rig, twin_memory *memory, double asked)
+{
+    double *const queue = memory->voltage;
+    queue[rig->voltage_delay] = asked;
+    const double voltage = fmax(fmin(queue[0], rig->voltage_limit), -rig->voltage_limit);
+    memmove(queue, queue + 1, sizeof(double) * (size_t)rig->voltage_delay);
+    return voltage;
+}
+
+void twin_drive(const twin_step *step, const twin_rig *rig, twin_memory *memory, double asked, double *row)
+{
+    const double voltage = twin_voltage(rig, memory, isfinite(asked) ? asked : 0.0);
+    row[TWIN_DRIVEN_TIP_ANGLE] = twin_output(step, 2, memory->state);
+    row[TWIN_DRIVEN_MOTOR_ANGLE] = memory->state[0];
+    row[TWIN_DRIVEN_MOTOR_VELOCITY] = memory->state[1];
+    row[TWIN_DRIVEN_TORQUE] = twin_output(step, 3, memory->state);
+    row[TWIN_DRIVEN_VOLTAGE] = voltage;
+    for (int j = 0; j < rig->substeps; ++j) {
+        twin_motor_step(step, rig, rig->torque_per_volt * voltage, 0.0, memory);
+    }
+}

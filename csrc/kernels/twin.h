@@ -139,6 +139,22 @@ double twin_contact(const twin_step *step, const twin_obstacle *obstacle, const 
 /* One step of motor and link under a motor torque and a force on the tip. */
 void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, double force, twin_memory *memory);
 
+/* The voltage of this period: the oldest of the queue, within the amplifier's limit. The one asked for joins the queue. */
+double twin_voltage(const twin_rig *rig, twin_memory *memory, double asked);
+
+/* The arm at the beginning of a period, and the voltage that acts in it. */
+enum {
+    TWIN_DRIVEN_TIP_ANGLE,
+    TWIN_DRIVEN_MOTOR_ANGLE,
+    TWIN_DRIVEN_MOTOR_VELOCITY,
+    TWIN_DRIVEN_TORQUE,
+    TWIN_DRIVEN_VOLTAGE,
+    TWIN_DRIVEN_COLUMNS
+};
+
+/* One period of an arm without a law, whose amplifier is asked for a voltage; what is no number is none. */
+void twin_drive(const twin_step *step, const twin_rig *rig, twin_memory *memory, double asked, double *row);
+
 /* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out. Returns the
  * number of periods run, less than asked for only where the twin left every bound. */
 int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const twin_law *law,

@@ -2,7 +2,6 @@
 #include "twin.h"
 
 #include <math.h>
-#include <string.h>
 
 /* The law's answer of one period, and the voltage that acts: `voltage_delay` periods late, within the limit. */
 static double control(const twin_rig *rig, const twin_law *law, const double *input, twin_memory *memory,
@@ -17,13 +16,10 @@ static double control(const twin_rig *rig, const twin_law *law, const double *in
     given[PORT_ACCELERATION] = input[TWIN_ACCELERATION];
     given[PORT_PAYLOAD] = input[TWIN_PAYLOAD];
     const uint32_t tick = memory->tick++;
-
-    double *queue = memory->voltage;
-    const int last = rig->voltage_delay;
     if (faults & TWIN_TICK_MISSED) {
         /* The timer's hardware goes on with the voltage it was given last. */
         port->held(law->state, answer, marks);
-        answer[PORT_VOLTAGE] = queue[last];
+        answer[PORT_VOLTAGE] = memory->voltage[rig->voltage_delay];
         answer[PORT_TIP_ESTIMATE] = NAN;
     } else {
         if (law->bank) {
@@ -34,9 +30,7 @@ static double control(const twin_rig *rig, const twin_law *law, const double *in
             port->step(law->state, law->params, tick, given, answer, marks);
         }
     }
-    queue[last] = answer[PORT_VOLTAGE];
-    const double voltage = fmax(fmin(queue[0], rig->voltage_limit), -rig->voltage_limit);
-    memmove(queue, queue + 1, sizeof(double) * (size_t)last);
+    const double voltage = twin_voltage(rig, memory, answer[PORT_VOLTAGE]);
 
     record[TWIN_OUT_REFERENCE] = input[TWIN_REFERENCE];
     record[TWIN_OUT_ENCODER] = given[PORT_ANGLE];

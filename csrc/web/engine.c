@@ -60,19 +60,18 @@ int EXPORT(run)(int single, int reals, int pairs, int second, int broken, int le
         return 1;
     const double *const decay = link_numbers + LINK_HEAD;
     const double *const weight = decay + reals;
-    const double *const pair = weight + LOOP_POWERS * reals;
-    const double *const pair_weight = pair + 2 * pairs;
+    const cx *const pair = (const cx *)(weight + LOOP_POWERS * reals);
     loop_arm arm = {
-        .link = {reals, pairs, decay, weight, pair, pair + pairs, pair_weight, pair_weight + LOOP_POWERS * pairs, {0},
-                 link_numbers[0], second ? link_numbers + LINK_SECOND : 0},
+        .link = {reals, pairs, decay, weight, pair, pair + pairs, {0}, link_numbers[0],
+                 second ? link_numbers + LINK_SECOND : 0},
         .rig = rig_of_model,
         .amplitude = 1.0,
         .reference = paths[0],
         .acceleration = paths[1],
         .normal = paths[2],
         .faults = broken ? fault_numbers : 0,
-        .trace = {signals[0], signals[2], signals[5], marks[0], marks[1], marks[2], signals[1], signals[3], signals[4],
-                  signals[6], signals[7]}};
+        .signal = {signals[0], signals[2], signals[5], signals[1], signals[3], signals[4], signals[6], signals[7]},
+        .mark = {marks[0], marks[1], marks[2]}};
     memcpy(arm.link.first, link_numbers + LINK_FIRST, sizeof arm.link.first);
     return loop_run(&arm, 1, single ? &LAW_IN_SINGLE : &LAW_IN_DOUBLE, block_words, length);
 }

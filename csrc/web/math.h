@@ -7,7 +7,10 @@
 #define floor __builtin_floor
 #define nearbyint __builtin_nearbyint
 #define copysign __builtin_copysign
+#define isfinite __builtin_isfinite
 #define NAN __builtin_nanf("")
+
+double exp(double), sin(double), cos(double); /* declared for complex_pair.h, of which the loop uses products and sums */
 
 /* As in C's library: a NaN gives way to a number. */
 static inline double fmin(double a, double b)

@@ -114,24 +114,7 @@ class Table:
     @cached_property
     def kernel(self) -> Loops:
         """The compiled kernel of these loops."""
-        parts = self.w, self.rest, self.slope, self.noise_w, self.weight
-        more = self.noise_rest, self.voltage, self.modes_w, self.modes_level
-        return Loops(
-            *parts,
-            *more,
-            MODE_POINTS,
-            PHASE_DOUBT,
-            self.centre,
-            self.plant,
-            self.closing,
-            _RADIUS,
-            -_REGION,
-            _REGION,
-            self.mode,
-            self.highest,
-            self.band,
-            self.mode_column.astype(np.int32),
-        )
+        return Loops(self, MODE_POINTS, PHASE_DOUBT, _RADIUS, _REGION)
 
     def rows(self, index: object) -> Table:
         """Return the table of some of the links."""

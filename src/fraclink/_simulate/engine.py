@@ -89,10 +89,8 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
         second if second.size else np.zeros(15),
         weights.decay,
         weights.weight,
-        weights.pair.real,
-        weights.pair.imag,
-        weights.pair_weight.real,
-        weights.pair_weight.imag,
+        weights.pair.view(np.float64),
+        weights.pair_weight.view(np.float64),
     )
     numbers = np.concatenate([np.ravel(part) for part in parts])
     return EngineLink(
@@ -210,4 +208,4 @@ def engine_noise(seed: int, count: int) -> Real:
     >>> engine_noise(0, 3).shape
     (3,)
     """
-    return np.array([_kernels.loop_normal(seed, k) for k in range(count)])
+    return _kernels.loop_normals(seed, count)

@@ -8,7 +8,7 @@ many; the twin through `ArmState`, which can be stopped, tampered with and conti
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -59,7 +59,7 @@ RECORD = (
 
 _SEEN = ("motor_angle_measured", "torque_measured", "tip_estimate")
 
-# Signals that `run_lumped` returns for each arm, in the order of batch.h.
+# Signals that `run_lumped` returns for each arm, in the order of loop.h.
 SIGNALS = (
     "tip_angle",
     "motor_reference",
@@ -76,7 +76,7 @@ MARKS = ("flags", "mode", "reason")
 # --- the model ------------------------------------------------------------------------
 
 
-# Columns of the numbers of a run, in the order of batch.h.
+# Columns of the numbers of a run, in the order of loop.cpp.
 NUMBERS = (
     "stiffness",  # [N·m/rad]
     "motor_gain",  # A [rad/(s²·V)]
@@ -128,25 +128,28 @@ class LumpedArms:
         return LumpedArms(self.links.rows(rows), self.numbers[rows], self.seed[rows])
 
 
-def shared_rig(rig: Rig, law: Law, *, start: float = 0.0) -> _kernels.LoopRig:
-    """Return the numbers common to all arms of a call; start: the angle at rest before
-    the run [rad].
+def shared_rig(rig: Rig, law: Law, *, start: float = 0.0) -> Real:
+    """Return the numbers common to all arms of a call, in the order of loop.cpp; start:
+    the angle at rest before the run [rad].
     """
-    return _kernels.LoopRig(
-        sampled=law.motor_loop is not None,
-        substeps=SUBSTEPS,
-        period=law.period,
-        pole=law.motor_loop_pole,
-        encoder=rig.encoder.resolution,
-        limit=rig.gauge.limit,
-        quantum=rig.gauge.quantum,
-        start=start,
+    return np.array(
+        [
+            law.motor_loop is not None,
+            SUBSTEPS,
+            law.period,
+            law.motor_loop_pole,
+            rig.encoder.resolution,
+            rig.gauge.limit,
+            rig.gauge.quantum,
+            start,
+        ],
+        np.float64,
     )
 
 
 def run_lumped(
     law: Law,
-    shared: _kernels.LoopRig,
+    shared: Real,
     arms: LumpedArms,
     path: Real,
     chosen: NDArray[np.int32],
@@ -170,27 +173,17 @@ def run_lumped(
     estimator
         of the law's precision, whose payload each law is given; None: that of `arms`.
     """
-    runs, length = len(arms.seed), path.shape[2]
-    signals = np.empty((len(SIGNALS), runs, length))
-    marks = np.empty((len(MARKS), runs, length), np.uint32)
-    # The kernel reads rows: sliced or stacked arrays must be contiguous.
-    links = {
-        field.name: np.ascontiguousarray(getattr(arms.links, field.name))
-        for field in fields(LinkWeights)
-    }
-    _kernels.loop_run(
+    signals, marks = _kernels.loop_run(
         law.block,
         law.single,
         b"" if estimator is None else estimator.block,
         shared,
-        _kernels.Links(**links),
+        arms.links,
         arms.numbers,
         arms.seed,
         chosen,
         path,
         np.zeros((0, _kernels.TWIN_INPUTS)) if faults is None else faults,
-        signals,
-        marks,
     )
     return dict(zip(SIGNALS, signals, strict=True)) | dict(
         zip(MARKS, marks, strict=True)
@@ -253,7 +246,8 @@ def twin_numbers(twin: Twin, period: float) -> Real:
 
 class ArmState:
     """The state of a running twin: link, gauge queue, voltage queue, sensors, law.
-    Internal, mutable.
+    Internal, mutable; the kernel takes it by the names of its arrays
+    (csrc/bindings/twin_arm.h).
     """
 
     def __init__(
@@ -299,16 +293,7 @@ class ArmState:
                 bytearray(estimator.initial_state()), np.uint8
             )
         return _kernels.twin_run(
-            *self.step.arrays,
-            self.rig,
-            self.obstacle,
-            block,
-            single,
-            np.ascontiguousarray(inputs),
-            self.law,
-            *self.memory,
-            b"" if estimator is None else estimator.block,
-            self.estimate,
+            self, block, single, inputs, b"" if estimator is None else estimator.block
         )
 
     def estimating(
@@ -338,12 +323,7 @@ class ArmState:
 
     def sense(self, inputs: Real) -> tuple[float, float]:
         """Return the present readings of encoder and gauge."""
-        return _kernels.twin_sense(self.rig, np.ascontiguousarray(inputs), *self.memory)
-
-    @property
-    def memory(self) -> tuple[NDArray[Any], ...]:
-        """What the kernel changes of the arm: link, queues, sensors, counters."""
-        return self.state, self.gauge, self.voltage, self.sensed, self.counters
+        return _kernels.twin_sense(self, inputs)
 
     def restart(self) -> None:
         """Restart the law and its estimator; arm, queues and clock go on, as after a

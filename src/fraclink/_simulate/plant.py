@@ -64,11 +64,6 @@ class StepMatrices:
     tip: Real
     outputs: Real
 
-    @property
-    def arrays(self) -> tuple[Real, Real, Real, Real]:
-        """The first arguments of the kernel."""
-        return self.transition, self.hub, self.tip, self.outputs
-
 
 @dataclass(frozen=True)
 class Plant:

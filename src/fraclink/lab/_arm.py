@@ -168,28 +168,23 @@ def serve_arm(
         )
     # The transmission of the messages is the first period of the twin's delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
-    # Filled and not only allocated: page faults at first access would delay the loop.
-    count = math.ceil(duration / period)
-    record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
-    noise = np.random.default_rng(seed).standard_normal(count)
+    noise = np.random.default_rng(seed).standard_normal(math.ceil(duration / period))
     with arm_end(connection, begin) as way:
-        outcome = _kernels.realtime_serve(
+        outcome, record = _kernels.realtime_serve(
             way,
-            *arm.step.arrays,
-            arm.rig,
-            *arm.memory,
+            arm,
             # Drawn in advance: the loop in C calls no Python, and the noise is that of
             # `simulate` with the same seed.
             twin.gauge.offset + twin.gauge.noise * noise,
-            record,
             nanoseconds,
             watchdog,
             once,
             priority,
             clock or _kernels.RealtimeClock(0),
         )
+    columns = (*SimulatedArm.COLUMNS, "connected")
     parts: dict[str, Any] = {
-        name: record[: outcome["count"], i].copy() for i, name in enumerate(_SIGNALS)
+        name: record[:, columns.index(name)].copy() for name in _SIGNALS
     }
     parts |= {name: int(outcome[name]) for name in _COUNTS}
     return ServedArm(
@@ -233,7 +228,7 @@ class SimulatedArm:
         # TWIN_ENCODER_GAIN and TWIN_GAUGE_GAIN of twin.h: gains that no fault changes
         # here
         self._input[[6, 9]] = 1.0
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[Real] = []
 
     def read(self) -> tuple[float, float]:
         """Return what encoder [rad] and gauge [N·m] show now."""
@@ -246,9 +241,7 @@ class SimulatedArm:
         """Move on for one period under the command's voltage [V]."""
         # A board whose drive is off ignores the voltage.
         voltage = 0.0 if command.mode in _DRIVE_OFF else command.voltage
-        s = self._state
-        row = _kernels.twin_drive(*s.step.arrays, s.rig, *s.memory, voltage)
-        self._rows.append(row)
+        self._rows.append(_kernels.twin_drive(self._state, voltage))
 
     @property
     def callback(self) -> Callback:

@@ -147,14 +147,10 @@ def run_realtime(
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, 1e300, "s").check("duration", length)
     path = sampled(reference, law.period, length)
-    # Filled and not only allocated, so that no page of the record is missing in the
-    # loop.
-    record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)
-    marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, np.uint32)
     with contextlib.ExitStack() as stack:
         with controller_end(connection) as way:
             obeyed = stack.enter_context(signals_held())
-            outcome = _kernels.realtime_run(
+            outcome, record, marks = _kernels.realtime_run(
                 way,
                 law.block,
                 law.initial_state(),
@@ -164,8 +160,6 @@ def run_realtime(
                 payload,
                 b"" if estimator is None else estimator.block,
                 b"" if estimator is None else estimator.initial_state(),
-                record,
-                marks,
                 nanoseconds,
                 round(1e9 * patience),
                 priority,
@@ -177,11 +171,10 @@ def run_realtime(
         # A run that never began is an error; a run that began has a record, however it
         # ended.
         _check_answer(outcome, connection, law.period, patience)
-        count = int(outcome["count"])
         columns: dict[str, NDArray[Any]] = {
-            name: record[:count, i].copy() for i, name in enumerate(SIGNALS)
+            name: record[:, i].copy() for i, name in enumerate(SIGNALS)
         }
-        columns |= {name: marks[:count, i].copy() for i, name in enumerate(MARKS)}
+        columns |= {name: marks[:, i].copy() for i, name in enumerate(MARKS)}
         scheduling, memory = granted(outcome, priority, lock_memory)
         run = RealtimeRun(
             **columns,  # type: ignore[arg-type]  # by name
@@ -197,7 +190,7 @@ def run_realtime(
             # pass unnoticed.
             first_difference=first_difference(law, columns),
             allowed_overruns=allowed_overruns,
-            planned=len(record),
+            planned=path.shape[1],
             estimator=estimator,
         )
         return run if out is None else replace(run, saved=str(saved(run, out)))
