@@ -93,6 +93,24 @@ def test_every_variable_is_described_as_the_standard_wants(
     assert listed[7]["description"] == "0 idle, 1 run, 2 degraded, 3 hold, 4 off"
 
 
+def test_units_are_powers_of_the_si_base_units(tmp_path: Path) -> None:
+    """The SI brochure: N·m = kg m² s⁻², and V = N·m/(A·s)."""
+    root, _ = _written(law(), tmp_path)
+    told = {
+        unit.get("name"): unit.find("BaseUnit").attrib  # type: ignore[union-attr]
+        for unit in root.findall("UnitDefinitions/Unit")
+    }
+    torque = {"kg": "1", "m": "2", "s": "-2"}
+    assert told == {
+        "kg": {"kg": "1"},
+        "N.m": torque,
+        "V": torque | {"s": "-3", "A": "-1"},
+        "rad": {"rad": "1"},
+        "rad/s2": {"rad": "1", "s": "-2"},
+        "s": {"s": "1"},
+    }
+
+
 def test_angles_are_shown_in_degrees(tmp_path: Path) -> None:
     root, _ = _written(law(), tmp_path)
     shown = root.findall("UnitDefinitions/Unit[@name='rad']/DisplayUnit")

@@ -290,6 +290,17 @@ def test_a_link_of_one_mode_is_fitted_where_it_holds() -> None:
 
 
 @pytest.mark.slow
+def test_as_few_octaves_as_possible_are_left_out_at_either_end() -> None:
+    w = np.geomspace(0.5, 64.0, 160)
+    friction = np.where(w < 1.5, 0.2 * np.exp(1j), 1.0)
+    above = np.where(w > 40.0, 3.0 * np.exp(2j), 1.0)
+    measured = fl.FrequencyResponse(w, arm()(1j * w) * friction * above)
+    found = fl.extend.identify_driven_link(measured, details=False)
+    (said,) = (finding for finding in found.findings if finding.code == "W349")
+    assert said.evidence == {"low": 2.0, "high": 32.0, "lowest": 0.5, "highest": 64.0}
+
+
+@pytest.mark.slow
 def test_a_table_without_header_ends_in_a_design(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,12 +89,24 @@ def test_the_same_content_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_b63_an_array_of_objects(tmp_path: Path) -> None:
-    blob = npy(np.array([{}], dtype=object), allow_pickle=True)
+class Trap:
+    """An object that makes a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_b63_no_object_of_an_array_is_made(tmp_path: Path) -> None:
+    sprung = tmp_path / "sprung"
+    blob = npy(np.array([Trap(sprung)], dtype=object), allow_pickle=True)
     error = refused(
         archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
     )
     assert "damaged" in error.problem or "object" in error.problem
+    assert not sprung.exists()
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<i4", ">f8", "<c8", "|S8"])

@@ -109,3 +109,26 @@ def test_tolerance_is_kept(G: FractionalTransferFunction, tolerance: float) -> N
     exact = time_response(G, np.ones(1000), 0.01).output
     error = np.max(np.abs(modes.respond(np.ones(1000)) - exact))
     assert error <= (6 * tolerance + 2e-10) * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize(
+    ("G", "method", "hold"),
+    [
+        (1 / (s**1.5 + s + 1), "modes", "zero"),
+        (1 / s**0.96, "contour", "zero"),
+        (1 / s**0.96, "contour", "first"),
+        (1 / (s + (0.5 + 0 * s).delayed(1.0) + 1), "fft", "zero"),
+    ],
+)
+def test_estimates_grow_with_the_input(
+    G: FractionalTransferFunction, method: str, hold: str
+) -> None:
+    """A response is linear in its input, and so is what its error may be."""
+    u = np.sin(np.arange(60.0)) * (np.arange(60) > 0)
+    once, often = (time_response(G, k * u, 0.1, hold=hold) for k in (1.0, 64.0))
+    assert once.method == often.method == method
+    np.testing.assert_allclose(often.output, 64.0 * once.output, rtol=1e-12)
+    assert often.error_estimate == pytest.approx(64.0 * once.error_estimate)
+    # one jump instead of sixty that partly cancel
+    jump = time_response(G, np.ones(60), 0.1, hold=hold).error_estimate
+    assert 0.0 < jump <= 60.0 * once.error_estimate

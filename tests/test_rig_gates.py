@@ -76,6 +76,14 @@ def test_arms_that_are_merely_imprecise_are_in_no_doubt() -> None:
     assert [finding.code for finding in doubts_of(RIG, slow)] == ["W106"]
 
 
+def test_a_link_without_a_stiffness_of_its_own_is_judged_by_its_vibration() -> None:
+    damped = replace(LINK, natural_frequency=0.0, damping=100.0, damping_order=0.05)
+    assert doubts_of(RIG, damped) == ()
+    (doubt,) = doubts_of(RIG, replace(damped, damping=1e4))
+    assert doubt.code == "W106"
+    assert doubt.evidence["model"] == pytest.approx(1e4 ** (1 / (LINK.order - 0.05)))
+
+
 @pytest.mark.slow
 def test_a_design_behind_a_contradiction_meets_its_requirements_and_does_not_pass() -> (
     None

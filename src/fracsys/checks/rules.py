@@ -11,7 +11,6 @@ from __future__ import annotations
 import functools
 import inspect
 import os
-import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
@@ -237,13 +236,6 @@ def _names_a_file(value: Any) -> bool:
     return isinstance(text, str) and bool(text) and "\0" not in text
 
 
-def _is_complex(value: Any) -> bool:
-    is_number = isinstance(value, complex | float | int | np.number)
-    # An integer may be larger than any float.
-    largest = sys.float_info.max
-    return is_number and type(value) is not bool and abs(value) <= largest
-
-
 def _is(kind: Any) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, kind)
 
@@ -255,9 +247,7 @@ _ANYTHING = Rule("anything", lambda value, form: value, Any)
 _SCALARS: dict[Any, Rule] = {
     float: number(),
     int: whole_number(),
-    complex: _kind(
-        _is_complex, "a finite complex number", "give a number", complex, complex
-    ),
+    complex: _kind(_is(complex), "a complex number", "give a number", kind=complex),
     bool: _kind(_is(bool | np.bool_), "True or False", "give True or False", bool),
     str: _kind(_is(str), "a text", "give a str"),
     bytes: _kind(_is(bytes), "bytes", "give bytes", kind=bytes),
