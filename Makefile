@@ -13,6 +13,8 @@ CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bind
 
 # Matrices of a few rows gain nothing by threads, and with them last bits depend on the machine.
 export OPENBLAS_NUM_THREADS ?= 1
+# Tests start hundreds of interpreters; each would compile what it imports anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup demo test quick core interpreters coverage lint style types types-of-tests bench bench-short \
   build docs fuzz reproduce clean lock dist-check

@@ -84,7 +84,18 @@ def law() -> Law:
 
 @pytest.fixture(scope="module")
 def certificate(law: Law) -> Certificate:
-    return certify(plan_for("ideal"), law=law, modulus_margin=0.35)
+    """Of a box narrower than the default one, whose proof takes the checker a tenth of
+    the time.
+    """
+    point = ParameterBox.at(RIG.model)
+    box = replace(
+        point,
+        order=(1.915, 1.925),
+        gauge_gain=(0.99, 1.01),
+        gauge_delay=(0.0, 0.0005),
+        motor_ratio=(0.99, 1.01),
+    )
+    return certify(plan_for("ideal"), law=law, modulus_margin=0.35, box=box)
 
 
 @pytest.fixture(scope="module")
@@ -98,8 +109,9 @@ def document(
 
 @pytest.mark.slow
 def test_default_design_is_certified_and_checked_by_other_arithmetic(
-    certificate: Certificate, tmp_path: Path
+    law: Law, tmp_path: Path
 ):
+    certificate = certify(plan_for("ideal"), law=law, modulus_margin=0.35)
     assert certificate.passed
     assert (
         "from 0.02 to 0.04 kg" in certificate.verdict
@@ -605,13 +617,13 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "subtree replaced by a leaf": _tree(lambda _: "."),
     "unknown letter": _tree(lambda t: t.replace("w", "x", 1)),
     "number of leaves": _leaves(7),
-    "margin claimed larger": _number("modulus", value=0.64),
+    "margin claimed larger": _number("modulus", value=0.73),
     "margin of one": _number("modulus", value=1.0),
     "lighter payload claimed": _number("payload_low", value=0.004),
     "payload range turned round": _number("payload_low", value=0.05),
     "longer delay claimed": _number("delay_high", value=0.040),
     "negative delay": _number("delay_low", value=-0.004),
-    "slower motor": _interval("gain", factor=0.5),
+    "slower motor": _interval("gain", factor=0.2),
     "order of two": _interval("order", value=2.0),
     "order not a number": _number("order_low", value=float("nan")),
     "payload law changed": _interval("softness", factor=0.1),
@@ -627,10 +639,8 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "field missing": _drop("pole_low"),
     "other kind of file": _envelope("fraclink", "design"),
     "other format": _envelope("format", 1),
-    "leaf by the other form": _tree(
-        lambda t: t.replace(".", "#").replace(",", ".").replace("#", ",")
-    ),
-    "cut along another axis": _tree(lambda t: t.replace("m", "t")),
+    "leaves by the other form": _tree(lambda t: t.replace(".", ",")),
+    "cut along another axis": _tree(lambda t: t.replace("w", "m")),
     "orders up to 1.99": _number("order_high", value=1.99),
     "orders from 1.5": _number("order_low", value=1.5),
     "orders turned round": _number("order_low", value=1.96),

@@ -255,6 +255,9 @@ def with_pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Law]:
     return place, made
 
 
+SANITIZED = ("-fsanitize=address,undefined",)
+
+
 def _caught(folder: Path, made: Law, number: int) -> str | None:
     """Return the first gate that detects the mutant, cheapest first, or None."""
     old, new = MUTANTS[number]
@@ -263,26 +266,22 @@ def _caught(folder: Path, made: Law, number: int) -> str | None:
     place = folder / f"mutant{number}"
     place.mkdir()
     (place / "law.c").write_text(text.replace(old, new, 1), encoding="utf-8")
-    (place / "one.c").write_text(
-        '#include "law.c"\n#include "drive.c"\n', encoding="utf-8"
-    )
-    gcc, flags = tool("gcc"), (*single(made), "-I", place, "-I", folder, "-I", FIRMWARE)
     # what ships is compiled by -O2 above; here half of the time would go into that
-    warned = (*GCC, "-O0", *flags)
-    answer = run(gcc, *warned, "-c", "law.c", "-o", "law.o", cwd=place, check=False)
-    if answer.returncode:
+    compiled = (tool("gcc"), *GCC, "-O0", *single(made), "-I", folder, "-c", "law.c")
+    if run(*compiled, "-o", "law.o", cwd=place, check=False).returncode:
         return "gcc"
-    run(gcc, "law.o", folder / "selftest.o", "-o", "selftest", cwd=place)
+    run(tool("gcc"), "law.o", folder / "selftest.o", "-o", "selftest", cwd=place)
     if run(place / "selftest", check=False).returncode:
         return "self-test"
-    plain = ("-std=c99", "-ffp-contract=off", *flags)
-    # a mutant that breaks an invariant needs no sanitizer, and a build without them is
-    # six times as fast
-    for options in (("-O0",), ("-O1", "-fsanitize=address,undefined")):
-        run(gcc, *plain, *options, "one.c", "-lm", "-o", "one", cwd=place)
+    # a mutant that breaks an invariant needs no sanitizer
+    for options, gate in (((), "fault drive"), (SANITIZED, "sanitizers")):
+        if options:
+            run(*compiled, *options, "-o", "law.o", cwd=place)
+        drive = folder / f"{gate}.o"
+        run(tool("gcc"), *options, "law.o", drive, "-lm", "-o", "one", cwd=place)
         answer = run(place / "one", "10", check=False)
         if answer.returncode or "runtime error" in answer.stderr:
-            return "fault drive" if options == ("-O0",) else "sanitizers"
+            return gate
     return None
 
 
@@ -290,17 +289,15 @@ def _caught(folder: Path, made: Law, number: int) -> str | None:
 def test_seeded_defects_are_caught(with_pairs: tuple[Path, Law]) -> None:
     assert len(MUTANTS) >= 30
     folder, made = with_pairs
-    run(
-        tool("gcc"),
-        "-std=c99",
-        "-O1",
-        *single(made),
-        "-c",
-        "law_selftest.c",
-        "-o",
-        "selftest.o",
-        cwd=folder,
-    )
+    for source, options, target in (
+        (folder / "law_selftest.c", (), "selftest"),
+        (FIRMWARE / "drive.c", (), "fault drive"),
+        (FIRMWARE / "drive.c", SANITIZED, "sanitizers"),
+    ):
+        run(
+            *(tool("gcc"), "-std=c99", *options, *single(made), "-I", folder),
+            *("-c", source, "-o", folder / f"{target}.o"),
+        )
     gates = both_cores(lambda number: _caught(*with_pairs, number), range(len(MUTANTS)))
     table = {
         f"{old} -> {new}": gate for (old, new), gate in zip(MUTANTS, gates, strict=True)

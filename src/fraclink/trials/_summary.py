@@ -5,13 +5,14 @@ them.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy.special import bdtr, bdtrc, bdtri
 
 from fraclink._display import Overview, Row, Table, displayed, rows_of, state_of
 from fraclink._files import Saved, document
@@ -232,12 +233,16 @@ def _metric(
     order = np.sort(size)
     worst = np.argsort(size)[::-1][:WORST]
     ranks = _ranks(size)
-    drivers = [(p, float(ranks @ other)) for p, other in drawn.items()]
     return MetricSummary(
         name,
         tuple(_quantile(order, p) for p in PROBABILITIES),
         tuple((int(run[i]), float(values[i])) for i in worst),
-        tuple(sorted(drivers, key=lambda pair: -abs(pair[1]))),
+        drivers=tuple(
+            sorted(
+                ((p, float(ranks @ other)) for p, other in drawn.items()),
+                key=lambda pair: -abs(pair[1]),
+            )
+        ),
     )
 
 
@@ -247,22 +252,33 @@ def _quantile(order: Real, probability: float) -> Quantile:
     """
     # The smallest value with at least that share of the sample at or below it; an
     # interpolated value would not be covered by order statistics.
-    value = float(order[max(math.ceil(probability * len(order)), 1) - 1])
-    test = stats.quantile_test(order, q=value, p=probability)
-    low, high = test.confidence_interval()
-    # NaN if the sample is too small for a bound
+    count, tail = len(order), 0.025
+    value = float(order[max(math.ceil(probability * count), 1) - 1])
+    # How many of the sample lie below the quantile is binomial.
+    below = bisect_left(
+        range(count + 1), tail, key=lambda k: bdtr(k, count, probability)
+    )
+    above = bisect_left(
+        range(count + 1), -tail, key=lambda k: -bdtrc(k, count, probability)
+    )
+    # infinite if the sample is too small for a bound
     return Quantile(
         probability,
         value,
-        -math.inf if math.isnan(low) else float(low),
-        math.inf if math.isnan(high) else float(high),
+        float(order[below - 1]) if below > 0 else -math.inf,
+        float(order[above]) if above < count else math.inf,
     )
 
 
 def _failure(count: int, runs: int) -> Failure:
     """The failure rate with the interval of Clopper and Pearson (1934)."""
-    interval = stats.binomtest(count, runs).proportion_ci()
-    return Failure(count, runs, count / runs, float(interval.low), float(interval.high))
+    return Failure(
+        count,
+        runs,
+        count / runs,
+        low=float(bdtri(count - 1, runs, 0.975)) if count > 0 else 0.0,
+        high=float(bdtri(count, runs, 0.025)) if count < runs else 1.0,
+    )
 
 
 def _trips(mode: Real, reason: Real) -> tuple[tuple[int, int, int], ...]:
@@ -274,7 +290,8 @@ def _ranks(values: Real) -> Real:
     """Mean ranks, centred and normalised: the dot product of two of them is Spearman's
     correlation.
     """
-    ranks = stats.rankdata(values) - 0.5 * (len(values) + 1)
+    _, place, ties = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(ties) - 0.5 * (ties - 1.0))[place] - 0.5 * (len(values) + 1)
     # A parameter that does not vary has rank zero everywhere, and a correlation of 0
     # instead of 0/0.
     return ranks / (np.linalg.norm(ranks) or 1.0)
