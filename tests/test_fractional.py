@@ -60,6 +60,10 @@ def test_normal_form_makes_equal_functions_equal() -> None:
     assert (s + 1) / (2 * s + 2) == 0.5 + 0 * s
     assert hash(2 * s / (4 * s**2 + 2 * s)) == hash(0.5 / (s + 0.5))
     assert len({LINK, 1.56 * s**1.92 / (10.02**2 + s**1.92)}) == 1
+    # what equals a number hashes like it
+    assert {2.5, 2.5 * s / s, 0.0, 0 * s} == {2.5, 0.0}
+    assert s != 1.0 and s**0.5 not in {1.0} and s != "s"
+    assert s and not 0 * s
 
 
 @pytest.mark.parametrize(

@@ -113,6 +113,9 @@ def test_a_response_without_this_mode_fails_a_gate(name: str) -> None:
     fit = fl.identify_structure(measured, TEXT, bounds={"a": (1.0, 2.0)}, details=False)
     assert not fit.passed
     assert all(item.remedy and item.evidence for item in fit.findings)
+    if name == "no mode":  # then any resonance beyond the band will do
+        (rival,) = (item for item in fit.findings if item.code == "W357")
+        assert "w" in rival.evidence
 
 
 def test_spectra_need_a_weight_that_was_measured() -> None:

@@ -4,7 +4,8 @@ tests that touch it.
     python tools/mutants.py record [TEST ...]   # the blocks each test runs, and its time
     python tools/mutants.py run --seed 1 --count 300 --minutes 9   # again until all are judged
     python tools/mutants.py report --seed 1
-    python tools/mutants.py run --seed 1 --count 40 --only _logs   # of one room
+    python tools/mutants.py run --seed 1 --count 120 --only core   # without the satellites
+    python tools/mutants.py run --seed 1 --count 40 --only logs    # of one room
 
 Without arguments: all three. A mutant is drawn by room (fracsys, the packages of
 src/fraclink, the modules beside them, and prove), at least `FEWEST` from each and the
@@ -14,8 +15,8 @@ than their time. A change inside a function replaces the function's code in a pr
 collected all the tests; a change of what runs at import is made in a process that has
 not imported fraclink. The sources on the disk are never touched, and child processes of
 a test run the mutant too. Left out: csrc (tests/law_mutants.py mutates law.c), tests
-that read the sources rather than run them, tests of more than `LONGEST` seconds and, of
-slow ones, all but `SLOW_CASES` of their parameters. All times are processor times.
+that read the sources rather than run them, and tests of more than `LONGEST` seconds.
+All times are processor times.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from check_core import AROUND
 from mutation import HITS, Site, instrumented, mutated, sites
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -55,9 +57,8 @@ PLACE = ROOT / "results" / "mutants"
 TREES = (ROOT / "src" / "fracsys", ROOT / "src" / "fraclink", ROOT / "prove" / "src")
 SEED, COUNT, FEWEST = 1, 300, 8  # FEWEST of a package, and fewer for a small count
 LONGEST = 20.0  # [s] processor time that a test may take to be included
-SLOW_CASES = 2  # cases of a slow test with many parameters
 COLD_FILES = 10
-BUDGET = 20.0  # [s] processor time of the tests of one mutant
+BUDGET = 15.0  # [s] processor time of the tests of one mutant that survives
 # Tests of files, guards and pages: they read sources, or start programs that never run
 # the mutant.
 UNCONCERNED = (
@@ -65,7 +66,6 @@ UNCONCERNED = (
     "test_readme", "test_reproduce", "test_examples", "test_export_gates", "test_export_firmware",
     "test_export_fmu_sources", "test_palette", "test_readers_mutants",
 )  # fmt: skip
-INTERFACE = "tests/test_interface.py"  # reads every default and range, whatever it runs
 # The code by which a new process runs the changed code of a module.
 SITE = f"""
 import builtins, json, marshal, mmap, os
@@ -98,6 +98,13 @@ def room(path: Path) -> str:
     if package == "fracsys":
         return package
     return inside[0] if len(inside) > 1 else "(top)"
+
+
+def chosen(path: Path, only: str) -> bool:
+    """Whether a file belongs to what is drawn from: all, the core, or one room."""
+    if only == "core":
+        return room(path) not in (*AROUND, "prove")
+    return only in ("", room(path))
 
 
 def digest() -> str:
@@ -163,15 +170,6 @@ class Recorder:
             return served
 
         return decorate
-
-    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
-        """Keep a few cases of each slow test: the others run the same blocks."""
-        seen: collections.Counter[str] = collections.Counter()
-        for item in items:
-            slow = item.get_closest_marker("slow") is not None
-            seen[item.nodeid.split("[")[0]] += slow
-            item.left_out = slow and seen[item.nodeid.split("[")[0]] > SLOW_CASES
-        items[:] = [item for item in items if not item.left_out]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any) -> Any:
@@ -313,7 +311,9 @@ def load_record() -> dict[str, Any]:
 
 
 def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
-    """(file, index of the change) of `count` mutants, of one room where it is named."""
+    """(file, index of the change) of `count` mutants, of the core or of one room where
+    that is named.
+    """
     rng = random.Random(seed)  # noqa: S311
     places: dict[str, dict[str, dict[Any, list[tuple[str, int]]]]] = (
         collections.defaultdict(
@@ -321,7 +321,7 @@ def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
         )
     )
     for path in files():
-        if only and room(path) != only:
+        if not chosen(path, only):
             continue
         name = str(path.relative_to(ROOT))
         for k, site in enumerate(sites(path)[1]):
@@ -387,13 +387,14 @@ class Choice:
             blocks = sorted(
                 {b for name in site.names for b in self.mentions.get(name, ())}
             )
-            starts = sorted([*self.firsts.values(), self.rows.shape[1]])
-            own = range(self.firsts[file], starts[starts.index(self.firsts[file]) + 1])
-            inside = self.rows[:, own].any(axis=1)
+            names = list(self.firsts)
+            after = [*self.firsts.values(), self.rows.shape[1]][names.index(file) + 1]
+            own = range(self.firsts[file], after)
+            # a module without a function is imported by all
+            inside = self.rows[:, own].any(axis=1) if own else self.costs >= 0.0
             touched = inside & self.rows[:, blocks].any(axis=1) if blocks else inside
             if not touched.any():
                 touched = inside
-            touched |= np.array([name.startswith(INTERFACE) for name in self.names])
         every = sorted(
             (float(self.costs[k]), self.names[k]) for k in np.flatnonzero(touched)
         )
@@ -541,7 +542,7 @@ class Judge:
                     if self.failed:
                         raise Failed
 
-            limit = 4.0 + 4.0 * sum(cost for _, cost in tests)
+            limit = 8.0 + 2.0 * sum(cost for _, cost in tests)
             fate = in_a_fork(run, limit)
             while fate[0] == "failed" and not self.trusted(items.get(fate[1])):
                 some[:] = [item for item in some if item.nodeid != fate[1]]
@@ -623,7 +624,7 @@ def run(seed: int, count: int, minutes: float, only: str = "") -> None:
     preload()
     trusted: dict[str, bool] = {}
     for key, change, tests in cold:
-        limit = 8.0 + 4.0 * sum(cost for _, cost in tests)
+        limit = 8.0 + 2.0 * sum(cost for _, cost in tests)
         names = [name for name, _ in tests]
         fate = in_a_fork(functools.partial(run_anew, dict([change]), names), limit)
         while fate[0] == "failed":
@@ -731,7 +732,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument(
-        "--only", default="", metavar="ROOM", help="mutants of this room alone"
+        "--only",
+        default="",
+        metavar="ROOM",
+        help="mutants of this room, or of the core",
     )
     parser.add_argument(
         "--marks", default="", help="record these tests only, such as 'not slow'"

@@ -2,8 +2,8 @@
 place.
 
 A mutant is one change of one node of a module's syntax tree. Docstrings, annotations,
-decorators, assertions and the contents of `raise` are left unchanged: they are text for
-people or for the type checker.
+decorators, assertions, f-strings and the contents of `raise` are left unchanged: they
+are text for people or for the type checker.
 """
 
 from __future__ import annotations
@@ -205,6 +205,9 @@ class Finder(ast.NodeVisitor):
             return not isinstance(statement.targets[0], (ast.Name, ast.Tuple))
         if isinstance(statement, ast.Expr):
             return isinstance(statement.value, (ast.Call, ast.Await))
+        if isinstance(statement, ast.Raise) and statement.exc is not None:
+            # as `assert`, it states what cannot be
+            return "AssertionError" not in ast.unparse(statement.exc)
         return isinstance(
             statement, (ast.Raise, ast.AugAssign, ast.Continue, ast.Break)
         )
@@ -367,8 +370,8 @@ class Finder(ast.NodeVisitor):
         if node.arg not in _NO_RESULT:
             self.visit(node.value)
 
-    def visit_FormattedValue(self, node: ast.FormattedValue) -> None:
-        self.visit(node.value)  # not the format, which is text
+    def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
+        """What a message says is text, and so are the values that it names."""
 
     def visit_Constant(self, node: ast.Constant) -> None:
         value = node.value

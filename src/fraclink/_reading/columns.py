@@ -39,6 +39,8 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
 
     >>> columns_of_names(("time_s", "motor_angle_deg", "torque_Nm")).motor_angle.unit
     'deg'
+    >>> columns_of_names(("time_s", "motor_angle_deg")) is None  # of which output?
+    True
     """
     channels: dict[str, Channel] = {}
     for name in names:
