@@ -24,7 +24,7 @@ from fraclink.trials import load_study
 from test_studio import connected, talked
 from tuned_arms import LIMITS, PERIOD, RIG, arm
 
-REQUESTS = 50
+REQUESTS = 20
 # Every so many are kept and reported: a report draws eight figures, which takes a second.
 KEPT = 17
 

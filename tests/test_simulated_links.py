@@ -27,13 +27,14 @@ def answers(links: LinkWeights, row: int, count: int) -> Real:
     """
     decay, pair = links.decay[row], links.pair[row]
     tip = np.zeros((POWERS, count))
-    for j in range(POWERS):
-        x, z = np.zeros(len(decay)), np.zeros(len(pair), dtype=complex)
-        for k in range(count):
-            q = np.eye(POWERS)[0 if k else j]
-            x = decay * x + q @ links.weight[row]
-            z = pair * z + q @ links.pair_weight[row]
-            tip[j, k] = links.first[row] @ q + x.sum() + z.sum().real
+    x = np.zeros((POWERS, len(decay)))
+    z = np.zeros((POWERS, len(pair)), dtype=complex)
+    moving, standing = np.eye(POWERS), np.tile(np.eye(POWERS)[0], (POWERS, 1))
+    for k in range(count):
+        q = standing if k else moving
+        x = decay * x + q @ links.weight[row]
+        z = pair * z + q @ links.pair_weight[row]
+        tip[:, k] = q @ links.first[row] + x.sum(axis=1) + z.sum(axis=1).real
     return tip
 
 

@@ -182,8 +182,11 @@ def _figures(study: Study) -> dict[str, Figure]:
     if fit is not None:
         drawings["detail"] = figures.detail_figure(fit)
         drawings["residual"] = figures.residual_figure(fit)
+        # Of a tuning, the fit is of a part of the record.
         drawings["response"] = (
-            None if log is None else figures.response_figure(log, fit)
+            figures.response_figure(log, fit)
+            if log is not None and log.output.size == fit.predicted.size
+            else None
         )
     if study.fits:
         drawings["models"] = figures.models_figure(
