@@ -194,7 +194,7 @@ CEILINGS = {
     "_identify": 2299,
     "_law": 939,
     "_reading": 875,
-    "_simulate": 1161,
+    "_simulate": 1164,
     "lab": 1885,
     "logs": 697,
     "studio": 1056,

@@ -7,9 +7,9 @@
 
 #include <cstddef>
 #include <initializer_list>
+#include <memory>
 #include <stdexcept>
 #include <utility>
-#include <vector>
 
 template <class T, std::ptrdiff_t... Shape>
 using Read = nanobind::ndarray<const T, nanobind::shape<Shape...>, nanobind::c_contig, nanobind::device::cpu>;
@@ -17,11 +17,15 @@ template <class T, std::ptrdiff_t... Shape>
 using Write = nanobind::ndarray<T, nanobind::shape<Shape...>, nanobind::c_contig, nanobind::device::cpu>;
 template <class T> using Result = nanobind::ndarray<nanobind::numpy, T>;
 
-// A new array that owns its values.
-template <class T> Result<T> owned(std::vector<T> values, std::initializer_list<std::size_t> shape) {
-    auto *held = new std::vector<T>(std::move(values));
-    nanobind::capsule owner(held, [](void *p) noexcept { delete static_cast<std::vector<T> *>(p); });
-    return Result<T>(held->data(), shape, owner);
+// Room for values, uninitialised: clearing it would take a tenth of a campaign.
+template <class T> std::unique_ptr<T[]> room(std::size_t count) { return std::unique_ptr<T[]>(new T[count]); }
+
+// A new array that owns its values, of which there may be more than its shape has.
+template <class T> Result<T> owned(std::unique_ptr<T[]> values, std::initializer_list<std::size_t> shape) {
+    T *data = values.get();
+    nanobind::capsule owner(data, [](void *p) noexcept { delete[] static_cast<T *>(p); });
+    values.release();
+    return Result<T>(data, shape, owner);
 }
 
 inline void require(bool holds, const char *message) {

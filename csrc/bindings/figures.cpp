@@ -7,6 +7,7 @@
 #include <complex>
 #include <cstdint>
 #include <new>
+#include <vector>
 
 #include "arrays.h"
 
@@ -81,10 +82,10 @@ struct Loops {
         require((p == 3 || p == FIGURES_PARAMETERS) && order >= 0, "loops: 3 parameters, or 6 with a notch");
         figures_outer outer{int(p), order, reference, {}};
         std::copy_n(x.data(), p, outer.x);
-        std::vector<double> value(rows * k), gradient(p * rows * k);
+        auto value = room<double>(rows * k), gradient = room<double>(p * rows * k);
         {
             const nb::gil_scoped_release release;
-            if (figures_of(&table, &outer, value.data(), gradient.data())) throw std::bad_alloc();
+            if (figures_of(&table, &outer, value.get(), gradient.get())) throw std::bad_alloc();
         }
         return std::make_tuple(owned(std::move(value), {rows, k}), owned(std::move(gradient), {p, rows, k}));
     }

@@ -1,7 +1,7 @@
 // Binding of the identification kernel: arrays in, arrays out.
+#include <algorithm>
 #include <cmath>
-#include <cstring>
-#include <memory>
+#include <vector>
 
 #include "arrays.h"
 
@@ -59,15 +59,15 @@ struct Problem {
     nb::object columns(Shape shape, unsigned mask) const {
         std::unique_ptr<fit_table> table(new fit_table);
         double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX];
-        std::vector<double> values;
+        std::unique_ptr<double[]> values;
         {
             const nb::gil_scoped_release release;
             if (!fit_make_table(&p, shape.data(), mask, table.get())) {
-                values.resize(table->outputs * p.count);
-                fit_pass(&p, table.get(), gram, values.data());
+                values = room<double>(table->outputs * p.count);
+                fit_pass(&p, table.get(), gram, values.get());
             }
         }
-        if (values.empty()) return nb::none();
+        if (!values) return nb::none();
         return nb::cast(owned(std::move(values), {size_t(table->outputs), size_t(p.count)}));
     }
 
@@ -75,12 +75,13 @@ struct Problem {
     Result<double> grams(Shapes shapes, unsigned mask) const {
         std::unique_ptr<fit_table> table(new fit_table);
         const size_t count = shapes.shape(0), side = side_of(mask);
-        std::vector<double> values(count * side * side, NAN);
+        auto values = room<double>(count * side * side);
+        std::fill_n(values.get(), count * side * side, NAN);
         {
             const nb::gil_scoped_release release;
             for (size_t i = 0; i < count; i++)
                 if (!fit_make_table(&p, shapes.data() + i * FIT_SHAPE, mask, table.get()))
-                    fit_pass(&p, table.get(), values.data() + i * side * side, nullptr);
+                    fit_pass(&p, table.get(), values.get() + i * side * side, nullptr);
         }
         return owned(std::move(values), {count, side, side});
     }
@@ -89,7 +90,7 @@ struct Problem {
     Result<double> costs(Shapes shapes, double gain, double offset) const {
         std::unique_ptr<fit_table> table(new fit_table);
         const size_t count = shapes.shape(0);
-        std::vector<double> values(count);
+        auto values = room<double>(count);
         {
             const nb::gil_scoped_release release;
             for (size_t i = 0; i < count; i++) {
@@ -105,28 +106,31 @@ struct Problem {
                     int iterations) const {
         std::unique_ptr<fit_table> table(new fit_table);
         fit_request best{};
-        std::vector<double> best_shape(FIT_SHAPE);
+        auto best_shape = room<double>(FIT_SHAPE);
+        std::fill_n(best_shape.get(), FIT_SHAPE, 0.0);
         int best_status = FIT_FAILED;
         {
             const nb::gil_scoped_release release;
             for (size_t i = 0; i < starts.shape(0); i++) {
-                const double *start = starts.data() + i * FIT_SHAPE;
-                std::vector<double> shape(start, start + FIT_SHAPE);
+                double shape[FIT_SHAPE];
+                std::copy_n(starts.data() + i * FIT_SHAPE, FIT_SHAPE, shape);
                 fit_request r = request(gain, offset);
                 r.mask = mask;
-                std::memcpy(r.lower, lower.data(), sizeof r.lower);
-                std::memcpy(r.upper, upper.data(), sizeof r.upper);
+                std::copy_n(lower.data(), FIT_SHAPE, r.lower);
+                std::copy_n(upper.data(), FIT_SHAPE, r.upper);
                 r.iterations_max = iterations;
-                const int status = fit_solve(&p, shape.data(), &r, table.get());
+                const int status = fit_solve(&p, shape, &r, table.get());
                 if (status == FIT_FAILED || (best_status != FIT_FAILED && !(r.cost < best.cost))) continue;
                 best = r;
                 best_status = status;
-                best_shape = shape;
+                std::copy_n(shape, FIT_SHAPE, best_shape.get());
             }
         }
         const size_t side = side_of(mask);
+        auto gram = room<double>(side * side);
+        std::copy_n(best.gram, side * side, gram.get());
         return nb::make_tuple(best_status, owned(std::move(best_shape), {FIT_SHAPE}), best.gain, best.offset, best.cost,
-                              owned(std::vector<double>(best.gram, best.gram + side * side), {side, side}));
+                              owned(std::move(gram), {side, side}));
     }
 };
 

@@ -95,23 +95,24 @@ struct Links {
 };
 
 // `path` (K, 2, N) holds references of unit amplitude, angle and acceleration, of which a run follows the `chosen` one;
-// `faults` (N or 0, TWIN_INPUTS) are those of all runs, `estimator` the payload estimator's parameters, or empty. Returns
-// the signals and marks in the order of loop.h: (LOOP_SIGNALS, R, N) and (LOOP_MARKS, R, N).
-nb::tuple run(nb::bytes params, bool single, nb::bytes estimator, Read<double, SHARED> shared, nb::handle given_links,
-              Read<double, -1, COLUMNS> numbers, Read<std::uint64_t, -1> seeds, Read<std::int32_t, -1> chosen,
-              Read<double, -1, 2, -1> path, Read<double, -1, TWIN_INPUTS> faults) {
+// `faults` (N or 0, TWIN_INPUTS) are those of all runs, `estimator` the payload estimator's parameters, or empty. Signals
+// and marks are in the order of loop.h; numpy has the large pages for them.
+void run(nb::bytes params, bool single, nb::bytes estimator, Read<double, SHARED> shared, nb::handle given_links,
+         Read<double, -1, COLUMNS> numbers, Read<std::uint64_t, -1> seeds, Read<std::int32_t, -1> chosen,
+         Read<double, -1, 2, -1> path, Read<double, -1, TWIN_INPUTS> faults, Write<double, LOOP_SIGNALS, -1, -1> signals,
+         Write<std::uint32_t, LOOP_MARKS, -1, -1> marks) {
     const Links links(given_links);
     const size_t runs = numbers.shape(0), n = path.shape(2);
     require(seeds.size() == runs && chosen.size() == runs && links.decay.shape(0) == runs &&
-                (faults.shape(0) == n || faults.shape(0) == 0),
+                (faults.shape(0) == n || faults.shape(0) == 0) && signals.shape(1) == runs && signals.shape(2) == n &&
+                marks.shape(1) == runs && marks.shape(2) == n,
             "array shapes of the closed loop disagree");
     require(std::all_of(chosen.data(), chosen.data() + runs, [&path](int c) { return c >= 0 && size_t(c) < path.shape(0); }),
             "a run follows a reference that is not there");
     const law_port &law = port_of(single);
     const auto block = words_of(params, law.sizes[LAW_PARAMS], "params");
     const auto bank = words_of(estimator, estimator.size() ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
-    std::vector<double> signals(LOOP_SIGNALS * runs * n), noise(LOOP_LANES * n);
-    std::vector<std::uint32_t> marks(LOOP_MARKS * runs * n);
+    const auto noise = room<double>(LOOP_LANES * n);
     bool failed = false;
     {
         const nb::gil_scoped_release release;
@@ -121,7 +122,7 @@ nb::tuple run(nb::bytes params, bool single, nb::bytes estimator, Read<double, S
             for (size_t l = 0; l < count; l++) {
                 const size_t each = begin + l;
                 const double *row = numbers.data() + each * COLUMNS, *unit = path.data() + chosen.data()[each] * 2 * n;
-                double *const normal = noise.data() + l * n;
+                double *const normal = noise.get() + l * n;
                 loop_arm &arm = arms[l];
                 arm = {links.of(each, row[STIFFNESS]), rig_of(shared.data(), row, estimator.size() ? bank.data() : nullptr),
                        row[AMPLITUDE], unit, unit + n, normal, faults.shape(0) ? faults.data() : nullptr, {}, {}};
@@ -133,12 +134,11 @@ nb::tuple run(nb::bytes params, bool single, nb::bytes estimator, Read<double, S
         }
     }
     require(!failed, "too many modes or too long a delay for the closed loop");
-    return nb::make_tuple(owned(std::move(signals), {LOOP_SIGNALS, runs, n}), owned(std::move(marks), {LOOP_MARKS, runs, n}));
 }
 
 Result<double> normals(std::uint64_t seed, size_t count) {
-    std::vector<double> values(count);
-    loop_normals(seed, values.data(), std::int64_t(count));
+    auto values = room<double>(count);
+    loop_normals(seed, values.get(), std::int64_t(count));
     return owned(std::move(values), {count});
 }
 

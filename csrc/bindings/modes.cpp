@@ -27,11 +27,11 @@ Result<double> response(Read<double, -1> u, double direct, double first, Read<do
                               gains.data(),
                               reinterpret_cast<const double *>(pole_log_decays.data()),
                               reinterpret_cast<const double *>(pole_gains.data())};
-    std::vector<double> y(n);
+    auto y = room<double>(n);
     {
         const nb::gil_scoped_release release;
-        std::vector<double> scratch(modes_scratch(&system));
-        modes_response(&system, initial.data(), u.data(), y.data(), ptrdiff_t(n), scratch.data());
+        const auto scratch = room<double>(modes_scratch(&system));
+        modes_response(&system, initial.data(), u.data(), y.get(), ptrdiff_t(n), scratch.get());
     }
     return owned(std::move(y), {n});
 }

@@ -1,6 +1,7 @@
 // The real-time loops from Python: a connection to the arm, one call per run, arrays in and out.
 #include <nanobind/stl/pair.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cmath>
 #include <cstdlib>
@@ -183,8 +184,10 @@ nb::tuple run(Io &io, nb::bytes params, nb::bytes state, bool single, Read<doubl
     auto memory = words_of(state, law.sizes[LAW_STATE], "state");
     const auto bank = words_of(estimator, estimated ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
     auto estimates = words_of(estimate, estimated ? law.sizes[PAYLOAD_STATE] : int(estimate.size()), "estimate");
-    std::vector<double> record(length * REALTIME_COLUMNS, NAN);
-    std::vector<std::uint32_t> marks(length * REALTIME_MARKS, 0U);
+    auto record = room<double>(length * REALTIME_COLUMNS);
+    auto marks = room<std::uint32_t>(length * REALTIME_MARKS);
+    std::fill_n(record.get(), length * REALTIME_COLUMNS, NAN);
+    std::fill_n(marks.get(), length * REALTIME_MARKS, 0U);
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
                                 estimated ? bank.data() : nullptr, estimates.data(), patience_ns, priority,
                                 lock_memory, clock.clock};
@@ -192,7 +195,7 @@ nb::tuple run(Io &io, nb::bytes params, nb::bytes state, bool single, Read<doubl
     realtime_outcome outcome;
     {
         const nb::gil_scoped_release release;
-        realtime_run(&plan, &way, &law, memory.data(), block.data(), record.data(), marks.data(), &outcome);
+        realtime_run(&plan, &way, &law, memory.data(), block.data(), record.get(), marks.get(), &outcome);
     }
     if (io.failure) std::rethrow_exception(std::exchange(io.failure, nullptr));
     const std::size_t count = std::size_t(outcome.count);
@@ -216,13 +219,14 @@ nb::tuple serve(Io &io, nb::handle state, Read<double, -1> gauge_error, std::int
                 bool once, int priority, Clock &clock) {
     require(io.channel != nullptr, "serve: messages only");
     TwinArm arm(state);
-    std::vector<double> record(gauge_error.size() * SERVED_COLUMNS, 0.0);
+    auto record = room<double>(gauge_error.size() * SERVED_COLUMNS);
+    std::fill_n(record.get(), gauge_error.size() * SERVED_COLUMNS, 0.0);
     const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, once, gauge_error.data(), priority,
                               clock.clock};
     served_outcome outcome;
     {
         const nb::gil_scoped_release release;
-        realtime_serve(&plan, io.channel, &arm.step, &arm.rig, &arm.memory, record.data(), &outcome);
+        realtime_serve(&plan, io.channel, &arm.step, &arm.rig, &arm.memory, record.get(), &outcome);
     }
     nb::dict d;
     d["late"] = outcome.late;

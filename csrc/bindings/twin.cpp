@@ -1,5 +1,5 @@
 // Arrays in and out of the twin's kernel.
-#include <cmath>
+#include <algorithm>
 
 #include "twin_arm.h"
 #include "words.h"
@@ -11,11 +11,12 @@ namespace {
 Result<double> exponential(Read<double, -1, -1> given) {
     const std::size_t size = given.shape(0);
     require(given.shape(1) == size && size <= 4096, "matrix: square, at most 4096 rows");
-    std::vector<double> matrix(given.data(), given.data() + size * size);
+    auto matrix = room<double>(size * size);
+    std::copy_n(given.data(), size * size, matrix.get());
     {
         const nb::gil_scoped_release release;
-        std::vector<double> work(2 * size * size);
-        twin_exponential(int(size), matrix.data(), work.data());
+        const auto work = room<double>(2 * size * size);
+        twin_exponential(int(size), matrix.get(), work.get());
     }
     return owned(std::move(matrix), {size, size});
 }
@@ -38,16 +39,15 @@ Result<double> run(nb::handle state, nb::bytes params, bool single, Read<double,
     auto bank_memory =
         words_of(estimate.data(), estimate.size(), estimates ? port.sizes[PAYLOAD_STATE] : int(estimate.size()), "estimate");
     const twin_law driver = {&port, block.data(), law_memory.data(), estimates ? bank.data() : nullptr, bank_memory.data()};
-    std::vector<double> record(input.shape(0) * TWIN_COLUMNS);
+    auto record = room<double>(input.shape(0) * TWIN_COLUMNS);
     std::size_t done = 0;
     {
         const nb::gil_scoped_release release;
         done = std::size_t(
-            twin_run(&arm.step, &arm.rig, &obstacle, &driver, int(input.shape(0)), input.data(), &arm.memory, record.data()));
+            twin_run(&arm.step, &arm.rig, &obstacle, &driver, int(input.shape(0)), input.data(), &arm.memory, record.get()));
     }
     std::memcpy(law.data(), law_memory.data(), law.size());
     std::memcpy(estimate.data(), bank_memory.data(), estimate.size());
-    record.resize(done * TWIN_COLUMNS);
     return owned(std::move(record), {done, TWIN_COLUMNS});
 }
 
@@ -61,8 +61,8 @@ nb::tuple sense(nb::handle state, Read<double, TWIN_INPUTS> input) {
 // Returns what twin_drive records.
 Result<double> drive(nb::handle state, double asked) {
     TwinArm arm(state);
-    std::vector<double> row(TWIN_DRIVEN_COLUMNS);
-    twin_drive(&arm.step, &arm.rig, &arm.memory, asked, row.data());
+    auto row = room<double>(TWIN_DRIVEN_COLUMNS);
+    twin_drive(&arm.step, &arm.rig, &arm.memory, asked, row.get());
     return owned(std::move(row), {TWIN_DRIVEN_COLUMNS});
 }
 

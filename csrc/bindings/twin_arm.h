@@ -3,6 +3,7 @@
 #define FRACLINK_TWIN_ARM_H
 
 #include <cstdint>
+#include <vector>
 
 #include "arrays.h"
 

@@ -290,17 +290,14 @@ static double decide(const loop_arm *arm, const law_port *law, const void *param
         for (int i = (broken & TWIN_TICK_REPEATED) ? 2 : 1; i; i--)
             law->step(&s->law, params, (uint32_t)k, in, s->out, s->marks);
     }
-    const double signals[LOOP_SIGNALS] = {
-        [LOOP_TIP_ANGLE] = rig->start + s->link.tip,
-        [LOOP_MOTOR_REFERENCE] = s->out[PORT_MOTOR_REFERENCE],
-        [LOOP_VOLTAGE] = s->out[PORT_VOLTAGE],
-        [LOOP_MOTOR_ANGLE] = rig->start + motor,
-        [LOOP_TORQUE] = torque,
-        [LOOP_TORQUE_MEASURED] = measured,
-        [LOOP_TIP_ESTIMATE] = s->out[PORT_TIP_ESTIMATE],
-        [LOOP_MOTOR_ANGLE_MEASURED] = angle};
-    for (int i = 0; i < LOOP_SIGNALS; i++)
-        arm->signal[i][k] = signals[i];
+    arm->signal[LOOP_TIP_ANGLE][k] = rig->start + s->link.tip;
+    arm->signal[LOOP_MOTOR_REFERENCE][k] = s->out[PORT_MOTOR_REFERENCE];
+    arm->signal[LOOP_VOLTAGE][k] = s->out[PORT_VOLTAGE];
+    arm->signal[LOOP_MOTOR_ANGLE][k] = rig->start + motor;
+    arm->signal[LOOP_TORQUE][k] = torque;
+    arm->signal[LOOP_TORQUE_MEASURED][k] = measured;
+    arm->signal[LOOP_TIP_ESTIMATE][k] = s->out[PORT_TIP_ESTIMATE];
+    arm->signal[LOOP_MOTOR_ANGLE_MEASURED][k] = angle;
     arm->mark[LOOP_FLAGS][k] = s->marks[PORT_FLAGS];
     arm->mark[LOOP_MODE][k] = s->marks[PORT_MODE];
     arm->mark[LOOP_REASON][k] = s->marks[PORT_REASON];

@@ -173,7 +173,10 @@ def run_lumped(
     estimator
         of the law's precision, whose payload each law is given; None: that of `arms`.
     """
-    signals, marks = _kernels.loop_run(
+    runs, length = len(arms.seed), path.shape[2]
+    signals = np.empty((len(SIGNALS), runs, length))
+    marks = np.empty((len(MARKS), runs, length), np.uint32)
+    _kernels.loop_run(
         law.block,
         law.single,
         b"" if estimator is None else estimator.block,
@@ -184,6 +187,8 @@ def run_lumped(
         chosen,
         path,
         np.zeros((0, _kernels.TWIN_INPUTS)) if faults is None else faults,
+        signals,
+        marks,
     )
     return dict(zip(SIGNALS, signals, strict=True)) | dict(
         zip(MARKS, marks, strict=True)
