@@ -86,7 +86,7 @@ def changed(line: str, folder: Path) -> str:
         ("b45", 'length_m = "0.65"', "link.length_m", "not a number"),
         ("b45", "length_m = true", "link.length_m", "not a number"),
         ("b45", "length_m = [0.65]", "link.length_m", "not a number"),
-        ("b45", "name = 7", "name", "not a text"),
+        ("b45", "name = 7", "name", "not a string"),
         (
             "b48",
             "delay_samples = 1.0",

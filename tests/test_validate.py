@@ -323,7 +323,7 @@ def test_fields_are_refused_by_name_also_on_replace() -> None:
     channel = Channel(0.5, np.arange(3.0))
     with pytest.raises(FieldError, match=r"^period: out of range"):
         dataclasses.replace(channel, period=-1.0)
-    with pytest.raises(FieldError, match=r"^names\[0\]: not a text"):
+    with pytest.raises(FieldError, match=r"^names\[0\]: not a string"):
         Channel(0.5, channel.values, names=(3,))  # type: ignore[arg-type]
     with pytest.raises(FieldError, match="too long"):
         Channel(10.0, np.arange(100.0))

@@ -31,7 +31,7 @@ static int solve_definite(int n, double a[SIDE_MAX][SIDE_MAX], double *b) {
     return 1;
 }
 
-/* Best gain and offset for this shape, and the cost with them. Rows of the Gram matrix: measured, predicted, one. */
+/* The best gain and offset for this shape, and their cost. First rows of the Gram matrix: measured, predicted, 1. */
 static double linear_part(const double *g, int side, fit_request *r) {
     double my = g[1], m1 = g[2], yy = g[side + 1], y1 = g[side + 2], n = g[2 * side + 2];
     if (r->gain_free && r->offset_free) {
@@ -62,7 +62,7 @@ double fit_cost(const fit_problem *problem, const double *shape, fit_request *r,
     return evaluate(problem, shape, 0, r, work, gram, &cost) ? INFINITY : cost;
 }
 
-/* mu s^a + w must not have a negative stiffness for a link at rest: w >= 0 bounds the damping ratio. */
+/* The stiffness w in s^l + mu s^a + w must not be negative, which bounds the damping ratio. */
 static void project(double *shape, const fit_request *r) {
     for (int i = 0; i < FIT_SHAPE; i++)
         if (r->mask >> i & 1) shape[i] = fmin(fmax(shape[i], r->lower[i]), r->upper[i]);
@@ -73,11 +73,11 @@ static void project(double *shape, const fit_request *r) {
     }
 }
 
-/* The damped step for the current Gram matrix; returns the predicted decrease of the cost, or -1. */
+/* The damped step for the current Gram matrix; returns the predicted decrease of the cost, or -1 if it is singular. */
 static double make_step(const double *g, int side, const double *shape, const fit_request *r, double damping,
                         double *step) {
     int place[FIT_SHAPE], n = 0, column = 3;
-    double a[SIDE_MAX][SIDE_MAX], b[SIDE_MAX], held[SIDE_MAX];
+    double a[SIDE_MAX][SIDE_MAX], b[SIDE_MAX], slopes[SIDE_MAX];
     int from[SIDE_MAX];
     for (int i = 0; i < FIT_SHAPE; i++) {
         step[i] = 0;
@@ -92,25 +92,24 @@ static double make_step(const double *g, int side, const double *shape, const fi
     int shapes = n;
     if (r->gain_free) from[n++] = 1;
     if (r->offset_free) from[n++] = 2;
-    for (int i = shapes; i < n; i++) b[i] = 0; /* they are already optimal */
+    for (int i = shapes; i < n; i++) b[i] = 0; /* gain and offset are already optimal */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) {
             double scale = (i < shapes ? r->gain : 1) * (j < shapes ? r->gain : 1);
             a[i][j] = scale * g[from[i] * side + from[j]];
         }
-    memcpy(held, b, sizeof held);
+    memcpy(slopes, b, sizeof slopes);
     for (int i = 0; i < shapes; i++) a[i][i] *= 1 + damping;
     if (shapes && !solve_definite(n, a, b)) return -1;
     double predicted = 0;
     for (int i = 0; i < shapes; i++) {
         step[place[i]] = b[i];
-        predicted += b[i] * held[i];
+        predicted += b[i] * slopes[i];
     }
     return predicted;
 }
 
-/* A step of one in ln(resonance), or of half the range of a shape parameter, leaves the region where the slopes are
- * valid. */
+/* The slopes do not hold for a step of one in ln(resonance), or of half the range of another shape parameter. */
 static void limit_step(double *step, double period_seconds) {
     const double most[FIT_SHAPE] = {0.25, 0.35, 0.2, 0.3, 0.15 * period_seconds};
     double worst = 1;
@@ -131,7 +130,7 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
     if (evaluate(problem, shape, r->mask, r, work, gram, &cost)) return FIT_FAILED;
     int side = 2 + work->outputs, status = FIT_ITERATIONS;
     for (int i = 0; i < r->iterations_max; i++) {
-        double wave = 6.283185307179586 / exp(shape[FIT_RESONANCE]);
+        double period = 6.283185307179586 / exp(shape[FIT_RESONANCE]);
         double predicted = make_step(gram, side, shape, r, damping, step);
         if (predicted < 0) {
             damping = fmax(10 * damping, 1e-9);
@@ -139,12 +138,12 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
             status = FIT_SINGULAR;
             break;
         }
-        limit_step(step, wave);
+        limit_step(step, period);
         for (int k = 0; k < FIT_SHAPE; k++) trial[k] = shape[k] + step[k];
         project(trial, r);
         double moved[FIT_SHAPE];
         for (int k = 0; k < FIT_SHAPE; k++) moved[k] = trial[k] - shape[k];
-        if (negligible(moved, wave) || predicted < 1e-10 * cost) {
+        if (negligible(moved, period) || predicted < 1e-10 * cost) {
             status = FIT_CONVERGED;
             break;
         }
@@ -158,7 +157,7 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
             cost = trial_cost;
             continue;
         }
-        r->gain = gain; /* the rejected trial left its own Gram matrix */
+        r->gain = gain; /* the rejected trial replaced both */
         r->offset = offset;
         damping = fmax(8 * damping, 1e-6);
         if (damping > 1e12) { /* no step improves the cost: it is as low as the arithmetic can resolve */

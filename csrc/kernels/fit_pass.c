@@ -5,7 +5,7 @@
 #include "fit.h"
 
 #if defined(__GNUC__) && !defined(__clang__)
-/* half the instructions; a fit need not be identical to the bit across machines */
+/* half the instructions; a fit need not be bit-identical across machines */
 #pragma GCC optimize("fp-contract=fast")
 #endif
 
@@ -28,7 +28,7 @@ static void single_step(const fit_table *t, pass_state *s, double v) {
 }
 
 /* Always vectors of four: the compilers' own vectoriser shuffles these loops instead of broadcasting, and vectors of
- * eight spill where the machine only has AVX2. A compiler without vectors uses the loops. */
+ * eight spill where the machine only has AVX2. A compiler without vector types gets plain loops. */
 #if defined(__GNUC__) || defined(__clang__)
 #define INLINE static inline __attribute__((always_inline))
 typedef double quad __attribute__((vector_size(32), aligned(8), may_alias));
@@ -110,7 +110,7 @@ INLINE void block_update(const fit_table *restrict t, const pass_state *restrict
     to->previous = v[L - 1];
 }
 
-/* Upper triangle of the products of all columns, summed over the group. */
+/* Lower triangle of the products of all columns, summed over the group. */
 INLINE void add_products(int side, double (*restrict out)[GROUP * L], double (*restrict sums)[4]) {
     for (int a = 0; a < side; a++)
         for (int b = 0; b <= a; b++, sums++) {
@@ -131,8 +131,8 @@ void fit_pass(const fit_problem *problem, const fit_table *table, double *gram, 
     int side = 2 + table->outputs;
     pass_state state[GROUP + 1] = {{{0}, {0}, 0}};
     const double *v = problem->input - table->shift;
-    /* The state before the first output: from the inputs before the log, and with a negative delay from some of its
-     * own. */
+    /* The state before the first output, from the inputs before the log and, with a negative delay, from its first
+     * ones. */
     for (ptrdiff_t k = -problem->before; k < -table->shift; k++) single_step(table, state, problem->input[k]);
     double(*model)[GROUP * L] = &out[2]; /* out: measured, one, predicted, derivatives; reordered at the end */
     for (int j = 0; j < GROUP * L; j++) out[1][j] = 1;

@@ -1,4 +1,4 @@
-// Response of a sum of real and complex exponential modes to held inputs.
+// Response of a sum of real and complex exponential modes to a held input.
 #ifndef FRACLINK_MODES_H
 #define FRACLINK_MODES_H
 #include <stddef.h>
@@ -12,7 +12,7 @@ typedef struct {
     const double *pole_log_decays, *pole_gains;
 } modes_system;
 
-// Doubles of scratch memory that modes_response needs: tables and state, independent of n.
+// Scratch memory [doubles] that modes_response needs: tables and state, independent of n.
 size_t modes_scratch(const modes_system *system);
 
 // `initial` holds x (reals), then z (pairs, interleaved), before the first sample.

@@ -12,9 +12,9 @@
 enum { MOST_THREADS = 8, STALL_SECONDS = 120 };
 
 typedef struct {
-    /* of its own, so that a thread waiting for its turn never holds the lock: a process may freeze */
+    /* one per sleeper: only the thread whose turn it is wakes and takes the lock, for a process may freeze */
     pthread_cond_t turn;
-    int used; /* until its thread has taken its turn */
+    int used; /* until its thread has had its turn */
     int asleep;
     int64_t until;
     uint64_t order; /* number of the sleep, which decides between equal times */
@@ -112,7 +112,7 @@ static void take_turns(realtime_clock *clock, int64_t time_ns)
     pass_on(clock);
     while (me->asleep && !clock->stalled)
         clock->stalled |= pthread_cond_timedwait(&me->turn, &clock->lock, &limit) != 0 && me->asleep;
-    if (me->asleep) { /* no thread may hang because of an error in another: let time run, and the test fail */
+    if (me->asleep) { /* an error in one thread must not hang another: let time run, and the test fail */
         me->asleep = 0;
         clock->asleep--;
         clock->now = time_ns > clock->now ? time_ns : clock->now;

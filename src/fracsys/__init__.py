@@ -1,5 +1,5 @@
 """Fractional systems: transfer functions in powers of s, responses, roots, stability,
-margins and rational approximations. Knows no robot.
+margins and rational approximations. Nothing in it is specific to robots.
 
 >>> import fracsys
 >>> G = 100 / (fracsys.s**1.92 + 100)

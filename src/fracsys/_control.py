@@ -1,6 +1,7 @@
-"""Systems of python-control as fractional ones, and fractional ones as its responses.
+"""Conversion of python-control systems to fractional ones, and of these to its
+frequency responses.
 
-python-control is imported at the first call only, since that takes seconds.
+python-control is only imported by the first call, since that takes seconds.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ def to_control(
     """Return the exact response of a fractional system as python-control's
     `FrequencyResponseData`.
 
-    Its plots and margins take it, and so do its products, sums and feedback with other
-    systems, on the same frequencies. Between functions of s these are exact at every
-    frequency: convert their result. What needs states (`step_response`, `ss`,
-    `root_locus`) cannot work: use `fracsys.step_response`, or `approximate(...)` and its
+    Its plots and margins accept it, and so do products, sums and feedback with other
+    systems on the same frequencies. Between functions of s these are exact at every
+    frequency: convert their result. Functions that need states (`step_response`, `ss`,
+    `root_locus`) reject it: use `fracsys.step_response`, or `approximate(...)` and its
     `state_space()`.
 
     Parameters
@@ -39,7 +40,7 @@ def to_control(
     system
         G(s).
     frequencies
-        [rad/s], ascending; where left out, those that margins and plots need.
+        [rad/s], ascending; default: those that margins and plots need.
     name
         Name shown in python-control's legends.
 
@@ -125,14 +126,14 @@ def from_control(system: Any) -> FractionalTransferFunction:
             system.dt,
             "a sampling period",
             "continuous time (dt = 0)",
-            "pass it to margins, which takes it as it is",
+            "pass it to margins, which accepts it unchanged",
         )
     if not hasattr(system, "num"):
         import control
 
         system = control.tf(system)
-    top, bottom = system.num[0][0], system.den[0][0]
-    return FractionalTransferFunction(_polynomial(top), _polynomial(bottom))
+    numerator, denominator = system.num[0][0], system.den[0][0]
+    return FractionalTransferFunction(_polynomial(numerator), _polynomial(denominator))
 
 
 def _polynomial(coefficients: Any) -> tuple[Term, ...]:

@@ -37,7 +37,7 @@ def mittag_leffler(
     E_{α,β}(z) = Σ_{k≥0} z^k/Γ(αk + β)
 
     E_{1,1} = e^z, E_{2,1}(−x²) = cos x, E_{1/2,1}(−x) = e^(x²) erfc x. t^(β−1)
-    E_{α,β}(λ t^α) is the response that belongs to s^(α−β)/(s^α − λ). The error is at
+    E_{α,β}(λ t^α) is the impulse response of s^(α−β)/(s^α − λ). The error is at
     most 1e-13, relative where |E| ≥ 1 and absolute elsewhere, up to |z|^(1/α) = 100
     and, where |arg z| ≥ απ/2, for every z. Beyond, E grows like exp(z^(1/α)) and its
     relative error like 1e-15·|z|^(1/α): the argument of the exponential is rounded. For
@@ -114,7 +114,7 @@ def _numbers(z: ArrayLike) -> NDArray[Any]:
 
 
 def _values(z: Complex, alpha: float, beta: float) -> Complex:
-    """E at points other than 0."""
+    """E_{α,β} at points other than 0."""
     step, count, inside = _rule(beta)
     logs, places = _poles(z, alpha)
     # A pole close to a node causes two large terms that cancel; take the offset
@@ -202,12 +202,12 @@ def _rule(beta: float) -> tuple[float, int, float]:
     e^(μ(1 − u²)), times |s|^(−β) for negative β.
     """
     power = max(2.0 * beta - 1.0, 0.0)
-    between, decay = (
+    exponent, decay = (
         max(60.0, 2.0 * power),
         FOLDS - (beta - 1.0) * math.log(_VERTEX),
     )
-    while power and between - power * (1.0 + math.log(between / power)) < decay:
-        between += 4.0
+    while power and exponent - power * (1.0 + math.log(exponent / power)) < decay:
+        exponent += 4.0
     reach = 4.0
     while (
         _VERTEX * (reach**2 - 1.0)
@@ -215,5 +215,5 @@ def _rule(beta: float) -> tuple[float, int, float]:
         < FOLDS
     ):
         reach += 0.1
-    step = math.tau / between
-    return step, math.ceil(reach / step), 1.0 - power / between
+    step = math.tau / exponent
+    return step, math.ceil(reach / step), 1.0 - power / exponent

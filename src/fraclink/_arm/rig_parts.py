@@ -62,8 +62,8 @@ Sentence = Annotated[str, length(1, 500), _UNICODE]
 @checked(prefix="moves.")
 @dataclass(frozen=True)
 class Moves:
-    """The largest move the arm is meant to make; the law's guards take anything far
-    beyond it for a fault.
+    """The largest move the arm is meant to make; the law's guards treat anything far
+    beyond it as a fault.
 
     The default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36
     rad/s²).
@@ -71,21 +71,21 @@ class Moves:
     Parameters
     ----------
     angle
-        of reference and motor reference, either way from `centre` [rad], > 0; a law
+        of reference and motor reference, to either side of `centre` [rad], > 0; a law
         does not start beyond it.
     velocity, acceleration
         of the reference [rad/s], [rad/s²], > 0.
     torque
-        of the link [N·m], > 0, at which the motor is held; infinite for what the other
-        limits make of it.
+        of the link [N·m], > 0, at which the motor is held; if infinite, it follows from
+        the other limits.
     vibration
-        of the tip [rad], > 0: one that goes beyond it on both sides and does not decay
-        trips, and the motor is held. None: one of 0.05 rad is flagged.
+        of the tip [rad], > 0: if a vibration exceeds it on both sides and does not
+        decay, the motor is held. None: one of 0.05 rad is only flagged.
     centre
         what the encoder reads in the middle of `angle` [rad].
     rest_torque
-        what the gauge reads of an arm at rest [N·m]: its offset and the load of
-        gravity, which do not count as bending.
+        what the gauge reads with the arm at rest [N·m]: offset and gravity, which do
+        not count as bending.
 
     Raises
     ------
@@ -173,8 +173,8 @@ class Link:
     """The flexible link: length L [m], flexural rigidity EI [N·m²], measured stiffness
     c [N·m/rad] > 0.
 
-    One of c and EI may be left out; it is then the one of c = 3EI/L, a uniform beam,
-    eq. (3). The `mass` [kg] is the link's own: the lumped models neglect it, the twin
+    One of c and EI may be left out; it then follows from c = 3EI/L, eq. (3) for a
+    uniform beam. The `mass` [kg] is the link's own: the lumped models neglect it, the twin
     does not.
 
     >>> round(Link(length=0.65, flexural_rigidity=0.260).stiffness, 12)
@@ -183,7 +183,7 @@ class Link:
     0.26
     """
 
-    # No arm is as long as 100 m, that of a space station not either: 17 m.
+    # No arm is 100 m long; the one of the space station measures 17 m.
     length: Annotated[float, Between(_SMALLEST, 100.0, "m", remedy=CHECK_UNIT)]
     # None means "not measured" in the call only: the attributes are always numbers.
     flexural_rigidity: Annotated[float, positive("N·m²")] = None  # type: ignore[assignment]
@@ -210,8 +210,8 @@ class Link:
 
     @property
     def tip_mass(self) -> float:
-        """What the link's own mass is worth at its tip [kg], 33/140 of it: Rayleigh's
-        share.
+        """The equivalent mass of the link at its tip [kg], 33/140 of its own
+        (Rayleigh).
         """
         # A cantilever with a force at its end deflects by (3x² − x³)/2 of the tip
         # deflection at x; the integral of the square over the length is 33/140.
@@ -229,8 +229,8 @@ class Payloads:
     """The payloads that the arm carries: lightest, heaviest and nominal mass [kg], low
     <= nominal <= high; and the mass of the empty gripper, at most the lightest.
 
-    A nominal payload that is left out is the mean of the two. Where nobody states the
-    empty gripper's mass a design assumes 0.4 of the lightest payload.
+    The default nominal payload is the mean of the two. If the empty gripper's mass is
+    not stated, a design assumes 0.4 of the lightest payload.
 
     >>> Payloads(low=0.020, high=0.040).nominal
     0.03
@@ -278,8 +278,8 @@ class Payloads:
         >>> finding.message
         'a payload of 30 kg is 750 times the heaviest that the rig states'
         """
-        # In both directions: kilograms on a rig stated in grams are a hundred times too
-        # light or more.
+        # In both directions: kilograms on a rig stated in grams are at least a hundred
+        # times too light.
         if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
             return None
         nearest, word = (
@@ -297,8 +297,7 @@ class Payloads:
 @checked(prefix="encoder.")
 @dataclass(frozen=True)
 class Encoder:
-    """The encoder of the gear's output: counts for one turn, or None where it is taken
-    as exact.
+    """The encoder at the gear's output: counts per turn, or None for an exact one.
 
     >>> round(Encoder(counts_per_revolution=4096).resolution, 6)
     0.001534
@@ -328,14 +327,14 @@ class Gauge:
     offset
         constant added to every reading [N·m].
     limit
-        largest |torque| that the amplifier shows [N·m], > 0; infinity where there is
+        largest |torque| that the amplifier outputs [N·m], > 0; infinity where there is
         none.
     quantum
         step of the converter [N·m], >= 0; 0 where it is taken as exact.
     delay_in_loop
-        whether a delay that is identified between motor angle and torque is in the
-        control loop; False where the logger alone is late, not the signal that the
-        controller reads.
+        whether the delay identified between motor angle and torque is in the control
+        loop; False if only the logger is late, not the signal that the controller
+        reads.
 
     Examples
     --------

@@ -1,5 +1,4 @@
-"""The sampled loop: Ĉ at the period times the zero-order-hold plant, including the
-alias sum.
+"""The sampled plant of the loop: the zero-order-hold plant, including the alias sum.
 
 Between two ticks the motor reference is held, so the computer sees ``P_d(e^{jωTs}) =
 z^{-d} (1 - z^{-1})/Ts · Σ_k F(s_k)/s_k``, ``s_k = j(ω + kω_s)``, ``F = M·B``: the exact
@@ -46,8 +45,8 @@ class SampledPlant:
         """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, in the shape of
         `frequency`.
 
-        With one of the `aliases` on either side, for coarse tables, the error is 1e-2
-        at the Nyquist frequency and 1e-5 at a tenth of it, at a tenth of the cost.
+        With ``aliases=1``, for coarse tables, the error is 1e-2 at the Nyquist frequency
+        and 1e-5 at a tenth of it, at a tenth of the cost.
         """
         w = np.asarray(frequency, float)
         rate = math.tau / self.period
@@ -76,20 +75,20 @@ def sampled_plant(
     Parameters
     ----------
     model
-        link and gauge; ω₀ is the one of its payload.
+        link and gauge, with ω₀ at its payload.
     motor_loop
         pole and computation delay; "sampled" puts the PID on the `motor` in place of
         M(s).
     motor
-        A and B of the motor that the PID is placed for.
+        A and B of the motor for which the PID is designed.
     period
         control period [s], > 0.
     ratio
-        true over stated gain of the motor or, where its loop is ideal, pole of the
-        loop: both vary in the same direction.
+        of true to stated motor gain or, if the motor loop is ideal, of the loop's pole,
+        which varies in the same direction.
     higher
-        part of Γ/(c θm) that the model does not know, such as the higher modes of a
-        beam, at complex s.
+        part of Γ/(c θm) outside the model, such as the higher modes of a beam, at
+        complex s.
     """
     sampled = None
     if motor_loop.kind == "sampled":

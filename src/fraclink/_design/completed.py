@@ -34,15 +34,16 @@ def design_for(
     near: Controller | None = None,
     **wanted: Any,
 ) -> tuple[Design, tuple[str, ...]]:
-    """Design with the given request, completed from the rig; also return the
-    assumptions as sentences.
+    """Return the design of a request that the rig completes, and the assumptions as
+    sentences.
 
     `wanted` are the options of `design`; None leaves one to the rig's ``[design]``
     table. Without an entry there, the crossover is the highest that meets every
     requirement, and Ms is at most 2. Values stated by the request or the rig are never
     changed.
 
-    With the controller of a similar request (`near`), it is `sketched` if it can be.
+    With the controller of a similar request (`near`), the design is `sketched` if
+    possible.
 
     Raises InfeasibleError if the stated values cannot be met, FieldError if a value is
     out of its range.
@@ -58,9 +59,9 @@ def design_for(
         "identify a log first, then give --model model.json",
     )
     request = {name: value for name, value in wanted.items() if value is not None}
-    for name, instead in _COMPLETED.items():
+    for name, alternatives in _COMPLETED.items():
         default = None if rig.design is None else getattr(rig.design, name)
-        if default is not None and not {name, *instead} & set(request):
+        if default is not None and not {name, *alternatives} & set(request):
             request[name] = default
     own_model = with_payload(link, rig)
     result = None
@@ -72,7 +73,7 @@ def design_for(
 
 
 def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
-    """The assumption that replaces the frequency of a log with unknown payload."""
+    """The assumed ω₀ where the payload of the log is unknown."""
     if link.payload is not None or known.payload is None:
         return ()
     own, weight = link.natural_frequency, 1e3 * known.payload
@@ -82,15 +83,15 @@ def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
     )
 
 
-def _assumed(asked: dict[str, Any], made: Design) -> tuple[str, ...]:
-    """The assumptions that replace a crossover and a margin."""
-    nobody = "as neither the rig nor the request states one"
+def _assumed(request: dict[str, Any], result: Design) -> tuple[str, ...]:
+    """The assumptions where no crossover or no margin is stated."""
+    reason = "as neither the rig nor the request states one"
     sentences = []
-    if not {"gain_crossover", "settling_time"} & set(asked):
+    if not {"gain_crossover", "settling_time"} & set(request):
         sentences.append(
-            f"gain crossover {made.gain_crossover:.3g} rad/s: close to the highest that "
-            f"keeps every requirement, {nobody}"
+            f"gain crossover {result.gain_crossover:.3g} rad/s: close to the highest that "
+            f"keeps every requirement, {reason}"
         )
-    if not {"phase_margin", "max_sensitivity"} & set(asked):
-        sentences.append(f"sensitivity peak of {SENSITIVITY:g} at most, {nobody}")
+    if not {"phase_margin", "max_sensitivity"} & set(request):
+        sentences.append(f"sensitivity peak of {SENSITIVITY:g} at most, {reason}")
     return tuple(sentences)

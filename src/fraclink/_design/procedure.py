@@ -33,15 +33,15 @@ __all__ = ["design", "link_of", "request_of", "sketched"]
 
 Goal = Literal["noise", "settling", "margin"]
 
-# In each round, what a row loses in the law is added to its reserve; the loss is nearly
-# the same in every round.
+# In each round, what the sampled law costs a row is added to its reserve; the cost is
+# nearly the same every time.
 _ROUNDS = 4
 # Share of the fastest crossover or of the largest margin: the last tenth costs most,
 # since the fastest loop has no filter at all. (The published procedure also leaves a
 # tenth to its filter.)
 _SHARES = 0.9, 0.75, 0.5
-# Shares by which an offer asks for less than the nearest controller achieves, so that it
-# also passes with its law.
+# Shares by which the offered request is below what the nearest controller achieves, so
+# that its law also passes.
 _LOOSER = (0.0, 0.01, 0.1)
 
 
@@ -59,45 +59,44 @@ def design(
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` that keeps every requirement at every
     payload of a range.
 
-    Where no such C keeps the bound at the link's second mode, a notch there is a factor
-    of its second term. k_d, β and δ are chosen so that noise is least while every row is
+    Where no such C keeps the bound at the link's second mode, its second term gets a
+    notch there. k_d, β and δ are chosen so that noise is least while every row is
     kept: what is asked for here, and what any loop needs (nothing crosses beyond the
     motor loop, moves do not ring, the empty gripper is stable, noise leaves half of the
-    voltage, the law as it ships keeps the margins). Nothing asked for, the design is the
-    fastest that keeps all of this at Ms <= 2, for everything that fit and rig leave open.
+    voltage, the law as it ships keeps the margins). Without a request, the design is the
+    fastest that keeps all of this at Ms <= 2, over the whole uncertainty of fit and rig.
 
     The result has the controller and the table of requirements with what is achieved;
-    it passed where the worst row did. Where the fit failed a gate, or model or payloads
-    contradict the rig (W105, W106), its ``doubts`` say so, and it does not pass.
+    it passes if every row does. Where the fit failed a gate, or model or payloads
+    contradict the rig (W105, W106), ``doubts`` says so, and the design does not pass.
 
     Parameters
     ----------
     model
-        the link, or the fit that found it; its ``order``, ``damping`` and, where
-        ``payload`` is known, its own ω₀ are used, and everything that was identified of
-        the gauge.
+        the link, or the fit that found it; its ``order``, ``damping``, gauge and, where
+        ``payload`` is known, its own ω₀ are used.
     rig
         motor loop, sampling period, payloads and stiffness.
     box
         arms that must keep every requirement: a `ParameterBox`; True for
         ``ParameterBox.of(model, rig)``, the fit's intervals and at least the rig's
-        ``[tolerances]``; False for the model alone, which None means, too, where a
-        crossover or a margin is asked for. Finding W407 says what the box costs, and
-        which parameter costs most. The design remembers it, and `certify` proves it.
+        ``[tolerances]``; False for the model alone; None for False if a crossover or a
+        margin is asked for, else True. Finding W407 says what the box costs, and which
+        parameter costs most. The design keeps the box, and `certify` proves it.
     goal
-        "settling": the highest crossover, where none is asked for; "margin": the largest
-        phase margin. A tenth of either is given for less noise. "noise": the least, with
-        what is asked for.
+        "settling": the highest crossover, if none is asked for; "margin": the largest
+        phase margin; a tenth of either is traded for less noise. "noise": the least
+        noise that keeps what is asked for.
     procedure
         "published": the paper's closed form instead (section 6, eqs. (54)–(57)), which
-        reads Ĉ·G alone, meets the crossover at the heaviest payload and the margin at
+        considers Ĉ·G alone, meets the crossover at the heaviest payload and the margin at
         the lightest with equality, with a filter that costs 10 % of the margin, and
         knows no other requirement.
     law
         whether to fit the law that ships, too: its margins are requirements like any
         other. Without it nothing is said about the law.
     nearest
-        False: a refusal does not look for the nearest request that passes.
+        whether a refusal names the nearest request that passes, which takes a search.
     wanted
         what is asked for, by the names of `Specification`, such as ``gain_crossover``
         [rad/s] and ``phase_margin`` [rad].
@@ -107,9 +106,9 @@ def design(
     FieldError
         a value is out of its range.
     InfeasibleError
-        no controller of this form meets the request; names the requirement that is in
-        the way, and the nearest request that passes. A contradiction between the rig
-        and the model or the payloads comes first, and without such a request.
+        no controller of this form meets the request; names the limiting requirement and
+        the nearest request that passes. A contradiction between the rig and the model
+        or the payloads is named instead, without such a request.
 
     Examples
     --------
@@ -132,8 +131,8 @@ def design(
         remedy="leave it out for a design that keeps every row",
     )
     link = link_of(model, rig)
-    # Nothing passes with a doubt, so no request is searched for that would: payloads in
-    # grams, or the model of another arm, are refused for reasons that hide the cause.
+    # No design with a doubt passes, so no nearest request is searched for. Payloads in
+    # grams, or the model of another arm, would be refused for reasons that hide the cause.
     doubts = doubts_of(rig, link, spec.get("payloads", ()))
     try:
         if procedure == "published":
@@ -185,9 +184,9 @@ def sketched(
     box: ParameterBox | bool | None = None,
     **wanted: Unpack[Specification],
 ) -> Design | None:
-    """Return a design as a drag shows it: searched from a controller `near` it, with no
-    requirement measured and no vibration looked at; None where that search misses a
-    row, where no speed is asked for, or where there is a box.
+    """Return a quick design to show during a drag, from one search that starts at the
+    controller `near`; it measures no requirement and checks no vibration. None if the
+    search misses a row, if no speed is asked for, or if there is a box.
     """
     request = request_of(link_of(model, rig), rig, specification(wanted), box)
     one_search = request.box is None and request.speed is not None
@@ -199,7 +198,7 @@ def sketched(
 
 
 def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
-    """The design of a request; InfeasibleError if there is none, with the nearest
+    """The design of a request; if there is none, InfeasibleError with the nearest
     feasible request.
     """
     result, solution = _best(request, goal, law)
@@ -236,7 +235,7 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
     meets every row; the nearest design if none does.
     """
     refused: list[Design] = []
-    for attempt, near in _asked(request, goal):
+    for attempt, near in _attempts_at_goal(request, goal):
         solution = solved(attempt, near)
         result = _design_of(solution)
         for _ in range(_ROUNDS if law and solution.kept else 0):
@@ -249,19 +248,21 @@ def _reserved(request: Request, goal: Goal, law: bool) -> tuple[Design, Solution
             solution, result = tighter, _design_of(tighter)
         if not result.missed:
             return result, solution
-    # A further reserve may have made the law worse: the one that stays farthest from -1
-    # says what is in the way.
+    # A further reserve may have made the law worse: the design whose law stays farthest
+    # from -1 says what is in the way.
     return (
         max(refused, key=lambda made: made.requirements[-1].achieved, default=result),
         solution,
     )
 
 
-def _asked(request: Request, goal: Goal) -> list[tuple[Request, Solution | None]]:
-    """The requests to try, each with the solution to begin at: nine tenths of the highest
-    feasible crossover or margin, from the solution that reaches it and then anew, and
-    less in case the law does not keep it. The request itself without such a goal, or if
-    no loop meets the other rows.
+def _attempts_at_goal(
+    request: Request, goal: Goal
+) -> list[tuple[Request, Solution | None]]:
+    """The requests to try, each with the solution to start from: nine tenths of the
+    highest feasible crossover or margin, first from the solution that reaches it, then
+    without; then smaller shares, in case the law does not keep it. Without such a goal,
+    or if no loop meets the other rows, only the request itself.
     """
     if goal == "noise":
         return [(request, None)]
@@ -323,10 +324,10 @@ def _design_of(
 
 
 def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
-    """The row that is missed by most, and the sentence that says by how much.
+    """The name of the row that is missed by most, and a sentence on by how much.
 
-    The nearest controller eases every requested row, so its figure is the best one only
-    in combination with the eased values of the other rows.
+    The nearest controller eases every requested row, so its figure is the best only
+    together with the eased values of the other rows.
     """
     implied = [item for row, item in solution.measured if row.implied]
     missed = [item for item in made.missed if item not in implied] or made.missed
@@ -379,8 +380,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
     """The nearest request in the user's own quantities, rounded inwards to three
     digits; empty if no such request passes when followed, with the law as it ships.
     """
-    # The bound on the gain at a mode is not eased: with a gain above one, the phase of
-    # the mode has to keep the loop from -1.
+    # The bound on the gain at a mode is not eased: above one, only the phase of the mode
+    # would keep the loop from -1.
     soft = request.soft - {"mode_gain"}
     values: dict[str, float] = {}
     for share in _LOOSER:
@@ -401,7 +402,7 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
         trial, ended = _best(request, goal, law=True)
         if not trial.missed:
             return values
-        # what the first search eased may not be all that is in the way
+        # more may be in the way than what the first search eased
         solution = solution if ended.kept else ended
     return {}
 
@@ -417,7 +418,7 @@ def _eased(item: Requirement, share: float) -> float:
 
 
 def _floored(value: float) -> float:
-    """The next lower number of three digits.
+    """`value` rounded down to three significant digits.
 
     >>> _floored(11.567), _floored(-0.12345)
     (11.5, -0.124)

@@ -22,7 +22,7 @@ from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
 
-# share in an undetermined direction beyond which a parameter belongs to it
+# share of a parameter in an undetermined direction beyond which it is undetermined
 _SHARE = 0.1
 # Relative half-width of the interval of a coefficient beyond which the data do not
 # determine it: a factor of two.
@@ -55,7 +55,7 @@ def certainty_of(
     values, place = best.values, searched.place_of(best.values)
     ended = at_limits(place, *searched.box)
     stuck = tuple(compress(searched.names, ended))
-    # A parameter at a limit is held there for the others.
+    # The other parameters are judged with these held at their limits.
     held = {name: values[name] for name in stuck}
     problem = replace(searched, fixed={**searched.fixed, **held})
     if not problem.names:
@@ -74,7 +74,7 @@ def certainty_of(
         )
     shares = np.abs(covariance.unseen).max(axis=1, initial=0.0)
     blind = tuple(compress(names, shares > _SHARE))  # the offset comes last
-    # For a cost that is a parabola in the coordinates.
+    # Exact for a cost that is quadratic in the coordinates.
     reach = QUANTILE * np.array([covariance.errors[name] for name in names])
     bounded = zip(names, place - reach, place + reach, *problem.box, strict=True)
     intervals = {
@@ -86,8 +86,8 @@ def certainty_of(
         for name, below, above, low, high in bounded
         if name not in blind
     }
-    # A profile cannot determine a parameter that is undetermined by its standard error,
-    # and its valley takes long to follow.
+    # Where the standard error leaves a parameter undetermined, so does its profile, and
+    # that valley takes long to follow.
     indices = [
         k
         for k, name in enumerate(names)

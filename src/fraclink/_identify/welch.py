@@ -9,18 +9,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from fracsys.checks import Complex, Real
 
-# The average over this many lengths of half-overlapping segments has a standard error
-# of a quarter: enough to see at which frequencies a model is wrong, and a coherence of
-# 0.3 is not accidental.
+# Half-overlapping segments in an average: at a coherence of a half the response has a
+# standard error of a quarter, and only one in ten coherences of unrelated signals
+# exceeds 0.3.
 _SEGMENTS = 8
-# Fraction of the largest power of the input: the leakage of the Hann window is smaller,
-# and a frequency with less motion says nothing about the link.
+# Least share of the largest power of the input: the leakage of the Hann window is
+# smaller, and a frequency with less motion says nothing about the link.
 EXCITED = 1e-4
 
 
 def segments(signal: Real, period: float) -> tuple[Real, Complex]:
     """Frequencies above zero [rad/s], shape (K,), and the transforms (segments, K) of
-    the half-overlapping segments of a signal, without their means, with a Hann window.
+    half-overlapping segments of a signal, each without its mean, in a Hann window.
     """
     size = max(2 * (signal.size // (_SEGMENTS + 1)), 4)
     rows = sliding_window_view(signal, size)[:: size // 2]

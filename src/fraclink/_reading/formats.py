@@ -32,18 +32,18 @@ _MAGIC = (
     (0, b"TDSm", "TDMS"),
 )
 _EXPORT = "export it as CSV"
-_ECHO = "play it, and write a topic by `ros2 topic echo --csv TOPIC > log.csv`"
-_TABLE = "keep its table alone: sed -n '/^X_Value/,$p' LOG > log.csv"
-# The first bytes of files that are no logs, what they are, and the way to a log.
+_ECHO = "play it, and write a topic with `ros2 topic echo --csv TOPIC > log.csv`"
+_TABLE = "keep only its table: sed -n '/^X_Value/,$p' LOG > log.csv"
+# First bytes of files that are not logs, what they are, and how to get a log from them.
 _FOREIGN = (
     (
         b"PK\x03\x04",
         "a zip or spreadsheet",
-        f'{_EXPORT}, a log of fraclink by fraclink.load("log.npz").save("log.csv")',
+        f'{_EXPORT}; a fraclink log with fraclink.load("log.npz").save("log.csv")',
     ),
     (
         b"\x93NUMPY",
-        "an array of NumPy",
+        "a NumPy array",
         f'{_EXPORT}: numpy.savetxt("log.csv", numpy.load("log.npy"), delimiter=",")',
     ),
     (b"\x1f\x8b", "gzip", _EXPORT),
@@ -51,9 +51,9 @@ _FOREIGN = (
     (b"%PDF", "PDF", _EXPORT),
     (b"PAR1", "Parquet", _EXPORT),
     (b"\x80\x04", "pickle", _EXPORT),
-    (b"\x89MCAP", "a recording of ROS 2", _ECHO),
+    (b"\x89MCAP", "a ROS 2 recording", _ECHO),
     (b"SQLite format 3", "a database", _ECHO),
-    (b"LabVIEW Measurement", "a measurement file of LabVIEW", _TABLE),
+    (b"LabVIEW Measurement", "a LabVIEW measurement file", _TABLE),
     (b"{", "JSON", _EXPORT),
     (b"<", "HTML or XML", _EXPORT),
 )
@@ -76,8 +76,8 @@ def sniffed_kind(path: Path) -> str:
     check_file(path)
     with path.open("rb") as stream:
         head = stream.read(1024)
-    # By content instead of name: a .mat file is MATLAB's own format or HDF5, depending
-    # on its age.
+    # By content instead of name: a .mat file is MATLAB's own format or, from v7.3 on,
+    # HDF5.
     kind = next(
         (kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic),
         "text",
@@ -91,7 +91,7 @@ def sniffed_kind(path: Path) -> str:
     if kind not in promised:
         remedy = "it is damaged, or its name has the wrong ending"
         if path.suffix.lower() == ".mat":
-            remedy = "it is damaged or of MATLAB v4: save it again, save log.mat t theta torque -v7"
+            remedy = "it is damaged or from MATLAB v4: save it again with save log.mat t theta torque -v7"
         wrong.append((f"{kind} by its content", " or ".join(promised), remedy))
     if wrong:
         raise FileFormatError("log", path.name, *wrong[0])
@@ -114,7 +114,7 @@ def read_table(path: Path) -> LogTable:
             path.name,
             f"a {kind} file without a numeric array of two samples or more",
             "arrays of real numbers",
-            "export plain arrays; in MATLAB save log.mat t theta torque -v7",
+            "export plain arrays, in MATLAB with save log.mat t theta torque -v7",
         )
     return table
 
@@ -124,14 +124,14 @@ _WALL_SECONDS = 60  # wall time of the child for one file: the disk may be slow
 
 def _parsed_by_child(path: Path, kind: str) -> LogTable:
     """The table in a binary file; FileFormatError if the child rejects it or crashes."""
-    # Every thread of a linear algebra library reserves address space, of which the
-    # child has 1 GB.
+    # Every thread of a linear algebra library reserves address space, and the child
+    # has only 1 GB.
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder, "answer.npz")
-        words = [sys.executable, "-P", "-m", "fraclink._reading.worker", kind]
+        answer = Path(folder, "answer.npz")
+        command = [sys.executable, "-P", "-m", "fraclink._reading.worker", kind]
         child = subprocess.Popen(  # noqa: S603
-            [*words, str(path.absolute()), str(place)],
+            [*command, str(path.absolute()), str(answer)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -141,13 +141,13 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
             # The child's own limit counts processor time, which does not advance while
             # it waits for a disk or a lock.
             child.wait(_WALL_SECONDS)
-            text, arrays = read_archive(place, "the columns of a file")
+            text, arrays = read_archive(answer, "the columns of a file")
         except subprocess.TimeoutExpired as error:
             raise _damaged(
                 path, kind, f"its parser was stopped after {_WALL_SECONDS} s"
             ) from error
         except FileFormatError as error:
-            raise _damaged(path, kind, _death(child.returncode)) from error
+            raise _damaged(path, kind, _reason_of_end(child.returncode)) from error
         finally:
             child.kill()
             child.wait()
@@ -163,13 +163,13 @@ def _parsed_by_child(path: Path, kind: str) -> LogTable:
     return LogTable(names, values, units, kind)
 
 
-def _death(code: int) -> str:
-    """The reason why the child ended, in words."""
+def _reason_of_end(code: int) -> str:
+    """Why the child ended without an answer, in words."""
     if hasattr(signal, "SIGXCPU") and code == -signal.SIGXCPU:
         return f"its parser needed more than {CPU_SECONDS} s"
     if code < 0:
         return f"its parser crashed ({signal.Signals(-code).name})"
-    return f"its parser ended ({code}), perhaps for want of {MEMORY_LIMIT / 1e9:g} GB"
+    return f"its parser ended ({code}), perhaps because it needed over {MEMORY_LIMIT / 1e9:g} GB"
 
 
 def _damaged(path: Path, kind: str, reason: str) -> FileFormatError:

@@ -44,13 +44,13 @@ SAME_ARM = 0.2
 
 @checked
 def geared(rig: Rig, ratio: Positive = 50.0) -> Rig:
-    """Return the rig with its printed motor behind a gear: the hub the twin of the
-    paper's arm needs.
+    """Return the rig with a gear after its motor as printed: the twin of the paper's
+    arm needs that hub.
 
     Table 1 gives J = 6.87e-5 kg·m² and no gear ratio; taken at the gear's output that
     is 0.5 % of the arm's own inertia, and no sampled compensation of the coupling
-    torque holds such a hub (see W601). The text names a harmonic drive; 50 is its
-    smallest usual ratio. A = K/(nJ) and the motor loop follow.
+    torque stabilises such a hub (see W601). The text names a harmonic drive; 50 is its
+    smallest usual ratio. A = K/(nJ) and the motor loop change with it.
 
     ratio: n, motor turns for one turn of the output, > 0
     """
@@ -89,7 +89,7 @@ def _agree(rig: Rig, model: LinkModel) -> None:
         raise FieldError(
             "model.natural_frequency",
             float(f"{model.natural_frequency:.4g}"),
-            f"contradicting stiffness, length and payload, which make {frequency:.4g}",
+            f"contradicting stiffness, length and payload, which give {frequency:.4g}",
             f"within {100 * SAME_ARM:g} % of that",
             "correct these in the rig; in Python, damping= and a beam may be given instead",
         )
@@ -98,14 +98,14 @@ def _agree(rig: Rig, model: LinkModel) -> None:
 @checked
 @dataclass(frozen=True)
 class Twin:
-    """An arm that is not the model.
+    """A simulated arm that is more than the model.
 
     Parameters
     ----------
     beam
         link and payload
     damping
-        what the link's material does
+        damping law of the link's material
     motor
         motor and amplifier as in the rig file; its inertia, friction and torques act at
         the gear's output as n²J, n²ν, nΓc and nK V
@@ -119,8 +119,8 @@ class Twin:
     step
         longest exact step [s]
     stiction
-        ratio of static to sliding friction; the paper gives none, 1.2 is that of a greased
-        harmonic drive
+        ratio of static to sliding friction; the paper states none, 1.2 is usual for a
+        greased harmonic drive
 
     >>> from fraclink._arm.rig import Rig
     >>> twin = Twin.from_rig(Rig.named("paper-2023"), link_mass=0.00735)
@@ -161,7 +161,7 @@ class Twin:
         damping
             default the material of the model (`damping_of`)
 
-        Delay and gain of the gauge are those of the model: a bend reads as much torque
+        Delay and gain of the gauge are the model's: the same bend reads the same torque
         as in the log.
         """
         link = rig.model if model is None else model

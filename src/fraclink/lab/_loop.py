@@ -38,7 +38,7 @@ from fracsys.checks import Between, above, checked
 
 __all__ = ["run_realtime"]
 
-# [s] that a run goes on after its reference has come to rest
+# [s] that a run continues after its reference has come to rest
 SETTLE = 3.0
 
 
@@ -61,14 +61,14 @@ def run_realtime(
     """Run `law` on an arm in real time and return the record of every period.
 
     At the deadlines t₀ + kT of the monotonic clock the loop takes the newest sample,
-    runs law.c and gives the command. t₀ lies half a period after the first sample. A
-    sample that did not come is NaN for the law, a missed period a jump of its tick: the
-    law's guards decide, and trip where the arm stays silent. The last thing the arm
-    gets is always a stop (voltage 0, mode 4), whatever ended the run: its time, the
-    law, an exception, any signal that can be caught, a fault of the process (not with a
+    runs law.c and sends the command. t₀ lies half a period after the first sample. The
+    law reads a missing sample as NaN and a missed period as a jump of its tick; its
+    guards decide, and trip if the arm stays silent. The last command to the arm is
+    always a stop (voltage 0, mode 4), whatever ended the run: its time, the law, an
+    exception, any signal that can be caught, a crash of the process (not with a
     `Callback`). After SIGKILL, SIGSTOP or a loss of power the watchdog of the board
-    must switch the drive off. Signals are held until the record is kept; one that comes
-    after the loop's end takes its course then.
+    must switch the drive off. Signals are held until the record is complete; one that
+    arrives after the loop's end is delivered then.
 
     Parameters
     ----------
@@ -76,29 +76,29 @@ def run_realtime(
         from `Design.law`, at the period of the arm, 50 µs to 1 s. With a motor loop it
         gives a voltage.
     reference
-        of the tip, from where the arm stands, e.g. `smooth_step`.
+        of the tip, relative to where the arm stands, e.g. `smooth_step`.
     connection
         how the arm is reached.
     duration
-        time to run [s]; 3 s after the reference's end where it is left out.
+        time to run [s]; default: until 3 s after the reference's end.
     out
-        file for the record (NPZ). A place in which none can be made is refused before
-        the arm moves; should it not take the record afterwards, a file in the folder of
-        temporary files or at home does (`RealtimeRun.saved`).
+        file for the record (NPZ). A path that cannot be written is refused before the
+        arm moves; if writing fails afterwards, the record goes to the folder of
+        temporary files or the home folder (`RealtimeRun.saved`).
     payload
         payload that the law is given [kg]; 0 for none.
     estimator
-        from `Design.estimator`: the law is given what it finds while the arm moves, and
-        not `payload`.
+        from `Design.estimator`: the law is given its estimate while the arm moves,
+        instead of `payload`.
     patience
         time to wait for the first sample [s].
     priority
-        priority of SCHED_FIFO; 0 asks for none. What is refused is in the result, and the run
-        goes on.
+        SCHED_FIFO priority; 0 asks for none. If it is refused, the result says so, and
+        the run continues.
     lock_memory
         whether to keep the process in memory (mlockall) while the loop runs.
     allowed_overruns
-        overruns up to which the run passes.
+        largest number of overruns with which the run passes.
     clock
         a `VirtualClock` for tests; default: the machine's.
 
@@ -106,8 +106,8 @@ def run_realtime(
     ------
     FieldError
         A value out of its range, an arm that does not answer or runs at another period,
-        a library that does not fit, a place where the record cannot be written, another
-        system than Linux.
+        an estimator for another period, a path where the record cannot be written, an
+        operating system other than Linux.
     SizeError
         More than 2 000 000 periods.
 
@@ -148,10 +148,10 @@ def run_realtime(
     Between(law.period, 1e300, "s").check("duration", length)
     path = sampled(reference, law.period, length)
     with contextlib.ExitStack() as stack:
-        with controller_end(connection) as way:
+        with controller_end(connection) as arm:
             obeyed = stack.enter_context(signals_held())
             outcome, record, marks = _kernels.realtime_run(
-                way,
+                arm,
                 law.block,
                 law.initial_state(),
                 law.precision == "single",

@@ -1,5 +1,5 @@
-"""`watch`: whether a running arm is still the one for which its law was made, and what
-has changed.
+"""`watch`: whether a running arm is still the one for which its law was designed, and
+what has changed.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ _WORTH = {
     "friction": 0.4,
 }
 _ABSOLUTE = ("gauge_delay", "order")
-# Parameter of the link -> its place in a fit, which ends in the name of its error.
+# Parameter of the link -> its attribute in a fit; the last part names its standard error.
 _LINK = {
     "natural_frequency": "model.natural_frequency",
     "gauge_gain": "gain",
     "gauge_delay": "delay",
     "order": "model.order",
 }
-# Vibrations of the link in motion: frequency and decay are those of several.
+# Least motion, in vibrations of the link: frequency and decay need several.
 _LEAST_VIBRATIONS = 5.0
 
 
 @dataclass(frozen=True)
 class Change:
-    """One parameter of the arm: what the law was made for, what the record shows, and
-    how sure that is.
+    """One parameter of the arm: its value in the tuning, in the record, and the standard
+    error of the difference.
 
-    name: "natural_frequency", "gauge_gain", "gauge_delay" or "order" (λ: less damping is
-    more of it), "motor_gain" (K/J), "friction"; with " within the record" where its
-    halves differ. was, now, standard_error in its unit, and `changed`.
+    name: "natural_frequency", "gauge_gain", "gauge_delay", "order" (λ, higher with less
+    damping), "motor_gain" (K/J) or "friction"; with " within the record" where its
+    halves differ. was, now and standard_error are in the parameter's unit.
     """
 
     name: str
@@ -81,15 +81,15 @@ class Change:
 @document("watch")
 @dataclass(frozen=True)
 class Watch:
-    """What a record says of a tuned arm.
+    """What a record says about a tuned arm.
 
     Parameters
     ----------
     changes
         every parameter that was compared.
     residual, expected
-        standard deviation of the torque that the record's own best fit leaves, and of
-        what the noise of gauge and encoder explains, or the tuning's own fit left [N·m].
+        standard deviation of the torque that a fit of the record leaves, and the larger
+        of what the sensors' noise explains and the tuning's fit left [N·m].
     motion
         how long the arm moved [s].
 
@@ -108,11 +108,11 @@ class Watch:
 
     @property
     def due(self) -> tuple[str, ...]:
-        """What a retune is due for; empty where the arm is as it was."""
+        """The reasons for a retune; empty if the arm is unchanged."""
         names = tuple(change.name for change in self.changes if change.changed)
         return names or (
             ("unexplained motion",)
-            # More than half of the residual's power.
+            # More than half of the residual's power is unexplained.
             if self.residual**2 > 2.0 * self.expected**2
             else ()
         )
@@ -125,7 +125,7 @@ class Watch:
     def overview(self) -> Overview:
         """What has changed, and everything that was compared."""
         due = ", ".join(name.replace("_", " ") for name in self.due)
-        unchanged = f"as it was tuned, by {self.motion:.0f} s of motion"
+        unchanged = f"as it was tuned, judged by {self.motion:.0f} s of motion"
         rows = rows_of(self, "due", "residual", "expected", "motion")
         note = (
             f"the fit leaves {number(self.residual, 2)} N·m, "
@@ -146,16 +146,16 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     λ, K/J, friction, residual.
 
     The link's ω₀ and gain are fitted anew, with the delay or with λ, whichever explains
-    the record better, and the friction with the motor's K/J; each is named where it is
-    off by more than half of what is worth a retune and by five standard errors, friction
-    only where it has grown. Where the halves of the record differ by as much, that is
-    named, and the second half is what is compared with the tuning.
+    the record better; friction is fitted with the motor's K/J. A parameter counts as
+    changed if it differs by more than half of what justifies a retune and by five
+    standard errors, friction only if it has grown. If the halves of the record differ
+    by as much, that is reported, and only the second half is compared with the tuning.
 
     Parameters
     ----------
     log
-        a record that begins at rest, or that knows the angle before its cut, with the
-        voltage; `RealtimeRun.experiment` makes one.
+        a record with the voltage, from rest or with its `earlier_angle`;
+        `RealtimeRun.experiment` makes one.
     tuning
         what `tune` found.
 
@@ -177,8 +177,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             f"{tuning.period:g} s",
             "record at the period of the law",
         )
-    # The time in motion instead of the length: an arm at rest for a minute shows only
-    # noise.
+    # Only the time in motion counts: an arm at rest for a minute shows only noise.
     moving = _moving_time(log)
     least = _LEAST_VIBRATIONS * math.tau / link.fit.model.resonance
     if moving < least:
@@ -187,7 +186,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             f"{moving:.3g} s of motion",
             "too little to tell",
             f">= {least:.3g} s, five vibrations of the link",
-            "give a longer record, of moves",
+            "record for longer, while the arm moves",
         )
     baseline = link.fit
     halves = [_part(log, rows) for rows in log.split(0.5)]
@@ -248,14 +247,14 @@ def _fitted(log: Experiment, known: Fit) -> Fit:
             )
             for fixed in choices
         ),
-        # No gauge reads what the link will do: a delay below zero is other noise.
+        # No gauge is ahead of the link: a negative delay (W309) only fits noise.
         key=lambda fit: ("W309" in {finding.code for finding in fit.findings}, fit.mse),
     )
 
 
 def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
-    """Sentences on a link that moves otherwise in the last quarter of a record than
-    when it was fitted, with the cause and its remedy.
+    """Sentences on a link that moves differently in the last quarter of a record than
+    in its fit, with the cause and its remedy.
     """
     later = _part(log, log.split(0.75)[1])
     frequency, _, delay, _ = _link_changes(known, _fitted(later, known))
@@ -268,31 +267,31 @@ def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
             else "a joint gives, as with play in the gear"
         )
         return (
-            f"the link swings as with {share:.0f} % of the mass that it was measured with: the payload "
+            f"the link swings as if with {share:.0f} % of the mass in its measurement: the payload "
             f"slipped or was changed, or {loose}; fix it, and tune again",
         )
     if delay.changed and delay.now > delay.was:
         late = 1e3 * (delay.now - delay.was)
         return (
-            f"the link follows the motor {late:.2g} ms later than it was measured, as with play in the gear or in "
-            "a coupling, which the motor crosses first; less play helps",
+            f"the link follows the motor {late:.2g} ms later than when it was measured, as with play in the gear or "
+            "in a coupling, which the motor crosses first; reduce the play",
         )
     return ()
 
 
 def _link_changes(was: Fit, now: Fit) -> tuple[Change, ...]:
-    """ω₀, the gauge's gain and delay, and λ: the errors of two fits are independent."""
+    """Changes of ω₀, gauge gain, gauge delay and λ between two independent fits."""
     changes = []
-    for name, place in _LINK.items():
-        value, key = attrgetter(place), place.rpartition(".")[2]
+    for name, path in _LINK.items():
+        value, key = attrgetter(path), path.rpartition(".")[2]
         errors = (fit.standard_errors.get(key, 0.0) for fit in (now, was))
         changes.append(_change(name, value(was), value(now), math.hypot(*errors)))
     return tuple(changes)
 
 
 def _moving_time(log: Experiment) -> float:
-    # Faster than where the compensation of friction fades; over 50 ms, since from one
-    # sample to the next one count of an encoder is a higher speed.
+    # In motion: faster than where the friction compensation fades. Measured over 50 ms,
+    # since one encoder count per sample is already a higher speed.
     lag = max(1, round(0.05 / log.period))
     speed = np.abs(log.motor_angle[lag:] - log.motor_angle[:-lag]) / (lag * log.period)
     return float(np.count_nonzero(speed > COULOMB_SPEED)) * log.period
@@ -303,7 +302,7 @@ def _change(name: str, was: float, now: float, spread: float) -> Change:
     # delay.
     worth = _WORTH[name] * (1.0 if name in _ABSOLUTE else abs(was))
     off = abs(now - was)
-    # In addition, since the errors of a short record exceed what is worth reporting.
+    # Both, since the errors of a short record may exceed what is worth reporting.
     return Change(name, was, now, spread, off > worth and off > SURE * spread)
 
 
@@ -340,12 +339,12 @@ def _motor_changes(log: Experiment, fit: Fit, motor: MotorResult) -> tuple[Chang
     # Converted to the voltage of the earlier motor: a weaker motor needs more voltage
     # for the same friction.
     friction = motor_fit.coulomb_voltage * motor_fit.gain / motor.fit.gain
-    # Its own error and a twentieth of the earlier value: friction depends on the
-    # position of the gear.
+    # Its own error and a twentieth of the earlier value, since friction varies with the
+    # angle of the gear.
     spread = math.hypot(
         motor_fit.standard_errors["coulomb_voltage"], 0.05 * motor.friction
     )
     change = _change("friction", motor.friction, friction, spread)
-    # Moves that reverse often also appear to have less friction than before: only an
-    # increase counts as a change.
+    # Moves that reverse often appear to have less friction: only an increase counts as a
+    # change.
     return gain, replace(change, changed=change.changed and change.now > change.was)

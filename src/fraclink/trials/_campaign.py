@@ -40,7 +40,7 @@ __all__ = [
 
 # runs that are drawn from one stream of random numbers, and simulated by one thread
 PART_RUNS = 1000
-REST = 3.0  # [s] after the longest move: twenty vibration periods
+REST = 3.0  # [s] after the longest move: five vibration periods or more
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
 DURATION = max(SHAPES) + REST
 # A normal draw is truncated at ±4σ, 6e-5 of the draws, so that no motor has a negative
@@ -78,8 +78,8 @@ class Distribution:
             )
 
     def at(self, uniform: Real) -> Real:
-        """Return the values whose cumulated probability is `uniform`, in [0, 1); shape
-        kept.
+        """Return the values whose cumulative probability is `uniform`, in [0, 1), in its
+        shape.
         """
         if self.kind == "uniform" or self.low == self.high:
             return self.low + uniform * (self.high - self.low)
@@ -100,7 +100,7 @@ def _always(value: float) -> Distribution:
 
 
 _POSITIVE, _NOT_NEGATIVE = above(0.0), Between(0.0)
-# What the distributions of physical quantities stay within.
+# Ranges within which the distributions must stay.
 _RANGES = {
     "payload": _POSITIVE,
     "stiffness": _POSITIVE,
@@ -124,9 +124,9 @@ class Draws:
 
     payload [kg], stiffness [N·m/rad], order λ [1], motor_gain, viscous_friction,
     coulomb_torque, noise and the link's damping μ [factors], gauge_offset [N·m],
-    delay_samples [periods, of which the whole part acts], amplitude of the move [rad],
-    gauge_delay [s], gauge_gain [1], payload_given [1]: what the law is given over the
-    arm's payload, 0 for nothing.
+    delay_samples [periods, rounded down], amplitude of the move [rad], gauge_delay [s],
+    gauge_gain [1], payload_given [1]: the payload that the law is given relative to the
+    arm's, 0 for none.
     """
 
     payload: Distribution
@@ -153,15 +153,15 @@ class Draws:
 
 @checked
 def draws_for(rig: Rig, model: LinkModel) -> Draws:
-    """Return the stated defaults: what varies between two arms of one drawing, and from
-    day to day.
+    """Return the default draws: what varies between two arms built from one drawing,
+    and from day to day.
 
     payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %,
     viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset
     ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the rig's own: one more sample is
     another design, not a tolerance. The gauge's delay is the identified one; the
-    stiffness is that of ω₀ and payload, eq. (5), and the gauge's gain what it read in
-    the log over that.
+    stiffness follows from ω₀ and payload, eq. (5), and the gauge's gain from that and
+    the log.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
@@ -169,7 +169,7 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     0.04
     """
     # With λ above 2 a link would generate energy: for a model near 2 the range is
-    # reduced on both sides, so that its mean remains that of the model.
+    # reduced on both sides, so that its mean remains the model's.
     reach = min(0.02, 2.0 - model.order)
     # A torque log shows the product of stiffness and gain only, and its ω₀ the
     # stiffness alone.
@@ -225,9 +225,8 @@ class Campaign:
     draws: the distributions. runs: how many, 1 … 10⁶. seed: 0
     … 2⁶³ − 1; the same seed gives the same runs whatever the number of workers.
     duration [s] of each run. reference: what the tip follows, times the drawn
-    amplitude; a quintic of one of three durations where it is left out. payloads [kg]:
-    what the law was designed for, where it is given the payload that it estimates; else
-    None.
+    amplitude; default: a quintic of one of three durations. payloads [kg]: the range of
+    the design if the law is given an estimate of the payload; else None.
     """
 
     rig: Rig
@@ -256,8 +255,8 @@ class Campaign:
 
     @cached_property
     def estimator(self) -> PayloadEstimator | None:
-        """What estimates the payload of each arm, from the nominal one; None where
-        nothing does.
+        """The estimator of the payload of each arm, which starts at the nominal one; None
+        if the payload is not estimated.
         """
         if self.payloads is None:
             return None
@@ -267,7 +266,7 @@ class Campaign:
 
     @property
     def references(self) -> tuple[Reference, ...]:
-        """What the tip of a run follows: one of these times its amplitude."""
+        """The references: the tip of a run follows one of these times its amplitude."""
         moves = tuple(smooth_step(1.0, duration) for duration in SHAPES)
         return moves if self.reference is None else (self.reference,)
 
@@ -294,13 +293,13 @@ class Campaign:
         estimated: tuple[float, float] | None = None,
         reference: Reference | None = None,
     ) -> Campaign:
-        """Return the campaign of a law with the default draws of its rig; the law gets
-        the rig's motor loop.
+        """Return the campaign of a law with the default draws of its rig; a law without
+        a motor loop gets the rig's.
 
-        With `told` the law is given the payload of each arm, whatever `draws` say of
-        that; with the payloads that it was designed for as `estimated` (low, high) [kg]
-        it estimates it while the arm moves. With a `reference` every tip follows it as
-        it is, whatever they say of the amplitude.
+        With `told` the law is given the payload of each arm, whatever `draws` says about
+        it; with `estimated`, the payload range (low, high) [kg] of its design, it is
+        given an estimate while the arm moves. A `reference` is followed unscaled,
+        whatever `draws` says about the amplitude.
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")

@@ -182,7 +182,7 @@ def _figures(study: Study) -> dict[str, Figure]:
     if fit is not None:
         drawings["detail"] = figures.detail_figure(fit)
         drawings["residual"] = figures.residual_figure(fit)
-        # Of a tuning, the fit is of a part of the record.
+        # A tuning keeps its whole record and fits only a part of it.
         drawings["response"] = (
             figures.response_figure(log, fit)
             if log is not None and log.output.size == fit.predicted.size

@@ -37,8 +37,8 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
         [Zone(end - BAND * size, end + BAND * size, lying=True)] if size else []
     )
     tip.append(record(first.time, first.reference, 0, "reference", dashed=True))
-    milli = 1e3 * BAND * size
-    error: list[Mark] = [Zone(-milli, milli, lying=True)] if size else []
+    band_mrad = 1e3 * BAND * size
+    error: list[Mark] = [Zone(-band_mrad, band_mrad, lying=True)] if size else []
     torque: list[Mark] = []
     voltage: list[Mark] = []
     for line, run in zip(LINES, runs, strict=False):
@@ -68,8 +68,8 @@ def _run(run: Run) -> Figure:
 
 @figure_of.register
 def shaped_figure(move: ShapedMove) -> Figure:
-    """Draw the reference and the tips of the arms of the set, the reference's
-    acceleration, and the voltages.
+    """Draw the reference with the tips of all arms of the set, its acceleration, and
+    the voltages.
     """
     reference, time = move.reference, move.period * np.arange(move.tip_angle.shape[1])
     # Half of the picture for the move, half for the time after it.
@@ -83,7 +83,7 @@ def shaped_figure(move: ShapedMove) -> Figure:
     tip.append(record(time, reference.angle(time), 0, "reference", dashed=True))
     # The acceleration shows the difference between a shaped and a smooth move, which
     # angles do not.
-    push = [record(time, reference.acceleration(time), 0)]
+    acceleration = [record(time, reference.acceleration(time), 0)]
     voltage: list[Mark] = [Across(move.voltage, "limit"), Across(-move.voltage)]
     for line, arm, angle, volts in zip(
         LINES,
@@ -97,7 +97,7 @@ def shaped_figure(move: ShapedMove) -> Figure:
         voltage.append(record(time, volts[part], line, weight="thin"))
     panels = (
         Panel("tip angle θt [rad]", tip, 200.0),
-        Panel("acceleration of the reference [rad/s²]", push, 100.0),
+        Panel("acceleration of the reference [rad/s²]", acceleration, 100.0),
         Panel("motor [V]", voltage, 100.0),
     )
     return Figure(

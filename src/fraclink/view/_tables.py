@@ -12,7 +12,7 @@ __all__ = ["budget_table", "margins_table"]
 
 
 def budget_table(shares: Iterable[PhaseShare], payload: float) -> Table:
-    """What each element of the loop gives at the crossover of a payload [kg]."""
+    """Phase of each element of the loop at the crossover with a payload [kg]."""
     heading = f"phase at {quantity(payload, 'g')}"
     return Table.of(
         "",

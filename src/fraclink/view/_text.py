@@ -58,11 +58,11 @@ def options_text(arguments: Mapping[str, Any]) -> str:
     >>> options_text({"payloads": (0.02, 0.04), "phase_margin": math.radians(50.0), "box": False})
     '--payloads 0.02 0.04 --no-box --phase-margin-deg 50'
     """
-    typed = dict(arguments)
-    if "phase_margin" in typed:
-        typed["phase_margin_deg"] = math.degrees(typed.pop("phase_margin"))
+    options = dict(arguments)
+    if "phase_margin" in options:
+        options["phase_margin_deg"] = math.degrees(options.pop("phase_margin"))
     words = []
-    for name, value in typed.items():
+    for name, value in options.items():
         words.append(f"--{'no-' if value is False else ''}{name.replace('_', '-')}")
         if not isinstance(value, bool):  # a flag has no word after it
             # Eight digits: with fewer, a request at its bound would be infeasible.
@@ -71,15 +71,14 @@ def options_text(arguments: Mapping[str, Any]) -> str:
 
 
 def sentence(text: str) -> str:
-    """`text` with a capital and a full stop; field names keep their spelling.
+    """`text` with an initial capital and a full stop; field names keep their spelling.
 
     >>> sentence("measure it"), sentence("link.stiffness = 1.56 contradicts 3EI/L")
     ('Measure it.', 'link.stiffness = 1.56 contradicts 3EI/L.')
     """
     text = text.strip()
     first = text.partition(" ")[0]
-    # Fields such as link.stiffness are typed by the user: a capital would make another
-    # name of them.
+    # Users type fields such as link.stiffness: a capital would make it another name.
     is_name = "_" in first or "." in first.rstrip(".") or first == "fraclink"
     complete = text.endswith((".", "?", "!", ":")) or not text
     return (
@@ -128,8 +127,8 @@ def grid_of(figures: Table | Sequence[Row]) -> Grid:
 
 def grids(overview: Overview) -> list[Grid]:
     """All non-empty tables of an overview."""
-    every = [grid_of(overview.rows), *map(grid_of, overview.tables)]
-    return [grid for grid in every if grid.lines]
+    tables = [grid_of(overview.rows), *map(grid_of, overview.tables)]
+    return [grid for grid in tables if grid.lines]
 
 
 def finding_line(finding: Finding) -> str:
@@ -140,14 +139,12 @@ def finding_line(finding: Finding) -> str:
 
 
 def view(result: Any) -> Overview:
-    """Return the overview of a result; one is its own."""
+    """Return the overview of a result; an overview is its own."""
     return result if isinstance(result, Overview) else result.overview()
 
 
 def doubted(overview: Overview, findings: tuple[Finding, ...]) -> Overview:
-    """The same overview with errors of its input first: with these, nothing counts as
-    passed.
-    """
+    """`overview` after the errors of its input, with which nothing counts as passed."""
     if not findings:
         return overview
     failed = overview.state == "failed"
@@ -263,8 +260,8 @@ def plain_text(overview: Overview, width: int = 80) -> str:
 
 
 def folded(text: str, width: int) -> str:
-    """Every line of `text` broken between words, then indented by two columns more;
-    paths stay whole.
+    """`text` with every line broken between words and continued two columns further
+    in; paths stay whole.
     """
     return "\n".join(
         textwrap.fill(
@@ -279,8 +276,8 @@ def folded(text: str, width: int) -> str:
 
 
 def table_text(grid: Grid, width: int = 80) -> str:
-    """A table of text: words flush left, figures right; heads and sentences wrap at
-    words.
+    """A table as text: words flush left, figures right; headers and sentences wrap
+    between words.
 
     >>> grid = Grid(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9")), (True, False))
     >>> print(table_text(grid, 16))

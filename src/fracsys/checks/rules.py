@@ -117,9 +117,7 @@ def rule(annotation: Any) -> Rule:
 
 
 def _unaliased(annotation: Any) -> Any:
-    """The meaning of `annotation` if it is a type alias, like NDArray from numpy 2.5
-    on.
-    """
+    """`annotation` with type aliases resolved; NDArray is one from numpy 2.5 on."""
     value = getattr(get_origin(annotation) or annotation, "__value__", None)
     if value is None:
         return annotation
@@ -159,7 +157,7 @@ def _narrowed(base: Any, metadata: tuple[Any, ...]) -> Rule:
     elif base in (float, int):
         narrowed = number(bounds) if base is float else whole_number(bounds)
     else:
-        raise TypeError(f"Between stands beside float, int or an array, not {base}")
+        raise TypeError(f"Between applies to float, int or an array, not {base}")
     # In the order of the annotation: a later item sees only values that passed the
     # earlier ones.
     for item in metadata:
@@ -178,7 +176,8 @@ def conditional(inner: Rule, where: Where) -> Rule:
             raise Refused(brief(plain), where.problem, expected, where.remedy)
         return plain
 
-    # A form with its own conversion of the inner rule must still check the condition.
+    # Without a kind, since a form that converts the inner kind by itself would not check
+    # the condition.
     return replace(inner, expected=expected, convert=convert, kind=None)
 
 
@@ -203,7 +202,7 @@ def _kind(
 
 def instance(kind: type) -> Rule:
     """Return the rule of the instances of a class; its ``__made_by__`` states how to
-    get one: ``"read_log(path)"``.
+    get one, such as ``"read_log(path)"``.
 
     A class may accept values from which it can be created, such as the name of a
     bundled rig: its ``__made_of__`` returns an instance, or None.
@@ -249,7 +248,7 @@ _SCALARS: dict[Any, Rule] = {
     int: whole_number(),
     complex: _kind(_is(complex), "a complex number", "give a number", kind=complex),
     bool: _kind(_is(bool | np.bool_), "True or False", "give True or False", bool),
-    str: _kind(_is(str), "a text", "give a str"),
+    str: _kind(_is(str), "a string", "give a str"),
     bytes: _kind(_is(bytes), "bytes", "give bytes", kind=bytes),
     None: _NOTHING,
     type(None): _NOTHING,
@@ -260,7 +259,7 @@ _SEQUENCES: tuple[Any, ...] = (tuple, list, Sequence, Iterable, Collection)
 
 
 def choice(choices: tuple[Any, ...]) -> Rule:
-    """Return the rule of one of several words or whole numbers."""
+    """Return the rule that accepts one of several words or whole numbers."""
     expected = listed([str(word) for word in choices])
     kinds = tuple({type(word) for word in choices})
 
@@ -270,8 +269,8 @@ def choice(choices: tuple[Any, ...]) -> Rule:
             # True == 1 in Python, but a bool must not match a number.
             if word == plain and (type(plain) is type(word) or isinstance(plain, str)):
                 return word
-        typed, remedy = isinstance(plain, kinds), "choose one of these"
-        raise Refused(value, "unknown", expected, remedy, is_type=not typed)
+        same_type, remedy = isinstance(plain, kinds), "choose one of these"
+        raise Refused(value, "unknown", expected, remedy, is_type=not same_type)
 
     return Rule(expected, convert, Literal)
 
@@ -307,15 +306,13 @@ def _any_of(members: Sequence[Rule]) -> Rule:
             try:
                 return form(item, value)
             except Refused as refused:
-                # Without its traceback, which holds this frame, which holds this list:
-                # every array of every caller would stay alive until the next garbage
-                # collection.
+                # A traceback would keep this frame, and with it every array of every
+                # caller, alive until the next garbage collection.
                 refusals.append(refused.with_traceback(None))
-        # If the kind of a member fits, its message gives the reason; otherwise no
-        # member accepts the value.
+        # A member that accepts this type but not this value gives the reason.
         for item, refusal in zip(members, refusals, strict=True):
             if not refusal.is_type:
-                # Beside words there are numbers or objects, which are expected as much.
+                # With a wrong word, the numbers or objects of the union are expected, too.
                 refusal.expected = expected if item.kind is Literal else item.expected
                 raise refusal
         raise Refused(
@@ -335,7 +332,7 @@ def _fixed(items: tuple[Rule, ...]) -> Rule:
     each = f", each {words[0]}" if len(words) == 1 else f": {', '.join(words)}"
 
     def convert(value: Any, form: Form) -> tuple[Any, ...]:
-        # A set or a dict of two entries has no first entry.
+        # Sets and dicts do not tell which entry comes first.
         is_list = isinstance(value, tuple | list | np.ndarray)
         if not is_list or len(value) != len(items):
             raise Refused(
@@ -361,7 +358,7 @@ def _sequence(item: Rule, as_list: bool) -> Rule:
                 brief(value),
                 "not a list",
                 expected,
-                "put a single one in a list",
+                "put a single value in a list",
                 is_type=True,
             )
         # A single pass: a generator cannot be read twice.
@@ -406,7 +403,7 @@ def _array(annotation: Any, shape: Array, bounds: Between | None) -> Rule:
             )
         if shape.ndim not in (None, raw.ndim) or raw.size < shape.min_size:
             raise Refused(f"shape {raw.shape}", "of another shape", expected, remedy)
-        # Not copied if already float64: logs of millions of samples pass here at every
+        # Not copied if already float64: logs of millions of samples pass here with every
         # call.
         array = raw.astype(dtype, copy=False)
         # The sum shows NaN and infinity in one pass without a copy; only then is each
@@ -433,9 +430,11 @@ def _check_entries(
 ) -> None:
     if not good.all():
         place = np.argwhere(~good)[0]
-        where = ", ".join(map(str, place)) if place.size else "the only one"
+        where = (
+            f"entry {', '.join(map(str, place))}" if place.size else "the only entry"
+        )
         value = array[tuple(place)]
-        raise Refused(value, f"{problem} (entry {where})", expected, remedy)
+        raise Refused(value, f"{problem} ({where})", expected, remedy)
 
 
 def _dtype(annotation: Any) -> np.dtype[Any]:
