@@ -234,7 +234,12 @@ FAULTS = [
 def browsed(page: str, place: Path, settings: str) -> str:
     """The page at this address in a browser, after its script has run without an error."""
     (place / "arm.html").write_text(page)
-    command = command_line(place, "--enable-logging=stderr", "--dump-dom")
+    command = command_line(
+        place,
+        "--enable-logging=stderr",
+        "--virtual-time-budget=2000",
+        "--dump-dom",
+    )
     answer = subprocess.run(  # noqa: S603
         [*command, f"{(place / 'arm.html').as_uri()}#{settings}"],
         capture_output=True,

@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 697,
     "studio": 1056,
     "trials": 1263,
-    "view": 1134,
+    "view": 1133,
 }
 
 

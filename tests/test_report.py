@@ -435,7 +435,12 @@ def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
     place = write_report(study(HOSTILE[0], design=True), tmp_path / "report.html")
     answer = subprocess.run(  # noqa: S603
         [
-            *command_line(tmp_path, "--enable-logging=stderr", "--dump-dom"),
+            *command_line(
+                tmp_path,
+                "--enable-logging=stderr",
+                "--virtual-time-budget=2000",
+                "--dump-dom",
+            ),
             place.as_uri(),
         ],
         capture_output=True,

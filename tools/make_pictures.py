@@ -49,6 +49,7 @@ def photograph_arm(browser: str) -> None:
             "--no-sandbox",
             "--disable-gpu",
             "--hide-scrollbars",
+            "--virtual-time-budget=2000",
         ]
         command += ["--window-size=1180,1390", f"--screenshot={STATIC / 'arm.png'}"]
         subprocess.run(  # noqa: S603

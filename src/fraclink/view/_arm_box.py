@@ -70,7 +70,9 @@ def arm_box(
     None if the model vibrates too fast for the law's period with every payload.
     """
     # Wrapped, so that no script of the page shares their names.
-    script = "(() => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
+    script = (
+        "(async () => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
+    )
     data = _data(design, *_law(study, design), payloads, twin)
     if not data["links"]:
         return None
@@ -132,11 +134,8 @@ def _base64(parts: Iterable[Real]) -> str:
 
 
 def _packed(data: bytes) -> str:
-    """Raw DEFLATE data in base64, which the script unpacks."""
-    # Raw, because the forty lines of the page that unpack it handle neither header nor
-    # checksum.
-    pack = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
-    return base64.b64encode(pack.compress(data) + pack.flush()).decode()
+    """Compressed data (zlib) in base64, which the script unpacks."""
+    return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
 def assumed_mass(design: Design) -> float:

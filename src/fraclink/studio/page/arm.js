@@ -7,17 +7,20 @@ export class Arm {
     this.app = app;
     this.key = '';
     this.moving = null; // the interface of the running arm
+    this.taken = Promise.resolve(); // when it has the newest answer
     this.moved = () => {};
     this.held = null;
     this.hands();
   }
 
-  /** The answer of an exact design: it holds a new arm, or a new law for this one. */
+  /** The answer of an exact design: it holds a new arm, or a new law for this one. One after the other: an arm takes a moment to start. */
   take(answer) {
-    if (answer.arm_key === undefined) return;
+    if (answer.arm_key !== undefined) this.taken = this.taken.then(() => this.taking(answer));
+  }
+  async taking(answer) {
     if (answer.arm) {
       const fresh = JSON.parse(answer.arm);
-      if (!this.moving || !this.moving.use(fresh)) this.rebuild(answer.arm);
+      if (!this.moving?.use(fresh)) await this.rebuild(answer.arm);
     } else if (answer.blocks && this.moving) this.moving.law(answer.blocks);
     this.key = answer.arm_key && this.moving ? answer.arm_key : '';
     this.moved();
@@ -25,13 +28,14 @@ export class Arm {
   }
   command(words) { return this.moving ? this.moving.command(words) : words; }
 
-  rebuild(text) {
+  async rebuild(text) {
     this.moving?.stop();
+    this.moving = null;
     say('arm-data', text);
     document.querySelector('.armbox')?.remove();
     this.box = $('arm-template').content.cloneNode(true).querySelector('.armbox');
     $('arm-design').append(this.box);
-    this.moving = startArm(() => this.app.line());
+    this.moving = await startArm(() => this.app.line());
     this.move(this.app.step);
   }
 
@@ -48,7 +52,7 @@ export class Arm {
     const whole = step === 'move';
     $(whole ? 'arm-move' : 'arm-design').append(this.box);
     this.box.classList.toggle('compact', !whole);
-    if (whole || step === 'design') this.moving.lay();
+    if (whole || step === 'design') this.moving?.lay();
   }
 
   /** A run computed by Python: the tip held by hand, a payload lost during the move, or a case of the fault campaign. */

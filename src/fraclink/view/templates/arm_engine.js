@@ -4,67 +4,9 @@
 const DATA = JSON.parse(document.getElementById('arm-data').textContent);
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
-// DEFLATE (RFC 1951): compressed, the engine takes two fifths of its size in the file. The decompression of
-// browsers is newer than WebAssembly, and asynchronous.
-function unpacked(data) {
-  const out = [], order = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
-  let at = 0, hold = 0, held = 0;
-  const bits = (count) => {
-    for (; held < count; held += 8) hold |= data[at++] << held;
-    const value = hold & ((1 << count) - 1);
-    hold >>>= count;
-    held -= count;
-    return value;
-  };
-  const reader = (lengths) => {
-    const sorted = [], count = Array.from({length: 16}, (_, size) => {
-      lengths.forEach((own, symbol) => { if (size && own === size) sorted.push(symbol); });
-      return size ? lengths.filter((own) => own === size).length : 0;
-    });
-    return () => {
-      for (let size = 1, code = 0, index = 0; size < 16; size++) {
-        code = 2 * code + bits(1); // above the first code of this size
-        if (code < count[size]) return sorted[index + code];
-        index += count[size];
-        code -= count[size];
-      }
-      throw new Error('the engine is damaged');
-    };
-  };
-  for (let last = 0; !last;) {
-    last = bits(1);
-    const kind = bits(2), lengths = [];
-    let letters = 288, distances = 30;
-    if (!kind) {
-      const end = at + 4 + data[at] + 256 * data[at + 1];
-      for (at += 4; at < end;) out.push(data[at++]);
-      hold = held = 0;
-      continue;
-    }
-    if (kind === 1) for (let i = 0; i < 318; i++) lengths.push(i < 144 ? 8 : i < 256 ? 9 : i < 280 ? 7 : i < 288 ? 8 : 5);
-    else {
-      letters = 257 + bits(5);
-      distances = 1 + bits(5);
-      const own = Array(19).fill(0);
-      for (let i = 4 + bits(4), j = 0; j < i; j++) own[order[j]] = bits(3);
-      for (const next = reader(own); lengths.length < letters + distances;) {
-        const symbol = next(), again = symbol === 16 ? lengths[lengths.length - 1] : 0;
-        if (symbol < 16) lengths.push(symbol);
-        else for (let i = symbol === 16 ? 3 + bits(2) : symbol === 17 ? 3 + bits(3) : 11 + bits(7); i; i--) lengths.push(again);
-      }
-    }
-    const letter = reader(lengths.slice(0, letters)), distance = reader(lengths.slice(letters));
-    for (let symbol = letter(); symbol !== 256; symbol = letter()) {
-      if (symbol < 256) { out.push(symbol); continue; }
-      const i = symbol - 257, more = i < 8 || i > 27 ? 0 : (i >> 2) - 1;
-      const size = (i < 8 ? 3 + i : i > 27 ? 258 : 3 + ((4 + (i & 3)) << more)) + bits(more);
-      const d = distance(), far = d < 4 ? 0 : (d >> 1) - 1, back = (d < 4 ? 1 + d : 1 + ((2 + (d & 1)) << far)) + bits(far);
-      for (let j = 0; j < size; j++) out.push(out[out.length - back]);
-    }
-  }
-  return Uint8Array.from(out);
-}
-const ENGINE = new WebAssembly.Instance(new WebAssembly.Module(unpacked(bytesOf(DATA.engine)))).exports;
+// Compressed, the engine takes two fifths of its size in the file.
+const packed = new Blob([bytesOf(DATA.engine)]).stream().pipeThrough(new DecompressionStream('deflate'));
+const ENGINE = (await WebAssembly.instantiate(await new Response(packed).arrayBuffer())).instance.exports;
 const N = DATA.periods + 1;
 const TS = DATA.period;
 const doubles = (place, count) => new Float64Array(ENGINE.memory.buffer, place, count);
