@@ -108,32 +108,43 @@ def statements(package: str) -> int:
     )
 
 
-@cache
 def imported_modules(source: Source, *, at_once: bool = False) -> tuple[str, ...]:
     """Modules of the packages that a module imports.
 
     At its top or inside a function; with `at_once` at its top only.
     """
-    return tuple(_imported_modules(source, at_once=at_once))
+    return tuple(name for name, late in _imported(source) if not (at_once and late))
 
 
-def _imported_modules(source: Source, *, at_once: bool) -> Iterator[str]:
-    names = {item.name for item in sources()}
+@cache
+def _imported(source: Source) -> tuple[tuple[str, bool], ...]:
+    """What a module imports, and whether inside a function."""
     tree = source.tree  # one tree for all three, because nodes are compared by identity
-    hidden = _typing_only(tree) | (_inside_functions(tree) if at_once else set())
-    for node in ast.walk(tree):
-        if id(node) in hidden:
-            continue
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                if alias.name.split(".")[0] in ("fraclink", "fracsys"):
-                    yield alias.name
-        elif isinstance(node, ast.ImportFrom):
-            module = node.module or ""
-            if module.split(".")[0] not in ("fraclink", "fracsys"):
-                continue
-            for alias in node.names:
-                longer = f"{module}.{alias.name}"
-                # `from fraclink._design import design` may name a module or a value of
-                # the package.
-                yield longer if longer in names else module
+    hidden, late = _typing_only(tree), _inside_functions(tree)
+    return tuple(
+        (name, id(node) in late)
+        for node in ast.walk(tree)
+        if id(node) not in hidden
+        for name in _names_imported(node)
+    )
+
+
+@cache
+def _module_names() -> frozenset[str]:
+    return frozenset(item.name for item in sources())
+
+
+def _names_imported(node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        for alias in node.names:
+            if alias.name.split(".")[0] in ("fraclink", "fracsys"):
+                yield alias.name
+    elif isinstance(node, ast.ImportFrom):
+        module = node.module or ""
+        if module.split(".")[0] not in ("fraclink", "fracsys"):
+            return
+        for alias in node.names:
+            longer = f"{module}.{alias.name}"
+            # `from fraclink._design import design` may name a module or a value of
+            # the package.
+            yield longer if longer in _module_names() else module

@@ -147,6 +147,7 @@ def test_the_watchdog_switches_off_after_ten_silent_periods(library: Any) -> Non
     assert voltages == [2.0] * WATCHDOG + [0.0]
 
 
+@pytest.mark.slow
 def test_no_damaged_message_is_obeyed_and_the_next_whole_one_is(library: Any) -> None:
     arm, visit = visited(library)
     chance = np.random.default_rng(3)

@@ -336,6 +336,7 @@ def test_any_junk_in_any_field_is_a_rig_or_a_field_error(
         assert rig.natural_frequency(0.03) > 0
 
 
+@pytest.mark.slow
 def test_the_command_line_prints_a_line_for_each_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,6 +29,7 @@ METRICS = (
 )
 
 
+@pytest.mark.slow
 def test_draws_follow_their_distributions():
     from scipy.stats import kstest, truncnorm
 

@@ -186,6 +186,7 @@ def test_the_shell_completes_commands() -> None:
     assert "inspect" not in answer.stdout
 
 
+@pytest.mark.slow
 def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
     answer = fraclink(
         *DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--json"

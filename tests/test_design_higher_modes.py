@@ -244,6 +244,7 @@ def test_the_command_line_bounds_the_mode(
     assert Design.load(place).rig.link.mass == 0.00735
 
 
+@pytest.mark.slow
 def test_a_mode_that_points_away_from_minus_one_may_be_loud() -> None:
     # Aluminium of 60 g under 22.5 to 40 g: no filter makes its third mode quiet.
     spec = spec_from_file_location("arm", shared_data("..", "arms", "arm.py"))

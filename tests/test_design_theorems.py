@@ -121,6 +121,7 @@ def test_exact_condition_is_the_slope_and_reaches_further_than_39(case: Case):
         assert second <= first + 1e-9
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(cases(right_of_39=True))
 def test_crossings_are_exact_and_complete(case: Case):

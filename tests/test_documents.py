@@ -418,6 +418,7 @@ def test_mutants_are_equal_or_refused(value: Any, name: str, tmp_path: Path) -> 
     assert refused > 0.8 * count
 
 
+@pytest.mark.slow
 def test_what_cannot_be_saved_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     for value in (5, Gear(1.0), Made):

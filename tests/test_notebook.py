@@ -95,6 +95,7 @@ def test_a_drawing_brings_the_colours_of_both_themes(results: dict[str, Any]) ->
     assert "var(" not in style
 
 
+@pytest.mark.slow
 def test_a_certificate_and_its_statement_show_what_was_proved(
     results: dict[str, Any],
 ) -> None:
@@ -108,6 +109,7 @@ def test_a_certificate_and_its_statement_show_what_was_proved(
     assert statement.clearance in statement.sentence
 
 
+@pytest.mark.slow
 def test_what_a_certificate_says_is_never_more_than_it_proves(
     results: dict[str, Any],
 ) -> None:

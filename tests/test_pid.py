@@ -155,6 +155,7 @@ def test_ordinary_pid() -> None:
     assert made.passed
 
 
+@pytest.mark.slow
 def test_fit_of_a_structure_is_a_plant(tmp_path: Path) -> None:
     w = np.geomspace(0.05, 50, 60)
     fit = fl.identify_structure(
@@ -200,6 +201,7 @@ def test_bad_requests(given: dict[str, Any], field: str) -> None:
     assert caught.value.field == field
 
 
+@pytest.mark.slow
 def test_infeasible_names_the_nearest_margin() -> None:
     with pytest.raises(fl.errors.InfeasibleError) as caught:
         fl.tune_pid(LAG, gain_crossover=3.0, form="PI", phase_margin=fl.deg(60))

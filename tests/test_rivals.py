@@ -72,6 +72,7 @@ def test_the_shaped_reference_is_the_convolution(design: fl.Design) -> None:
     assert shaped.duration == pytest.approx(0.4 + rival.impulses[1][0])
 
 
+@pytest.mark.slow
 def test_the_pd_has_its_zero_at_the_mode_and_a_notch_at_the_second(
     design: fl.Design,
 ) -> None:
@@ -121,6 +122,7 @@ def held_arm(design: fl.Design) -> tuple[Real, Real, Real]:
     return a, b, c
 
 
+@pytest.mark.slow
 def test_lqg_is_the_regulator_and_the_filter_of_its_riccati_equations(
     design: fl.Design,
 ) -> None:
@@ -155,6 +157,7 @@ def test_lqg_is_the_regulator_and_the_filter_of_its_riccati_equations(
     np.testing.assert_allclose(response, wanted, rtol=3e-3)
 
 
+@pytest.mark.slow
 def test_lqg_takes_a_constant_reading_for_the_gauges_offset(design: fl.Design) -> None:
     """A gauge that reads a constant is no reason to move: the offset's state takes it."""
     law = builders(design)["LQG"]().law

@@ -121,6 +121,7 @@ def test_a_saved_log_is_read_as_a_log(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_certificate_is_saved_and_loaded(tmp_path: Path) -> None:
     certificate = fl.certify(design(), payloads=(0.03, 0.03))
     assert fl.load(fl.save(certificate, tmp_path / "certificate.json")) == certificate

@@ -438,6 +438,7 @@ def test_the_command_line_shapes_and_moves(
     assert "payload" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_line_shapes_for_an_estimate(
     design: fl.Design,
     tmp_path: Path,

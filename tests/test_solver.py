@@ -351,6 +351,7 @@ def test_a_notch_that_fills_up_does_not_end_the_search_for_a_deeper_one() -> Non
     assert made.passed and made.controller.notch is not None
 
 
+@pytest.mark.slow
 def test_a_refusal_over_a_box_names_the_arm_that_is_in_the_way() -> None:
     box = replace(fl.ParameterBox.at(MODEL), order=(1.89, 1.95), gauge_delay=(0, 0.02))
     with pytest.raises(InfeasibleError, match=r"λ 1\.[0-9]+, the gauge's delay 20 ms"):

@@ -631,6 +631,7 @@ def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
     assert found.columns.voltage.column == "motor_V"
 
 
+@pytest.mark.slow
 def test_recorded_names_serve_though_they_do_not_fit_the_columns() -> None:
     place = shared_data("rig_a_late_gauge", "unit7.csv")
     (question,) = match(place).questions
@@ -655,6 +656,7 @@ def test_recorded_structures_offer_no_reference_and_no_column_twice() -> None:
     assert len(set(values)) == len(values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["2_lab_a05_f04", "2_lab_a10_f04", "2_lab_a15_f10"])
 def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     place = shared_data("ist_flexbar", f"{name}.csv")
@@ -669,6 +671,7 @@ def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     assert found.columns.voltage.column == "u_V"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "answers", "remedy"),
     [

@@ -231,6 +231,7 @@ def test_fixed_values_bounds_and_start() -> None:
     assert again.parameters["a"] == pytest.approx(free.parameters["a"], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_orders_of_exchangeable_terms_fall() -> None:
     """In a2*s**n2 + a1*s**n1 the terms are interchangeable; the order in the text
     decides which is which.

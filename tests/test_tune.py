@@ -75,6 +75,7 @@ WRONG: dict[str, Callable[[fl.lab.SimulatedArm], Callback]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", WRONG)
 def test_a_wrong_wire_is_named_within_the_plan(fault: str) -> None:
     made = arm()
@@ -120,6 +121,7 @@ LOUD = {"gnoise": 0.02, "hum": 0.015, "gdrift": 0.003, "goffset": 0.3}
 IN_VOLTS = {"ggain": 0.012, "gnoise": 5e-5, "goffset": 4e-4}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swapped", [False, True])
 @pytest.mark.parametrize(
     ("changes", "torque"),
@@ -162,6 +164,7 @@ def test_what_an_unknown_motor_may_not_have_is_said() -> None:
     assert 2.0 < np.max(made.record[:, 4]) < 10.0 / 3.0
 
 
+@pytest.mark.slow
 def test_a_gauge_whose_scale_reaches_the_guard_is_named_by_smaller_pulses() -> None:
     quiet = replace(RIG, gauge=replace(RIG.gauge, noise=1e-3))
 
@@ -223,6 +226,7 @@ def planned_motion() -> float:
     return math.radians(float(degrees))
 
 
+@pytest.mark.slow
 def test_right_wiring_has_evidence() -> None:
     twin = replace(fl.Twin.from_rig(RIG), gauge_delay=0.012, gauge_gain=0.8)
     made = fl.lab.SimulatedArm(twin, PERIOD)
@@ -233,6 +237,7 @@ def test_right_wiring_has_evidence() -> None:
     assert np.ptp(made.record[:, 1]) < math.radians(5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coulomb", [0.5, 1.0, 2.0])
 def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> None:
     """With friction ignored, K/J came out half as large, and a gauge reading 0.7 times
@@ -542,6 +547,7 @@ def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
     assert "70° is too much" in words[0] and "phase margin" in words[1]
 
 
+@pytest.mark.slow
 def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:
     found = fl.tune(wired(arm(), torque=-1), PLAN, out=tmp_path / "new", clock="none")
     assert not found.passed and found.stopped.startswith("gauge reversed")

@@ -572,6 +572,7 @@ def test_a_slow_link_is_excited_at_its_first_mode(tmp_path: Path) -> None:
     assert abs(tuned.link.fit.model.pole) == pytest.approx(4.76, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_late_gauge_on_a_heavy_link_has_the_sign_that_it_has(sign: int) -> None:
     # The second mode, which the doublets excite most, turns by 2.4 rad until the gauge

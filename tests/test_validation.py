@@ -110,6 +110,7 @@ def test_the_payload_of_the_log_is_the_one_predicted_for(fit: fl.Fit) -> None:
     assert not fit.validate(replace(lighter, payload=None)).passed
 
 
+@pytest.mark.slow
 def test_a_log_that_was_cut_moves_by_what_was_before(fit: fl.Fit) -> None:
     whole = log(2)
     cut = replace(
@@ -130,6 +131,7 @@ def test_bad_logs_are_refused(fit: fl.Fit) -> None:
         fit.validate(replace(log(2), output_kind="deflection"))
 
 
+@pytest.mark.slow
 def test_the_command(
     fit: fl.Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

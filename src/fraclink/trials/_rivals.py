@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag, solve_discrete_are
-from scipy.signal import cont2discrete, tf2ss
+from scipy.linalg import block_diag, companion, expm, solve_discrete_are
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
@@ -265,9 +264,17 @@ def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
             for ratio in (mode.damping_ratio, WIDE)
         )
         above, below = np.polymul(above, near), np.polymul(below, wide)
-    top, bottom, _ = cont2discrete((above, below), period, "bilinear")
-    a, b, c, d = tf2ss(top[0], bottom)
-    return correction_of(a, b[:, 0], c[0], float(d[0, 0]))
+    # Tustin's rule for the controller canonical form, direct + c (s − A)⁻¹ e₁
+    one, half = np.eye(len(below) - 1), 0.5 * period * companion(below)
+    solved = np.linalg.inv(one - half)
+    direct = above[0] / below[0]
+    c = (above - direct * below)[1:] / below[0]
+    return correction_of(
+        solved @ (one + half),
+        period * solved[:, 0],
+        c @ solved,
+        direct + 0.5 * period * float(c @ solved[:, 0]),
+    )
 
 
 def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
@@ -286,17 +293,19 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     # The link's pole as that of the nearest model of integer order.
     w, ratio = link.resonance, link.damping_ratio
     # Motor reference to tip angle: M(s) and the mode of the link, states θm, θ̇m, θt,
-    # θ̇t.
-    a = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0],
-            [-(pole**2), -2.0 * pole, 0.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-            [w**2, 0.0, -(w**2), -2.0 * ratio * w],
-        ]
-    )
-    b = np.array([[0.0], [pole**2], [0.0], [0.0]])
-    transition, drive, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), period)
+    # θ̇t, and the reference, which is held for a period.
+    held = expm(
+        period
+        * np.array(
+            [
+                [0.0, 1.0, 0.0, 0.0, 0.0],
+                [-(pole**2), -2.0 * pole, 0.0, 0.0, pole**2],
+                [0.0, 0.0, 0.0, 1.0, 0.0],
+                [w**2, 0.0, -(w**2), -2.0 * ratio * w, 0.0],
+                [0.0, 0.0, 0.0, 0.0, 0.0],
+            ]
+        )
+    )[:4]
     if delay > 1:
         # the controller has one pole at 0 per period of delay, and law.c only runs
         # simple poles
@@ -305,7 +314,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     n = 4 + delay
     queue = np.block(
         [
-            [transition, drive, np.zeros((4, delay))],
+            [held, np.zeros((4, delay))],
             [np.zeros((delay, 5)), np.eye(delay)],
         ]
     )
