@@ -700,7 +700,7 @@ def test_the_link_is_found_below_a_second_mode_with_more_energy() -> None:
 @pytest.mark.parametrize(
     ("changes", "cause"),
     [
-        ({}, r"as with (69|70|71) % of the mass"),
+        ({}, r"as if with (69|70|71) % of the mass"),
         ({"play": math.radians(1.0), "kg": 1500.0}, "play in the gear"),
     ],
     ids=["slipped payload", "play"],

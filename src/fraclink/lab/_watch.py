@@ -267,7 +267,7 @@ def changed_link(log: Experiment, known: Fit) -> tuple[str, ...]:
             else "a joint gives, as with play in the gear"
         )
         return (
-            f"the link swings as if with {share:.0f} % of the mass in its measurement: the payload "
+            f"the link swings as if with {share:.0f} % of the mass that it was tuned with: the payload "
             f"slipped or was changed, or {loose}; fix it, and tune again",
         )
     if delay.changed and delay.now > delay.was:
