@@ -66,6 +66,15 @@ def test_tables(tmp_path: Path, text: str, columns: object) -> None:
     assert (found.source, len(found.sha256)) == ("table.csv", 64)
 
 
+def test_no_cell_of_a_table_is_made_up(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    rows = [f"{k},{1 / k:.6f},-90" for k in range(1, 301)]
+    rows[100] = "101,,-90"
+    path.write_text("\n".join(["omega,gain,phase_deg", *rows]))
+    with pytest.raises(LogError, match="line 102, column gain: missing"):
+        fl.read_frequency_response(path)
+
+
 @pytest.mark.parametrize(
     ("header", "refused"),
     [

@@ -240,6 +240,22 @@ def test_white_errors_are_the_scatter_of_fits() -> None:
         assert 0.6 < said / scatter < 1.7, name
 
 
+def test_a_link_without_damping_is_vetoed_by_no_chance_of_the_noise() -> None:
+    """One standard error is exceeded by chance in one log of six."""
+    period = 0.004
+    time = period * np.arange(1500)
+    moves = ((0.2, 0.6), (1.7, -0.6), (3.1, 0.5), (4.4, -0.5))
+    reference = sum(a * (time >= t) for t, a in moves)
+    angle = np.asarray(time_response(1 / (0.04 * s + 1) ** 2, reference, period).output)
+    clean = simulated_torque(LinkModel(1.0, 10.63), angle, period, hold="first")
+    vetoes = 0
+    for seed in range(8):
+        noise = np.random.default_rng(seed).normal(size=time.size)
+        log = Experiment(period, angle, clean + 0.05 * clean.std() * noise)
+        vetoes += bool(compare_structures(log, details=False).vetoed)
+    assert vetoes <= 3
+
+
 def test_the_held_out_part_vetoes_a_link_without_damping() -> None:
     """The arm is pushed in the fitted part: an undamped link fits the rest so well that
     a damped one cannot be shown to be better, but its prediction of the held-out motion

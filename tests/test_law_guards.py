@@ -19,6 +19,7 @@ from law_bench import closed_loop, law, run, signals
 PRECISIONS = ("double", "single")
 ENCODER, GAUGE, REFERENCE, MISSED, REPEATED = 1, 2, 4, 8, 16
 LIMITED, SATURATED, STARTED, RESIDUAL = 32, 64, 128, 256
+RINGING = 1024
 ALL = 2**32 - 1
 COUNT = 400
 # law_state of law.h: fourteen words, then reals, of which the first twenty are modes;
@@ -189,6 +190,30 @@ def test_a_blocked_link_holds() -> None:
     assert ended(outputs) == ("hold", "link overloaded")
     held = outputs.mode == 3
     assert np.ptp(outputs.motor_reference[held]) == 0
+
+
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_vibration_that_goes_on_is_flagged_until_it_ends_and_stops_where_asked(
+    stops: bool,
+) -> None:
+    limits = replace(law().limits, stop_ringing=stops)
+    half = limits.block_limit / 1.5  # [periods] of the link
+    k = np.arange(round(70 * half))
+    swing = 2.0 * limits.swing_angle * law().stiffness * np.sin(np.pi * k / half)
+    rows = quiet(k.size)
+    rows[3] += np.where(k < 40 * half, swing, 0.0)
+    outputs = run(replace(law(), limits=limits), rows)
+    flagged = np.flatnonzero(outputs.flags & RINGING)
+    assert 8 * half < flagged[0] < 10 * half
+    if stops:
+        assert ended(outputs) == ("hold", "tip vibrates")
+    else:
+        assert np.all(np.diff(flagged) == 1) and 40 < flagged[-1] / half < 56
+        assert ended(outputs) == ("run", "none")
+    decaying = quiet(k.size)
+    decaying[3] += swing * np.exp(-k / (3 * half))
+    outputs = run(replace(law(), limits=limits), decaying)
+    assert not np.any(outputs.flags & RINGING) and ended(outputs) == ("run", "none")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 100.0])

@@ -266,6 +266,12 @@ def pid(**changed: float) -> fl.extend.FractionalPid:
 LAW = {"output_limit": 10.0, "measurement_limit": 2.0}
 
 
+def test_a_law_that_would_do_nothing_at_rest_is_refused() -> None:
+    controller = fl.extend.FractionalPid(0.0, derivative=1.0, filter_time=0.01)
+    with pytest.raises(fl.errors.FieldError, match="at rest it would do nothing"):
+        fl.extend.discretize_pid(controller, 0.004, **LAW)
+
+
 def own_filter(law: fl.Law, error: Real, limit: float = math.inf) -> Real:
     """u from the coefficients of the law, computed by separate sums: modes, Tustin's
     integral, limit and anti-windup.

@@ -256,6 +256,19 @@ def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
     assert run.mode[-1] == 4 or np.abs(run.error).max() > 0.5
 
 
+def test_a_run_ends_with_the_last_sample_within_every_bound(law):
+    strong = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e4))
+    twin = quiet()
+    motor = replace(twin.motor, voltage_limit=1e9, torque_constant=1e8)
+    wild = replace(twin, motor=motor)
+    ended = fl.simulate(strong, MOVE, arm=wild, duration=2.0).time.size
+    assert 1 < ended < round(2.0 / law.period)
+    # a run that is asked for less than one more sample has them all, and no other
+    for samples in (ended - 1, ended, ended + 1):
+        run = fl.simulate(strong, MOVE, arm=wild, duration=(samples - 1) * law.period)
+        assert run.time.size == min(samples, ended)
+
+
 def test_same_seed_same_run_and_seeds_differ(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     one, two, other = (

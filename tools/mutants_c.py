@@ -39,10 +39,13 @@ TWIN = (
 )
 FIT = "test_identify_kernel test_identify test_identify_residual test_identify_shape"
 LOOP = "test_loop test_motor test_simulate test_simulate_metrics test_law_exact"
-REALTIME = "test_realtime_messages test_realtime_line test_realtime"
+REALTIME = (
+    "test_realtime_messages test_realtime_line test_realtime test_realtime_cli"
+    " test_arm_firmware"
+)
 TESTS = {
     "law": LAW, "law_port": LAW, "arm_link": "test_arm_firmware",
-    "payload_estimator": "test_estimator test_export_firmware",
+    "payload_estimator": "test_estimator test_export_readme test_export_firmware",
     "figures": "test_solver test_shape test_design",
     "fit": FIT, "fit_pass": FIT, "fit_weights": FIT, "normal": FIT + " test_simulate",
     "weights": LOOP, "batch": "test_simulated_links test_simulate",
