@@ -31,7 +31,7 @@ from fraclink.lab import run_realtime
 from fraclink.trials import Campaign, replay_run, simulate_part
 from needed_tools import tool
 from shared_data import shared_data
-from tuned_arms import own_clock
+from virtual_clock import VirtualClock
 
 ROOT = Path(__file__).resolve().parents[1]
 GEARED = fl.Rig.named("paper-2023-geared")
@@ -579,7 +579,7 @@ def test_the_loop_in_real_time_gives_the_estimate() -> None:
         estimator=bank("single"),  # it is converted to the precision of the law
         priority=0,
         lock_memory=False,
-        clock=own_clock(1),
+        clock=VirtualClock(1),
     )
     found = run.estimates
     assert found is not None and run.first_difference is None

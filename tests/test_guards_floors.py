@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 939,
     "_reading": 875,
     "_simulate": 1164,
-    "lab": 1885,
+    "lab": 1884,
     "logs": 697,
     "studio": 1056,
     "trials": 1263,

@@ -29,7 +29,7 @@ from fraclink.lab import _loop as loop
 from fraclink.lab._line import open_line
 from fraclink.lab._machine import signals_held
 from fraclink.lab._run import first_difference, saved
-from tuned_arms import own_clock
+from virtual_clock import VirtualClock
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -83,7 +83,7 @@ def live(
     law: Law, board: Callback, reference: Reference | None = None, **options: object
 ) -> RealtimeRun:
     """Run `law` on a clock of its own; by default the arm is to stay where it is."""
-    given = {"priority": 0, "lock_memory": False, "clock": own_clock(1)} | options
+    given = {"priority": 0, "lock_memory": False, "clock": VirtualClock(1)} | options
     return run_realtime(law, reference or fl.extend.hold(0.0), board, **given)  # type: ignore[arg-type]
 
 
@@ -148,7 +148,7 @@ def test_the_reference_counts_from_where_the_arm_stands(law: Law) -> None:
 
 
 def test_missed_periods_reach_the_law(law: Law) -> None:
-    board, clock = Board(), own_clock(1)
+    board, clock = Board(), VirtualClock(1)
 
     def late() -> tuple[float, float] | None:
         if board.reads == 5:
@@ -176,7 +176,7 @@ def test_missed_periods_reach_the_law(law: Law) -> None:
 
 
 def test_too_many_missed_periods_switch_the_drive_off(law: Law) -> None:
-    board, clock = Board(), own_clock(1)
+    board, clock = Board(), VirtualClock(1)
 
     def asleep() -> tuple[float, float] | None:
         if board.reads == 5:
@@ -398,7 +398,7 @@ def test_a_place_that_is_lost_in_the_run_has_a_second_one(
 
 def test_a_run_whose_last_periods_never_ran_does_not_pass(law: Law) -> None:
     """The law is not called after them, and so does not trip."""
-    board, clock = Board(), own_clock(1)
+    board, clock = Board(), VirtualClock(1)
 
     def asleep() -> tuple[float, float] | None:
         if board.reads == 20:

@@ -8,6 +8,7 @@ effect.
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -32,6 +33,7 @@ from fraclink.errors import LogError
 from fraclink.extend import geared
 from fraclink.lab import RealtimeRun, ServedArm
 from fraclink.trials import load_study
+from virtual_clock import VirtualClock
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -117,7 +119,7 @@ def virtual(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock of the loop, which only this thread uses."""
     clock = _kernels.RealtimeClock
     monkeypatch.setattr(
-        _kernels, "RealtimeClock", lambda threads: clock(max(threads, 1))
+        _kernels, "RealtimeClock", lambda given: clock(given or VirtualClock())
     )
 
 
@@ -345,12 +347,14 @@ def free_port() -> int:
         return int(plug.getsockname()[1])
 
 
-# The command line, with its loop on the clock in a file of this process.
+# The command line, with its loop on the clock of this process.
 ARM = """
     import sys
     from fraclink import _cli, _kernels
-    clock = _kernels.RealtimeClock(0, int(sys.argv.pop(1)))
-    _kernels.RealtimeClock = lambda threads: clock
+    from virtual_clock import RemoteClock
+    clock = RemoteClock(int(sys.argv.pop(1)))
+    machine = _kernels.RealtimeClock
+    _kernels.RealtimeClock = lambda given: machine(clock)
     code = _cli.main(["serve-arm", "design.json", *sys.argv[1:]])
     clock.leave()
     sys.exit(code)
@@ -368,8 +372,10 @@ def arm_process(
     Yields it and the clock that `threads` take turns on, the arm's being one of them:
     nobody can be late.
     """
-    file = os.memfd_create("clock")
-    clock = _kernels.RealtimeClock(threads, file)
+    clock = VirtualClock(threads)
+    here, there = multiprocessing.Pipe()
+    clock.serve(here)
+    file = there.fileno()
     command = [sys.executable, "-c", textwrap.dedent(ARM), str(file), *more]
     with subprocess.Popen(  # noqa: S603
         command,
@@ -377,7 +383,9 @@ def arm_process(
         stderr=subprocess.PIPE,
         text=True,
         pass_fds=(file,),
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent)},
     ) as arm:
+        there.close()
         try:
             assert arm.stderr is not None
             # however long the start takes
@@ -385,7 +393,6 @@ def arm_process(
             yield arm, clock
         finally:
             arm.kill()
-            os.close(file)
     assert not clock.stalled
 
 
@@ -398,7 +405,8 @@ def test_an_arm_in_another_process(
         arm,
         clock,
     ):
-        monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock)
+        machine = _kernels.RealtimeClock
+        monkeypatch.setattr(_kernels, "RealtimeClock", lambda given: machine(clock))
         line = f"run-realtime design.json --io {io} --amplitude 0.2 --duration 2 --patience 60 --json"
         code, out, err = fraclink(line)
         clock.leave()
@@ -433,7 +441,8 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
 ) -> None:
     io = f"udp:127.0.0.1:{free_port()}"
     with arm_process(3, "--io", io, "--json") as (arm, clock):
-        monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock)
+        machine = _kernels.RealtimeClock
+        monkeypatch.setattr(_kernels, "RealtimeClock", lambda given: machine(clock))
 
         def freeze() -> None:
             # half a second passes before the run, to measure the timing of the machine

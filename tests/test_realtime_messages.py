@@ -29,7 +29,7 @@ from fraclink.errors import FieldError
 from fraclink.extend import equip, geared
 from fraclink.lab import RealtimeRun, ServedArm, Udp, run_realtime, serve_arm
 from fraclink.lab._connections import arm_end
-from tuned_arms import own_clock
+from virtual_clock import VirtualClock
 
 if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -83,7 +83,7 @@ class Serving:
     def __init__(
         self, twin: Twin, way: Udp, period: float = PERIOD, **options: object
     ) -> None:
-        self.way, self.clock = way, own_clock(2)
+        self.way, self.clock = way, VirtualClock(2)
         self.results: list[ServedArm] = []
         given = {
             "duration": 10.0,
@@ -484,7 +484,8 @@ def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
         serve_arm(twin, Udp("203.0.113.7", 5005, unsafe_remote=True), PERIOD)
     way = Udp("0.0.0.0", free_port(), unsafe_remote=True)  # noqa: S104
     assert (
-        serve_arm(twin, way, PERIOD, duration=0.1, clock=own_clock(1)).controllers == 0
+        serve_arm(twin, way, PERIOD, duration=0.1, clock=VirtualClock(1)).controllers
+        == 0
     )
 
 

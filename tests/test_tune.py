@@ -30,7 +30,8 @@ from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_link import _fitted
 from fraclink.lab._tune_motion import random_steps
 from fraclink.lab._tune_wiring import check_wiring
-from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded, outside_arm, own_clock
+from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded, outside_arm
+from virtual_clock import VirtualClock
 
 if sys.platform != "linux":
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -296,7 +297,7 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
         plug.bind(("127.0.0.1", 0))
         way = fl.lab.Udp("127.0.0.1", plug.getsockname()[1])
-    clock = own_clock(2)
+    clock = VirtualClock(2)
     served: list[fl.lab.ServedArm] = []
 
     def serve() -> None:

@@ -10,7 +10,6 @@ import fraclink as fl
 from fraclink import Callback
 from fraclink.lab import Wiring
 from fraclink.lab._line import open_line
-from fraclink.lab._machine import VirtualClock
 from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_link import tune_link
 from fraclink.lab._tune_motor import tune_motor
@@ -38,11 +37,6 @@ def guarded(
     clock: Any = "none",
 ) -> Guard:
     return Guard(partial(open_line, connection, period, clock=clock), limits)
-
-
-def own_clock(threads: int = 1) -> Any:
-    """A clock for `threads` loops that moves on as soon as all of them wait for it."""
-    return VirtualClock(threads)
 
 
 def staged(made: fl.lab.SimulatedArm | None = None) -> Stages:

@@ -132,30 +132,31 @@ bool write_once(Io &io, double reference, double voltage, std::uint32_t tick, st
     return refused == 0;
 }
 
-// A virtual clock for some threads, or the one that another process keeps in a file; for none, that of the machine.
+// The machine's clock, or that of a test: an object with now_ns() and sleep_until(ns), which must not raise.
 struct Clock {
-    realtime_clock *clock;
-    Clock(int threads, int file) : clock(nullptr) {
-        require(threads >= 0 && threads <= 8, "clock: at most 8 threads");
-        const bool machine = threads == 0 && file < 0;
-        clock = machine ? nullptr : realtime_clock_open(threads, file);
-        if (!machine && !clock) throw std::system_error(errno, std::generic_category());
+    nb::object own;
+    realtime_clock calls;
+
+    explicit Clock(nb::object given) : own(std::move(given)), calls{own.ptr(), now_of, sleep_of} {
+        require(own.is_none() || (nb::hasattr(own, "now_ns") && nb::hasattr(own, "sleep_until")), "clock: now_ns, sleep_until");
     }
     Clock(const Clock &) = delete;
-    Clock &operator=(const Clock &) = delete;
-    ~Clock() {
-        if (clock) realtime_clock_close(clock);
+
+    static std::int64_t now_of(void *self) noexcept {
+        const nb::gil_scoped_acquire acquire;
+        return nb::cast<std::int64_t>(nb::handle(static_cast<PyObject *>(self)).attr("now_ns")());
+    }
+    static void sleep_of(void *self, std::int64_t time_ns) noexcept {
+        const nb::gil_scoped_acquire acquire;
+        nb::handle(static_cast<PyObject *>(self)).attr("sleep_until")(time_ns);
     }
 
-    double now() const { return 1e-9 * double(realtime_now(clock)); }
-    void sleep(double seconds) {
+    const realtime_clock *clock() const { return own.is_none() ? nullptr : &calls; }
+    double now() const { return 1e-9 * double(realtime_now(clock())); }
+    void sleep(double seconds) const {
         const nb::gil_scoped_release release;
-        realtime_sleep_until(clock, realtime_now(clock) + std::int64_t(std::llround(1e9 * seconds)));
+        realtime_sleep_until(clock(), realtime_now(clock()) + std::int64_t(std::llround(1e9 * seconds)));
     }
-    void leave() {
-        if (clock) realtime_clock_leave(clock);
-    }
-    bool stalled() const { return clock && realtime_clock_stalled(clock) != 0; }
 };
 
 nb::dict told(const realtime_outcome &o) {
@@ -190,7 +191,7 @@ nb::tuple run(Io &io, nb::bytes params, nb::bytes state, bool single, Read<doubl
     std::fill_n(marks.get(), length * REALTIME_MARKS, 0U);
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
                                 estimated ? bank.data() : nullptr, estimates.data(), patience_ns, priority,
-                                lock_memory, clock.clock};
+                                lock_memory, clock.clock()};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
     {
@@ -205,7 +206,7 @@ nb::tuple run(Io &io, nb::bytes params, nb::bytes state, bool single, Read<doubl
 
 nb::dict bare(Write<double, -1> latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
     const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, 0, priority,
-                                lock_memory, clock.clock};
+                                lock_memory, clock.clock()};
     realtime_outcome outcome;
     {
         const nb::gil_scoped_release release;
@@ -222,7 +223,7 @@ nb::tuple serve(Io &io, nb::handle state, Read<double, -1> gauge_error, std::int
     auto record = room<double>(gauge_error.size() * SERVED_COLUMNS);
     std::fill_n(record.get(), gauge_error.size() * SERVED_COLUMNS, 0.0);
     const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, once, gauge_error.data(), priority,
-                              clock.clock};
+                              clock.clock()};
     served_outcome outcome;
     {
         const nb::gil_scoped_release release;
@@ -252,11 +253,9 @@ void bind_realtime(nb::module_ &m) {
         .def_prop_ro("clocked", [](Io &io) { return io_of(io).clocked != 0; })
         .def_prop_ro("taken", [](Io &io) { return io.channel ? io.channel->taken : 0U; });
     nb::class_<Clock>(m, "RealtimeClock")
-        .def(nb::init<int, int>(), nb::arg("threads"), nb::arg("file") = -1)
+        .def(nb::init<nb::object>(), nb::arg("clock").none())
         .def("sleep", &Clock::sleep)
-        .def("leave", &Clock::leave)
-        .def_prop_ro("now", &Clock::now)
-        .def_prop_ro("stalled", &Clock::stalled);
+        .def_prop_ro("now", &Clock::now);
     m.def("realtime_run", &run);
     m.def("realtime_bare", &bare);
     m.def("realtime_serve", &serve);

@@ -30,22 +30,16 @@ typedef struct {
 
 /* ---- the clock ---- */
 
-/* Time in nanoseconds. Every function below takes NULL for the machine's CLOCK_MONOTONIC, or a virtual clock for
- * tests: it stands still until each of its `threads` sleeps in it, advances to the earliest wake-up, and lets that
- * one thread run. Threads thus take turns in an order independent of the load, their work takes no time, and a
- * minute of sleep passes at once. */
-typedef struct realtime_clock realtime_clock;
-/* `file` is memory that another process opens with `threads` 0, so that its threads take their turns too; -1: none. */
-realtime_clock *realtime_clock_open(int threads, int file);
-void realtime_clock_close(realtime_clock *clock);
-/* The calling thread will not sleep any more: the others go on without it. */
-void realtime_clock_leave(realtime_clock *clock);
-/* Whether a thread has waited 120 s of real time for its turn: another one forgot to leave. */
-int realtime_clock_stalled(const realtime_clock *clock);
+/* Time in nanoseconds. Every function below takes NULL for the machine's CLOCK_MONOTONIC, or the clock of a test. */
+typedef struct {
+    void *self;
+    int64_t (*now)(void *self);
+    void (*sleep_until)(void *self, int64_t time_ns);
+} realtime_clock;
 
-int64_t realtime_now(realtime_clock *clock);
+int64_t realtime_now(const realtime_clock *clock);
 /* Sleep until that time, or until a signal. */
-void realtime_sleep_until(realtime_clock *clock, int64_t time_ns);
+void realtime_sleep_until(const realtime_clock *clock, int64_t time_ns);
 
 /* ---- how samples come and commands go ---- */
 
@@ -105,7 +99,7 @@ typedef struct {
     int64_t patience_ns; /* for the first sample */
     int priority;        /* of SCHED_FIFO; 0: not requested */
     int lock_memory;
-    realtime_clock *clock;
+    const realtime_clock *clock;
 } realtime_plan;
 
 /* The state of a thread before it was prepared for real time, and the errno of a denied request, else 0. */
@@ -199,7 +193,7 @@ typedef struct {
     int once;           /* end when the first controller has left */
     const double *gauge_error; /* [N m], one value per period */
     int priority;       /* of SCHED_FIFO; 0: not requested */
-    realtime_clock *clock;
+    const realtime_clock *clock;
 } served_plan;
 
 typedef struct {

@@ -1,4 +1,4 @@
-/* Requirements of real time on the process: signals that end a run in order, priority, and locked memory. */
+/* What real time takes of the process: its clock, signals that end a run in order, priority, and locked memory. */
 #define _GNU_SOURCE
 #include "realtime.h"
 
@@ -11,8 +11,29 @@
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
+#include <time.h>
 
 #define STACK_BYTES 65536 /* the deepest call of a period needs about 2 kB, a Python callback needs more */
+
+/* ---- the clock ---- */
+
+int64_t realtime_now(const realtime_clock *clock)
+{
+    struct timespec t;
+    if (clock != NULL)
+        return clock->now(clock->self);
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+void realtime_sleep_until(const realtime_clock *clock, int64_t time_ns)
+{
+    const struct timespec t = {time_ns / 1000000000, time_ns % 1000000000};
+    if (clock != NULL)
+        clock->sleep_until(clock->self, time_ns);
+    else
+        clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL);
+}
 
 /* ---- signals ---- */
 

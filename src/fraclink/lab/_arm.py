@@ -145,7 +145,7 @@ def serve_arm(
     begin
         called with the name of the pseudo-terminal, once a controller may open it.
     clock
-        a `VirtualClock` for tests; default: the machine's.
+        of a test, with `now_ns()` and `sleep_until(ns)`; default: the machine's.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def serve_arm(
             watchdog,
             once,
             priority,
-            clock or _kernels.RealtimeClock(0),
+            _kernels.RealtimeClock(clock),
         )
     columns = (*SimulatedArm.COLUMNS, "connected")
     parts: dict[str, Any] = {

@@ -150,11 +150,11 @@ def open_line(
     sent however it ends.
 
     `period` [s] may be None for an arm that states its own; FieldError if neither
-    states it, or if they differ. `clock` may be a `VirtualClock`, or "none" for an arm
-    in this process that only advances when called.
+    states it, or if they differ. `clock` may be a test's, or "none" for an arm in
+    this process that only advances when called.
     """
     check_machine()
-    time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)
+    time = _NoClock() if clock == "none" else _kernels.RealtimeClock(clock)
     with contextlib.ExitStack() as stack:
         # Every signal that would end or stop the process is recorded instead of acting
         # on it, in any thread. This uses the signal handling of the loop, since Python's

@@ -100,7 +100,7 @@ def run_realtime(
     allowed_overruns
         largest number of overruns with which the run passes.
     clock
-        a `VirtualClock` for tests; default: the machine's.
+        of a test, with `now_ns()` and `sleep_until(ns)`; default: the machine's.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def run_realtime(
                 round(1e9 * patience),
                 priority,
                 lock_memory,
-                clock or _kernels.RealtimeClock(0),
+                _kernels.RealtimeClock(clock),
             )
         if STOPS[int(outcome["stop"])] == "signal":
             obeyed.set()

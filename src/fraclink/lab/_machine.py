@@ -23,7 +23,6 @@ __all__ = [
     "PRIORITY",
     "Priority",
     "Spread",
-    "VirtualClock",
     "WakeUps",
     "check_machine",
     "granted",
@@ -32,10 +31,6 @@ __all__ = [
     "signals_held",
 ]
 
-
-# Simulated time for tests, in which `threads` loops and their peers take turns; see
-# csrc/kernels/realtime.h. Linux only.
-VirtualClock = getattr(_kernels, "RealtimeClock", None)
 
 # above the kernel's interrupt threads (50), below the threads that keep the machine
 # alive (99)
@@ -173,7 +168,7 @@ def measure_wake_ups(
         period_ns(sleep),
         priority,
         lock_memory,
-        clock or _kernels.RealtimeClock(0),
+        _kernels.RealtimeClock(clock),
     )
     # The kernel left the loop early, which only happens on a signal.
     if int(outcome["count"]) < len(latency):

@@ -74,7 +74,8 @@ def tune(
     begin
         called with a sentence as each stage begins, and with what it found.
     clock
-        a `VirtualClock`, or "none" for a `SimulatedArm`, which lives by its calls.
+        "none" for a `SimulatedArm`, which lives by its calls; or that of a test, as for
+        `run_realtime`.
 
     Raises
     ------
