@@ -53,46 +53,40 @@ static double *in_entry(const tables *t, ptrdiff_t state, int sample) {
 }
 
 // d^0 … d^BLOCK from log d: four exponentials and at most three products each.
-static void powers(double log_size, double angle, double (*p)[2]) {
-    p[0][0] = 1.0;
-    p[0][1] = 0.0;
+static void powers(cx log, cx *p) {
+    p[0] = (cx){1.0, 0.0};
     for (int n = 1; n <= BLOCK; n *= 2) {
-        double size = exp(n * log_size);
-        p[n][0] = angle == 0.0 ? size : size * cos(n * angle);
-        p[n][1] = angle == 0.0 ? 0.0 : size * sin(n * angle);
-        for (int m = n + 1; m < 2 * n && m < BLOCK; m++) {
-            const double *q = p[m - n];
-            p[m][0] = p[n][0] * q[0] - p[n][1] * q[1];
-            p[m][1] = p[n][0] * q[1] + p[n][1] * q[0];
-        }
+        p[n] = log.im == 0.0 ? (cx){exp(n * log.re), 0.0} : exponential(scale(n, log));
+        for (int m = n + 1; m < 2 * n && m < BLOCK; m++)
+            p[m] = mul(p[n], p[m - n]);
     }
 }
 
 static void fill(const modes_system *s, tables *t) {
     double response[BLOCK + 1] = {0.0}; // [m]: weight of lag m + 1
-    double p[2 * BLOCK][2];
+    cx p[2 * BLOCK];
     for (ptrdiff_t i = 0; i < s->reals; i++) {
-        powers(s->log_decays[i], 0.0, p);
+        powers((cx){s->log_decays[i], 0.0}, p);
         for (int n = 0; n < BLOCK; n++) {
-            t->out[i * BLOCK + n] = s->gains[i] * p[n][0];
-            *in_entry(t, i, BLOCK - 1 - n) = p[n][0];
-            response[n] += s->gains[i] * p[n][0];
+            t->out[i * BLOCK + n] = s->gains[i] * p[n].re;
+            *in_entry(t, i, BLOCK - 1 - n) = p[n].re;
+            response[n] += s->gains[i] * p[n].re;
         }
-        t->decay[i] = p[BLOCK][0];
+        t->decay[i] = p[BLOCK].re;
     }
     for (ptrdiff_t j = 0; j < s->pairs; j++) {
-        ptrdiff_t i = s->reals + 2 * j;
-        double gr = s->pole_gains[2 * j], gi = s->pole_gains[2 * j + 1];
-        powers(s->pole_log_decays[2 * j], s->pole_log_decays[2 * j + 1], p);
+        const ptrdiff_t i = s->reals + 2 * j;
+        powers(s->pole_log_decays[j], p);
         for (int n = 0; n < BLOCK; n++) {
-            t->out[i * BLOCK + n] = gr * p[n][0] - gi * p[n][1];
-            t->out[(i + 1) * BLOCK + n] = -(gr * p[n][1] + gi * p[n][0]);
-            *in_entry(t, i, BLOCK - 1 - n) = p[n][0];
-            *in_entry(t, i + 1, BLOCK - 1 - n) = p[n][1];
-            response[n] += gr * p[n][0] - gi * p[n][1];
+            const cx weight = mul(s->pole_gains[j], p[n]);
+            t->out[i * BLOCK + n] = weight.re;
+            t->out[(i + 1) * BLOCK + n] = -weight.im;
+            *in_entry(t, i, BLOCK - 1 - n) = p[n].re;
+            *in_entry(t, i + 1, BLOCK - 1 - n) = p[n].im;
+            response[n] += weight.re;
         }
-        t->turn[i] = p[BLOCK][0];
-        t->turn[i + 1] = p[BLOCK][1];
+        t->turn[i] = p[BLOCK].re;
+        t->turn[i + 1] = p[BLOCK].im;
     }
     response[0] += s->first;
     for (int j = 0; j < BLOCK; j++) {

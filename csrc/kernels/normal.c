@@ -44,7 +44,8 @@ static double middle(double q)
     return q * ratio(0.180625 - q * q, MIDDLE_TOP, MIDDLE_BOTTOM);
 }
 
-static double quantile(double p)
+/* The inverse normal distribution outside of the middle. */
+static double tail(double p)
 {
     static const double c[8] = {1.42343711074968357734e0,  4.63033784615654529590e0,  5.76949722146069140550e0,
                                 3.64784832476320460504e0,  1.27045825245236838258e0,  2.41780725177450611770e-1,
@@ -68,12 +69,9 @@ static double quantile(double p)
                                 1.84631831751005468180e-5,
                                 1.42151175831644588870e-7,
                                 2.04426310338993978564e-15};
-    const double q = p - 0.5;
-    if (fabs(q) <= MIDDLE)
-        return middle(q);
-    const double r = sqrt(-log(q < 0.0 ? p : 1.0 - p));
-    const double tail = r <= 5.0 ? ratio(r - 1.6, c, d) : ratio(r - 5.0, e, f);
-    return q < 0.0 ? -tail : tail;
+    const double r = sqrt(-log(p < 0.5 ? p : 1.0 - p));
+    const double above = r <= 5.0 ? ratio(r - 1.6, c, d) : ratio(r - 5.0, e, f);
+    return p < 0.5 ? -above : above;
 }
 
 /* Uniform number from a hash: 52 bits and a half, symmetric about 1/2, and never 0 or 1, where the quantile is
@@ -101,6 +99,6 @@ void loop_normals(uint64_t seed, double *out, int64_t length)
         }
         for (int64_t i = 0; i < n; i++)
             if (!(fabs(p[i] - 0.5) <= MIDDLE))
-                row[i] = quantile(p[i]);
+                row[i] = tail(p[i]);
     }
 }
