@@ -27,7 +27,7 @@ from fraclink import main
 from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError
 from fraclink.trials import save_study
-from test_report import HOSTILE, Elements, parsed
+from test_report import HOSTILE_PAGES, Elements, parsed
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def plain(study) -> Elements:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", HOSTILE)
+@pytest.mark.parametrize("text", HOSTILE_PAGES)
 def test_no_text_from_outside_becomes_an_element(study, plain, text):
     page = parsed(written(named(study, text)))
     assert page.found == plain.found

@@ -199,7 +199,7 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
         "--log",
         "demo",
         "--arms",
-        "1000",
+        "200",
         "--out",
         str(place),
         "--json",
@@ -218,8 +218,8 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     assert structures == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}
     assert len(result["runs"]) == 3
     assert result["report"].endswith("report.html")
-    assert result["arms"]["runs"] == 1000
-    fails = f"{result['arms']['failures']} of 1000 arms fail"
+    assert result["arms"]["runs"] == 200
+    fails = f"{result['arms']['failures']} of 200 arms fail"
     assert any(fails in reason for reason in result["reasons"])
     study = load_study(place)
     assert report_of(study) == (place / "report.html").read_text("utf-8")

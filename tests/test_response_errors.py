@@ -117,7 +117,7 @@ def random_system(generator: np.random.Generator) -> FractionalTransferFunction:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("respond", [impulse_response, step_response])
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_true_errors_stay_within_their_estimates(
     respond: Callable[..., TimeResponse], seed: int
 ) -> None:

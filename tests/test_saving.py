@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -127,20 +125,6 @@ def test_a_certificate_is_saved_and_loaded(tmp_path: Path) -> None:
     assert fl.load(fl.save(certificate, tmp_path / "certificate.json")) == certificate
     statement = certificate.statement
     assert fl.load(fl.save(statement, tmp_path / "statement.json")) == statement
-
-
-@pytest.mark.slow
-def test_a_process_that_has_loaded_nothing_reads_every_public_result(
-    tmp_path: Path,
-) -> None:
-    place = fl.save(HELD["TimeResponse"](), tmp_path / "response.json")
-    command = (
-        f"import fraclink as fl, fracsys; print(type(fl.load({str(place)!r})).__name__)"
-    )
-    done = subprocess.run(  # noqa: S603
-        [sys.executable, "-c", command], capture_output=True, text=True, check=False
-    )
-    assert done.stdout.strip() == "TimeResponse", done.stderr
 
 
 @pytest.mark.parametrize("value", [(), print, 3.0, fl.Callback, object()])
