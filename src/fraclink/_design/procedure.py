@@ -261,7 +261,7 @@ def _attempts_at_goal(
 ) -> list[tuple[Request, Solution | None]]:
     """The requests to try, each with the solution to start from: nine tenths of the
     highest feasible crossover or margin, first from the solution that reaches it, then
-    without; then smaller shares, in case the law does not keep it. Without such a goal,
+    from none; then smaller shares, in case the law does not keep it. Without such a goal,
     or if no loop meets the other rows, only the request itself.
     """
     if goal == "noise":
@@ -324,7 +324,7 @@ def _design_of(
 
 
 def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
-    """The name of the row that is missed by most, and a sentence on by how much.
+    """The name of the row that is missed by most, and a sentence that says how far.
 
     The nearest controller eases every requested row, so its figure is the best only
     together with the eased values of the other rows.
@@ -380,8 +380,8 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
     """The nearest request in the user's own quantities, rounded inwards to three
     digits; empty if no such request passes when followed, with the law as it ships.
     """
-    # The bound on the gain at a mode is not eased: above one, only the phase of the mode
-    # would keep the loop from -1.
+    # The bound on the gain at a mode is not eased: above a gain of one, only the phase of
+    # the mode would keep the loop from -1.
     soft = request.soft - {"mode_gain"}
     values: dict[str, float] = {}
     for share in _LOOSER:

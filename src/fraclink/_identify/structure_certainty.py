@@ -22,7 +22,7 @@ from fraclink._identify.structure_problem import StructureProblem
 from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import Covariance
 
-# share of a parameter in an undetermined direction beyond which it is undetermined
+# share of a parameter in an undetermined direction that makes it undetermined
 _SHARE = 0.1
 # Relative half-width of the interval of a coefficient beyond which the data do not
 # determine it: a factor of two.

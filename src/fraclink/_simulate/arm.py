@@ -44,8 +44,8 @@ SAME_ARM = 0.2
 
 @checked
 def geared(rig: Rig, ratio: Positive = 50.0) -> Rig:
-    """Return the rig with a gear after its motor as printed: the twin of the paper's
-    arm needs that hub.
+    """Return the rig with a gear behind its printed motor: the twin of the paper's arm
+    needs the larger hub inertia.
 
     Table 1 gives J = 6.87e-5 kg·m² and no gear ratio; taken at the gear's output that
     is 0.5 % of the arm's own inertia, and no sampled compensation of the coupling
@@ -98,7 +98,7 @@ def _agree(rig: Rig, model: LinkModel) -> None:
 @checked
 @dataclass(frozen=True)
 class Twin:
-    """A simulated arm that is more than the model.
+    """A simulated arm, with what the model leaves out.
 
     Parameters
     ----------

@@ -48,8 +48,8 @@ _LEAST_VIBRATIONS = 5.0
 
 @dataclass(frozen=True)
 class Change:
-    """One parameter of the arm: its value in the tuning, in the record, and the standard
-    error of the difference.
+    """One parameter of the arm: its values in the tuning and in the record, and the
+    standard error of their difference.
 
     name: "natural_frequency", "gauge_gain", "gauge_delay", "order" (λ, higher with less
     damping), "motor_gain" (K/J) or "friction"; with " within the record" where its

@@ -157,9 +157,9 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     and from day to day.
 
     payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %,
-    viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset
-    ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the rig's own: one more sample is
-    another design, not a tolerance. The gauge's delay is the identified one; the
+    viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise
+    0.5 … 2 ×, gauge offset ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the
+    rig's: one more sample is another design, not a tolerance. The gauge's delay is the identified one; the
     stiffness follows from ω₀ and payload, eq. (5), and the gauge's gain from that and
     the log.
 
