@@ -28,6 +28,11 @@ def design() -> fl.Design:
     return fl.design(link, RIG, payloads=(0.020, 0.040), **request)
 
 
+@pytest.fixture(scope="module")
+def lqg(design: fl.Design) -> Rival:
+    return builders(design)["LQG"]()
+
+
 def mode(design: fl.Design) -> complex:
     """The pole of s^λ = −ω₀² at the nominal payload, by hand."""
     link = design.model
@@ -124,12 +129,11 @@ def held_arm(design: fl.Design) -> tuple[Real, Real, Real]:
 
 @pytest.mark.slow
 def test_lqg_is_the_regulator_and_the_filter_of_its_riccati_equations(
-    design: fl.Design,
+    design: fl.Design, lqg: Rival
 ) -> None:
-    rival = builders(design)["LQG"]()
     a, b, c = held_arm(design)
     n = len(a)
-    weight = 1.0 / gain_of(rival)
+    weight = 1.0 / gain_of(lqg)
     cost = riccati(a, b, np.outer(c, c), weight)
     gain = (b @ cost @ a) / (weight + b @ cost @ b)
     # The gauge's offset is one state more: it adds to what is measured, and nothing
@@ -153,13 +157,12 @@ def test_lqg_is_the_regulator_and_the_filter_of_its_riccati_equations(
         enter = (wide - np.outer(drive, act)) @ filtered
         state = np.linalg.solve(z * np.eye(n + 1) - closed, enter)
         wanted.append(act @ (correct @ state + filtered))
-    response = rival.law.frequency_response(GRID)
+    response = lqg.law.frequency_response(GRID)
     np.testing.assert_allclose(response, wanted, rtol=3e-3)
 
 
 @pytest.mark.slow
-def test_lqg_takes_a_constant_reading_for_the_gauges_offset(design: fl.Design) -> None:
+def test_lqg_takes_a_constant_reading_for_the_gauges_offset(lqg: Rival) -> None:
     """A gauge that reads a constant is no reason to move: the offset's state takes it."""
-    law = builders(design)["LQG"]().law
-    slow, usual = np.abs(law.frequency_response(np.array([1e-5, 10.0])))
+    slow, usual = np.abs(lqg.law.frequency_response(np.array([1e-5, 10.0])))
     assert slow < 1e-3 * usual
