@@ -14,12 +14,19 @@
 
 #define EACH_LANE(l) for (int l = 0; l < LOOP_LANES; l++)
 
+/* The motors and their loop_weights, in step. */
 typedef struct {
-    double angle; /* from the start angle [rad] */
-    double speed;
-    double early; /* acceleration at the beginning and at the end of the last period [rad/s^2] */
-    double late;
-} motor_state;
+    double angle[LOOP_LANES]; /* from the start angle [rad] */
+    double speed[LOOP_LANES];
+    double early[LOOP_LANES]; /* acceleration at the beginning and at the end of the last period [rad/s^2] */
+    double late[LOOP_LANES];
+    double held[LOOP_LANES];
+    double keep[LOOP_LANES];
+    double first[LOOP_LANES];
+    double second[LOOP_LANES];
+    double decay[LOOP_LANES];
+    double impulse[LOOP_LANES];
+} motor_lanes;
 
 typedef struct {
     double real[LOOP_MODES];
@@ -33,24 +40,20 @@ static double rounded_to(double value, double quantum)
     return quantum > 0.0 ? nearbyint(value / quantum) * quantum : value;
 }
 
-/* M(s) = 1/(1 + s/p)^2 under a held reference, exactly: a double pole at -p. */
-static void follow_reference(motor_state *m, const loop_rig *rig, const loop_weights *w, double reference)
-{
-    const double pt = rig->pole * rig->period;
-    const double p = rig->pole;
-    const double e = m->angle - reference;
-    const double v = m->speed;
-    m->early = -p * (p * e + 2.0 * v);
-    m->angle = reference + w->keep * ((1.0 + pt) * e + rig->period * v);
-    m->speed = w->keep * ((1.0 - pt) * v - p * pt * e);
-    m->late = -p * (p * (m->angle - reference) + 2.0 * m->speed);
-}
-
-/* The voltage behind that move at its beginning, coupling torque and friction compensated: from the equation (1). */
-static double servo_voltage(const motor_state *m, const loop_rig *rig, double reference)
+/* M(s) = 1/(1 + s/p)^2 under a held reference, exactly: a double pole at -p. Returns the voltage behind that move at its
+ * beginning, coupling torque and friction compensated: from the equation (1). */
+static double follow_reference(motor_lanes *m, int l, const loop_rig *rig, double reference)
 {
     const double p = rig->pole;
-    return (p * p * (reference - m->angle) + (rig->decay - 2.0 * p) * m->speed) / rig->gain;
+    const double pt = p * rig->period;
+    const double e = m->angle[l] - reference;
+    const double v = m->speed[l];
+    const double voltage = (p * p * (reference - m->angle[l]) + (rig->decay - 2.0 * p) * v) / rig->gain;
+    m->early[l] = -p * (p * e + 2.0 * v);
+    m->angle[l] = reference + m->keep[l] * ((1.0 + pt) * e + rig->period * v);
+    m->speed[l] = m->keep[l] * ((1.0 - pt) * v - p * pt * e);
+    m->late[l] = -p * (p * (m->angle[l] - reference) + 2.0 * m->speed[l]);
+    return voltage;
 }
 
 /* Real modes in lanes of SUM_LANES: each lane adds up its own modes, and the lanes are added in one order, so that the
@@ -165,15 +168,15 @@ static double gauge_reading(const loop_rig *rig, gauge_line *gauge, double torqu
     return fmin(fmax(reading, -rig->limit), rig->limit);
 }
 
-/* The quintic in (t - kT)/T with the angles, speeds and accelerations of both ends. */
-static void quintic(const motor_state *from, const motor_state *to, double period, double q[LOOP_POWERS])
+/* The quintic in (t - kT)/T with the angles, speeds and accelerations of both ends of one motor's period. */
+static void quintic(const motor_lanes *from, const motor_lanes *to, int l, double period, double q[LOOP_POWERS])
 {
-    const double rise = to->angle - from->angle;
-    const double v0 = period * from->speed;
-    const double v1 = period * to->speed;
-    const double a0 = 0.5 * period * period * to->early;
-    const double a1 = 0.5 * period * period * to->late;
-    q[0] = from->angle;
+    const double rise = to->angle[l] - from->angle[l];
+    const double v0 = period * from->speed[l];
+    const double v1 = period * to->speed[l];
+    const double a0 = 0.5 * period * period * to->early[l];
+    const double a1 = 0.5 * period * period * to->late[l];
+    q[0] = from->angle[l];
     q[1] = v0;
     q[2] = a0;
     q[3] = 10.0 * rise - 6.0 * v0 - 4.0 * v1 - 3.0 * a0 + a1;
@@ -196,20 +199,6 @@ typedef struct {
     double seen_torque;
 } arm_state;
 
-/* The motors, field by field what motor_state and loop_weights are for one. */
-typedef struct {
-    double angle[LOOP_LANES];
-    double speed[LOOP_LANES];
-    double early[LOOP_LANES];
-    double late[LOOP_LANES];
-    double held[LOOP_LANES];
-    double keep[LOOP_LANES];
-    double first[LOOP_LANES];
-    double second[LOOP_LANES];
-    double decay[LOOP_LANES];
-    double impulse[LOOP_LANES];
-} motor_lanes;
-
 /* Motors under held voltages, with Coulomb friction as a proximal step: the friction force of a substep is the one that
  * shortens the speed by at most its impulse and never turns it around, which includes stiction. */
 FRACLINK_CLONES
@@ -230,25 +219,6 @@ static void follow_voltages(motor_lanes *restrict m, int substeps)
             m->late[l] = force - m->decay[l] * speed;
         }
     }
-}
-
-static motor_state motor_of(const motor_lanes *m, int l)
-{
-    const motor_state one = {m->angle[l], m->speed[l], m->early[l], m->late[l]};
-    return one;
-}
-
-/* The motor behind the ideal motor loop. */
-static void follow_alone(const loop_arm *arm, motor_lanes *m, int l, double applied, int64_t k)
-{
-    const loop_rig *const rig = &arm->rig;
-    motor_state one = motor_of(m, l);
-    arm->signal[LOOP_VOLTAGE][k] = servo_voltage(&one, rig, applied);
-    follow_reference(&one, rig, &rig->weights, applied);
-    m->angle[l] = one.angle;
-    m->speed[l] = one.speed;
-    m->early[l] = one.early;
-    m->late[l] = one.late;
 }
 
 static void begin(const loop_arm *arm, const law_port *law, const void *params, arm_state *s, motor_lanes *m, int l)
@@ -327,15 +297,13 @@ int loop_run(const loop_arm *arms, int count, const law_port *law, const void *p
             const double applied = s->pending[(k + 1) % slots]; /* written `delay` periods ago */
             motor.held[l] = arm->rig.gain * applied;
             if (!sampled)
-                follow_alone(arm, &motor, l, applied, k);
+                arm->signal[LOOP_VOLTAGE][k] = follow_reference(&motor, l, &arm->rig, applied);
         }
         if (sampled)
             follow_voltages(&motor, arms[0].rig.substeps);
         for (int l = 0; l < count; l++) {
-            const motor_state from = motor_of(&before, l);
-            const motor_state to = motor_of(&motor, l);
             double q[LOOP_POWERS];
-            quintic(&from, &to, arms[l].rig.period, q);
+            quintic(&before, &motor, l, arms[l].rig.period, q);
             move_link(&states[l].link, &arms[l].link, q);
         }
     }
