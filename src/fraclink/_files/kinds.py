@@ -116,12 +116,14 @@ def class_of(kind: object) -> type | None:
     The kind comes from a file that may be hostile: it is compared with those of the
     classes, and never imported itself.
     """
-    # Importing every package takes a second; this happens only if no loaded class has
-    # the kind.
-    for import_all in (False, True):
-        for package in filter(find_spec, PACKAGES if import_all else ()):
+    # Importing every package takes a second: names like the kind come before all others,
+    # and neither is imported if a loaded class has the kind.
+    for asked in ("none", "alike", "all"):
+        for package in filter(find_spec, PACKAGES if asked != "none" else ()):
             module = import_module(package)
-            for name in module.__all__:
+            for name in (
+                n for n in module.__all__ if asked == "all" or _kind(n) == kind
+            ):
                 # a copy of the core lacks the packages around it
                 with contextlib.suppress(ModuleNotFoundError):
                     getattr(module, name)
