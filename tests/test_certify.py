@@ -82,20 +82,19 @@ def law() -> Law:
     return plan_for("ideal").law().in_precision("double")
 
 
+# Narrower than the default one: its proof takes the checker a tenth of the time.
+NARROW = replace(
+    ParameterBox.at(RIG.model),
+    order=(1.915, 1.925),
+    gauge_gain=(0.99, 1.01),
+    gauge_delay=(0.0, 0.0005),
+    motor_ratio=(0.99, 1.01),
+)
+
+
 @pytest.fixture(scope="module")
 def certificate(law: Law) -> Certificate:
-    """Of a box narrower than the default one, whose proof takes the checker a tenth of
-    the time.
-    """
-    point = ParameterBox.at(RIG.model)
-    box = replace(
-        point,
-        order=(1.915, 1.925),
-        gauge_gain=(0.99, 1.01),
-        gauge_delay=(0.0, 0.0005),
-        motor_ratio=(0.99, 1.01),
-    )
-    return certify(plan_for("ideal"), law=law, modulus_margin=0.35, box=box)
+    return certify(plan_for("ideal"), law=law, modulus_margin=0.35, box=NARROW)
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +141,7 @@ def test_sampled_motor_loop_is_certified_and_checked(
 ):
     # Direct placement rings near Nyquist: over its box with a late gauge it comes to
     # within 0.04 of −1.
-    box = ParameterBox.at(RIG.model) if placement == "direct" else None
+    box = ParameterBox.at(RIG.model) if placement == "direct" else NARROW
     found = certify(plan_for("sampled", placement), modulus_margin=0.35, box=box)
     assert found.passed, found.verdict
     found.save(tmp_path / "c.json")
@@ -217,7 +216,7 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     found, law = known(model, placement)
     claim, loop = found.statement, BoxLoop(found.statement)
     low, high = loop.root()
-    rng, count = np.random.default_rng(5), 80
+    rng, count = np.random.default_rng(5), 40
     width = 10 ** rng.uniform(-4, -0.5, (count, len(AXES)))
     first = low + (high - low) * rng.random((count, len(AXES))) * 0.5
     second = np.minimum(first + (high - low) * 0.5 * width, high)
@@ -232,8 +231,8 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     second[:, MODE] = first[:, MODE] + room * width[:, MODE]
     plain, inverse, _ = loop.forms(first, second)
     held = loop.held(first[:, 0])
-    assert 27 <= np.count_nonzero(held) < 40
-    # Ten points of every box, five at a time (100 MB for all): corners and interior
+    assert 14 <= np.count_nonzero(held) < 26  # some, not all
+    # Ten points of every box, five at a time (50 MB for all): corners and interior
     # points.
     steps = 5
     for _ in range(2):

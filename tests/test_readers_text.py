@@ -287,7 +287,7 @@ def test_a_cut_in_mid_motion_is_no_warning_where_the_motion_before_is_known() ->
         (found,) = (item for item in diagnose(log) if item.code == "W231")
         return found.severity, found.remedy
 
-    cut = read_log(bundled_log("prbs_30g"), keep=(3.8, 20.0))
+    cut = read_log(bundled_log("prbs_30g"), keep=(3.8, 12.0))
     assert cut.earlier_angle is not None
     severity, remedy = begins(cut)
     assert severity == "info" and remedy.startswith(
