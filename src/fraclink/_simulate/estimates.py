@@ -86,7 +86,7 @@ def estimator_for(
         # be scaled.
         if not math.isclose(told.period, law.period, rel_tol=1e-9):
             raise FieldError(
-                "told.period",
+                "estimator.period",
                 told.period,
                 "not the law's",
                 f"{law.period} s",
