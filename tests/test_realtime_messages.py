@@ -467,6 +467,14 @@ def test_nobody_there_and_somebody_there_already(
     assert busy.value.field == "io"
 
 
+def test_a_law_of_another_period_moves_no_arm(law: Law, twin: Twin, way: Udp) -> None:
+    serving = Serving(twin, way, 1.5 * PERIOD, duration=0.5)
+    with serving, pytest.raises(FieldError, match="not the arm's") as caught:
+        serving.control(law, duration=0.2)
+    assert caught.value.allowed == f"{1.5 * PERIOD:g} s"
+    assert not np.any(serving.arm.voltage)
+
+
 def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
     """An address reserved for documentation, which belongs to nobody, and all addresses
     of this machine at once.

@@ -358,6 +358,9 @@ def test_a_band_that_misses_a_corner() -> None:
     fit = fl.identify_structure(data, LAG)
     assert "w" in {*fit.undetermined, *fit.at_bound}
     assert not fit.passed
+    # its interval is too wide to be one
+    assert {fit.known(name) for name in fit.undetermined} <= {"not determined"}
+    assert fit.known("a") == (fit.intervals["a"].low, fit.intervals["a"].high)
 
 
 @pytest.mark.parametrize(
