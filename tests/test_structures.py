@@ -188,6 +188,20 @@ def test_weighting_by_coherence() -> None:
 
 
 @pytest.mark.slow
+def test_a_delay_to_be_found_fits_no_worse_than_the_true_one() -> None:
+    """After a step s^-0.4 rises with a vertical tangent: over the delay the error has a
+    cusp wherever a sample passes the step, and the true delay is on one.
+    """
+    truth = {"k": 2.0, "a": 0.4, "w": 3.0, "T": 0.1}
+    data = recording("k*exp(-T*s)/(s**a + w)", truth, samples=400)
+    found, told = (
+        fl.identify_structure(data, text, heldout=0.0, details=False)
+        for text in ("k*exp(-T*s)/(s**a + w)", "k*exp(-0.1*s)/(s**a + w)")
+    )
+    assert found.nmse <= (1 + 1e-6) * told.nmse
+
+
+@pytest.mark.slow
 def test_intervals_are_as_wide_as_the_scatter() -> None:
     """Half a 95 % interval is 1.96 standard deviations of the fits of 14 noise
     realisations, neither much less nor much more; nearly all of them hold the truth.
