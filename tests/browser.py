@@ -219,8 +219,7 @@ class Page:
 
 def command_line(place: Path, *more: str) -> list[str]:
     """A headless Chromium with its profile in `place`, as a command to be followed by
-    an address. Pop-ups of the address bar and the spare renderer are disabled: together
-    they take 80 MB.
+    an address.
 
     Neither the pop-ups of an address bar that nobody sees, nor a renderer in reserve:
     together 80 MB.

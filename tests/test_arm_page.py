@@ -169,18 +169,8 @@ def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
 @pytest.mark.slow
 def test_a_folder_without_a_design_names_the_command(study, tmp_path, capsys):
     save_study(replace(study, design=None, law=None), tmp_path / "none")
-    assert (
-        main(
-            [
-                "report",
-                "--arm",
-                str(tmp_path / "none"),
-                "--out",
-                str(tmp_path / "arm.html"),
-            ]
-        )
-        == 2
-    )
+    files = ["--arm", str(tmp_path / "none"), "--out", str(tmp_path / "arm.html")]
+    assert main(["report", *files]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "fraclink design" in said and "design: " in said
     assert not (tmp_path / "arm.html").exists()
@@ -191,13 +181,8 @@ def test_the_command_writes_the_page_and_leaves_a_file_alone(
     study, page, tmp_path, capsys
 ):
     save_study(study, tmp_path / "results")
-    command = [
-        "report",
-        "--arm",
-        str(tmp_path / "results"),
-        "--out",
-        str(tmp_path / "arm.html"),
-    ]
+    files = ["--arm", str(tmp_path / "results"), "--out", str(tmp_path / "arm.html")]
+    command = ["report", *files]
     assert main(command) == 0
     assert (tmp_path / "arm.html").read_text() == page
     assert main(command) == 2

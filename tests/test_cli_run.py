@@ -60,25 +60,13 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
     out, err = io.StringIO(), io.StringIO()
     # The log shows a second mode: for the 12 rad/s and 50° of the rig file no filter
     # keeps its gain below 0.5.
-    command = [
-        "run",
-        "--rig",
-        "paper-2023-geared",
-        "--log",
-        "demo",
-        "--out",
-        "results",
-        "--certify",
-        "--arms",
-        "0",
-        *EASY,
-    ]
+    words = "run --rig paper-2023-geared --log demo --out results --certify --arms 0"
     with (
         contextlib.chdir(place),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
-        assert main(command) == 1  # no varied arm was run
+        assert main([*words.split(), *EASY]) == 1  # no varied arm was run
     return Told(place / "results", out.getvalue(), err.getvalue())
 
 
@@ -192,20 +180,8 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     # inertia: if the coupling torque is compensated as the gauge shows it, the loop is
     # unstable.
     place = tmp_path / "out"
-    command = [
-        "run",
-        "--rig",
-        "paper-2023",
-        "--log",
-        "demo",
-        "--arms",
-        "200",
-        "--out",
-        str(place),
-        "--json",
-        *EASY,
-    ]
-    assert main(command) == 1
+    words = "run --rig paper-2023 --log demo --arms 200 --json"
+    assert main([*words.split(), "--out", str(place), *EASY]) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"]["state"] == result["verdict"]["twin"]["state"] == "failed"
     assert (
@@ -226,29 +202,16 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     page = (place / "report.html").read_text("utf-8")
     assert '<div class="verdict failed">' in page
     assert study.arms is not None
-    replay = [
-        "replay",
-        str(place / "arms.npz"),
-        "--run",
-        str(study.arms.summary.failed[0]),
-    ]
-    assert main([*replay, "--out", str(tmp_path / "run.npz")]) == 1
+    replay = ["replay", str(place / "arms.npz"), "--out", str(tmp_path / "run.npz")]
+    assert main([*replay, "--run", str(study.arms.summary.failed[0])]) == 1
 
 
 @pytest.mark.slow
 def test_a_step_that_fails_keeps_what_was_computed_before(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    command = [
-        "run",
-        "--rig",
-        "paper-2023",
-        "--log",
-        "demo",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    assert main([*command, "--gain-crossover", "60"]) == 1
+    command = "run --rig paper-2023 --log demo --gain-crossover 60"
+    assert main([*command.split(), "--out", str(tmp_path / "out")]) == 1
     # the reason for the stop comes first
     assert "✗ failed: gain crossover: at 40 g at most" in capsys.readouterr().out
     study = load_study(tmp_path / "out")
@@ -273,22 +236,8 @@ def test_a_request_that_no_law_follows_ends_the_run_with_its_fit(
     for name in ("law_rows", "discretize", "discretize_controller"):
         monkeypatch.setattr(f"fraclink._law.design.{name}", none)
     place = tmp_path / "out"
-    assert (
-        main(
-            [
-                "run",
-                "--rig",
-                "paper-2023",
-                "--log",
-                "demo",
-                "--out",
-                str(place),
-                *EASY,
-                "--certify",
-            ]
-        )
-        == 1
-    )
+    words = "run --rig paper-2023 --log demo --certify"
+    assert main([*words.split(), "--out", str(place), *EASY]) == 1
     told = capsys.readouterr().out
     # The law that ships is a part of what is designed.
     assert "✗ failed: phase margin, shipped law" in told
@@ -304,20 +253,8 @@ def test_a_folder_that_is_there_is_kept(
     told_run: Told, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {path.name: path.read_bytes() for path in told_run.folder.iterdir()}
-    assert (
-        main(
-            [
-                "run",
-                "--rig",
-                "paper-2023",
-                "--log",
-                "demo",
-                "--out",
-                str(told_run.folder),
-            ]
-        )
-        == 2
-    )
+    words = "run --rig paper-2023 --log demo --out"
+    assert main([*words.split(), str(told_run.folder)]) == 2
     assert "already there" in capsys.readouterr().err
     assert {
         path.name: path.read_bytes() for path in told_run.folder.iterdir()
@@ -433,12 +370,7 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
 ) -> None:
     design = design_without_filter()
     design.save(tmp_path / "design.json")
-    arguments = [
-        "simulate",
-        str(tmp_path / "design.json"),
-        "--payload",
-        "0.2",
-    ]
+    arguments = ["simulate", str(tmp_path / "design.json"), "--payload", "0.2"]
     assert main([*arguments, "--out", str(tmp_path / "run.npz")]) == 1
     told = capsys.readouterr()
     assert "✗ failed: move with 200 g: tripped: the law goes to hold" in told.out
@@ -519,23 +451,8 @@ def test_a_hostile_file_name_is_harmless(
     monkeypatch.chdir(tmp_path)
     name = "<img src=x onerror=alert(1)>\x1b[31m.csv"
     Path(name).write_bytes(bundled_log("prbs_30g").read_bytes())
-    assert (
-        main(
-            [
-                "run",
-                "--rig",
-                "paper-2023",
-                "--log",
-                name,
-                "--arms",
-                "0",
-                "--out",
-                "out",
-                *EASY,
-            ]
-        )
-        == 1  # no varied arm was run
-    )
+    words = "run --rig paper-2023 --arms 0 --out out"
+    assert main([*words.split(), "--log", name, *EASY]) == 1  # no varied arm was run
     told = capsys.readouterr()
     assert "\x1b" not in told.out + told.err
     page = Path("out/report.html").read_text("utf-8")
@@ -604,19 +521,8 @@ def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(
 ) -> None:
     pty = pytest.importorskip("pty")
     upper, lower = pty.openpty()
-    command = [
-        sys.executable,
-        "-m",
-        "fraclink",
-        "run",
-        "--rig",
-        "paper-2023",
-        "--log",
-        "demo",
-        "--arms",
-        "0",
-        *EASY,
-    ]
+    words = "-m fraclink run --rig paper-2023 --log demo --arms 0"
+    command = [sys.executable, *words.split(), *EASY]
     with ThreadPoolExecutor(1) as pool:
         # A terminal buffers 4 kB: if it is not read, it fills on a slow machine, and
         # the command waits forever.

@@ -79,8 +79,7 @@ def test_our_values_are_the_checked_ones(
 @pytest.mark.slow
 def test_what_the_procedure_leaves_out_costs_what_was_checked() -> None:
     """Checked by separate scripts from the printed inputs: 70° becomes 63° and 27.6°;
-    the redesign keeps 48.8°. Those scripts simulated the paper's own sums, which add a
-    lag; the exact controller keeps the required 50°.
+    the redesign keeps 48.8°.
 
     Those scripts simulated the paper's own sums, which lag; the exact controller keeps
     the 50° asked for.

@@ -606,18 +606,8 @@ def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeyp
 @pytest.mark.slow
 def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    made = [
-        "run",
-        "--rig",
-        "paper-2023-geared",
-        "--log",
-        "demo",
-        "--arms",
-        "200",
-        "--out",
-        "theirs",
-    ]
-    assert main(made) in (0, 1)
+    made = "run --rig paper-2023-geared --log demo --arms 200 --out theirs"
+    assert main(made.split()) in (0, 1)
     session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
     assert answered(session, "log", name="prbs_30g")[0]["log"]["channels"]
     assert answered(session, "columns", columns=[])[0]["ok"]

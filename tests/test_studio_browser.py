@@ -35,16 +35,8 @@ HANDLES = {
 @contextmanager
 def studio(place: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A studio restricted to `place`/results: its address and its process."""
-    command = [
-        sys.executable,
-        "-m",
-        "fraclink",
-        "studio",
-        "--no-open",
-        "--out",
-        "results",
-        *words,
-    ]
+    studio = "-m fraclink studio --no-open --out results"
+    command = [sys.executable, *studio.split(), *words]
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, text=True)  # noqa: S603
     try:
         assert process.stdout is not None
