@@ -13,6 +13,7 @@ import fraclink as fl
 from fraclink.view import _figures as figures
 from fraclink.view import _loops as loops
 from fraclink.view import _marks as marks
+from fraclink.view import _runs as runs
 from fraclink.view._drawing import Panel
 
 # --- drawings of loops ------------------------------------------------------------------------------------
@@ -138,3 +139,13 @@ def test_a_log_is_drawn_as_it_was_recorded() -> None:
         period=0.001, motor_angle=np.zeros(2000), output=np.zeros(2000)
     )
     assert [c.weight for c in curves(figures.log_figure(edge).panels[0])] == [""]
+
+
+def test_each_of_many_runs_has_its_curve(design: fl.Design) -> None:
+    """More runs than the palette has lines: the lines are used again."""
+    move = fl.smooth_step(0.5, 0.3)
+    run = fl.simulate(
+        design.law(), move, rig=design.rig, model=design.model, duration=1.0
+    )
+    for panel in runs.moves_figure([run] * 6).panels[1:]:
+        assert len(curves(panel)) == 6

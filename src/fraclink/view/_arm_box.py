@@ -39,13 +39,13 @@ from fracsys.checks import Real
 __all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
 
 
-MOST_PAYLOADS = 15  # of the slider: 40 kB of a page
+MOST_PAYLOADS = 15  # on the slider: 40 kB of a page
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 _SEED = 0
 # The move goes forward in the first half of the run and back in the second, so that the
 # picture does not jump.
 _TIMES = np.round(np.arange(0.2, 1.51, 0.05), 2)
-_LONGEST_SHARE = 0.75  # share of half a run: the tip settles in the rest of it
+_LONGEST_SHARE = 0.75  # of half a run, for the longest move: then the tip settles
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,8 @@ def _law(study: Study, design: Design) -> tuple[Law, str]:
         law, python = study.law or design.law(), "design.law()"
     else:
         law, python = study.law, 'fl.load("law.json")'
-    # The engine of the page is compiled for double precision only: its law equals the
-    # one that ships up to rounding.
+    # The page starts in double precision, where the law equals the one that ships up to
+    # rounding; single precision is a switch of the page.
     if law.precision != "double":
         law, python = law.in_precision("double"), f'{python}.in_precision("double")'
     if law.motor_loop is None:  # without it `simulate` would use an ideal motor loop
@@ -121,9 +121,8 @@ def _law(study: Study, design: Design) -> tuple[Law, str]:
 def _is_own(law: Law, design: Design) -> bool:
     try:
         return design.law().digest == law.digest
-    except (
-        FieldError
-    ):  # if the law of a design can no longer be created, the saved one is shown
+    # If the law of a design can no longer be created, the saved one is shown.
+    except FieldError:
         return False
 
 

@@ -30,8 +30,8 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
 
     The page runs the law of the design on the identified model, compiled from the
     package's own C to WebAssembly: a run in it equals `simulate` in every bit. Payload,
-    move, noise, gauge offset and delay are sliders, faults are buttons. What was
-    promised, and for which payloads, stands in it as text.
+    move, noise, gauge offset and delay are sliders, faults are buttons. The page states
+    as text what was promised, and for which payloads.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
     ------
     FieldError
         the study has no design, or a period too long for its model. MissingExtraError
-        where jinja2 is not installed.
+        if jinja2 is not installed.
 
     Examples
     --------
@@ -106,8 +106,8 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
         # At least one less in every round, so that the loop ends; a link counts as a
         # large one, so that not too many are dropped.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
-        # A fine slider is more useful than the twin, whose recorded noise is large at a
-        # short period: rather than with few payloads, the page is made without the twin.
+        # A fine slider is more useful than the twin, whose recorded noise takes many
+        # bytes at a short period: the twin is left out before payloads become few.
         if twin and payloads < MOST_PAYLOADS // 2:
             payloads, twin = MOST_PAYLOADS, False
 

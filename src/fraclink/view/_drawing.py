@@ -1,5 +1,5 @@
-"""Drawings as SVG that fits any width, in the colours of the surrounding page or in its
-own.
+"""Drawings as SVG that fits any width, in the colours of the surrounding page or in
+their own.
 
 Horizontal positions are fractions of the width, vertical ones are in dots, so that text
 and strokes keep their size on a telephone, on a screen and on paper. Curves lie in a
@@ -197,8 +197,8 @@ def save_svg(text: str, path: Path | str) -> None:
 def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) -> str:
     bottom = round(frame.top + frame.height, 1)
     lines, texts = [], []
-    # One tick per 34 dots, twice the height of a line of text; the lowest panels still
-    # get four.
+    # One tick per 34 dots, twice the height of a line of text; even a low panel gets
+    # four.
     for value, text in frame.y.marks(max(4, int(frame.height / 34))):
         y = frame.down(value)
         lines.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
@@ -250,8 +250,8 @@ def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
         return ""
     # Lines that end at the same place keep the order in which they were drawn.
     placed = sorted(ends, key=lambda end: round(end[0] / 8))
-    # Without their rows the places need only keep their order: the nearest ones that do
-    # are an isotonic regression, and its values clipped to the panel those inside it.
+    # With the rows subtracted, the places need only keep their order: isotonic
+    # regression gives the nearest ones that do, and clipping those inside the panel.
     rows = _ROW * np.arange(len(placed))
     low, high = frame.top + 5, frame.top + frame.height - 2 - rows[-1]
     order = isotonic_regression(np.array([end[0] for end in placed]) - rows).x

@@ -69,7 +69,7 @@ def log_figure(log: Experiment) -> Figure:
 
 
 def fit_figure(log: Experiment, fit: Fit) -> Figure:
-    """Draw a whole log over its model: motor angle, measured and computed output,
+    """Draw a whole log and its model: motor angle, measured and computed output,
     residual.
     """
     # The last fitted sample: left of it the residual was minimised, right of it the

@@ -43,7 +43,8 @@ __all__ = [
 __all__ += ["nyquist_figure", "payloads_about", "payloads_of", "pid_figure"]
 
 
-# Payloads that are shown, relative to the lightest and heaviest: 8 to 80 g for 20 to 40 g.
+# The range of payloads shown, as factors of the lightest and of the heaviest: 8 to 80 g
+# for 20 to 40 g.
 LIGHTER, _HEAVIER = (0.4, 2.0)
 _STEPS = 25
 
@@ -86,7 +87,7 @@ def bode_figure(design: Design) -> Figure:
 @figure_of.register
 def pid_figure(tuning: PidTuning) -> Figure:
     """Draw gain and phase of the open loop of a fractional PID; a dot marks the
-    crossover that counts.
+    crossover of the phase margin.
     """
     limit = math.pi / tuning.period if tuning.period is not None else None
     response = Response.of(tuning.open_loop, None, limit)
@@ -96,15 +97,15 @@ def pid_figure(tuning: PidTuning) -> Figure:
     return replace(figure, name="pid", description=description)
 
 
-# limits of both axes, around −1; the circle of the resonance is many times larger
+# limits of both axes, around −1
 _REACH = (-2.3, 0.9)
 
 
 def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     """Draw L(jω) around −1, and the disk that these curves avoid.
 
-    proved: its radius if a certificate states one, min |1 + L| over all payloads of the
-    range.
+    proved: the radius of the disk that a certificate states for every payload of the
+    range; by default the smallest |1 + L| of the payloads drawn.
     """
     payloads = payloads_of(design)
     clear = proved or min(design.at(m).modulus_margin for m in payloads)
@@ -127,9 +128,9 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
 
 @figure_of.register
 def certificate_figure(certificate: Certificate) -> Figure | None:
-    """Draw the disk around −1 that the loop of every proved arm avoids, and the margins
-    that this leaves on the unit circle and on the real axis; None where nothing was
-    proved.
+    """Draw the disk around −1 that the loop of every proved arm avoids, and the phase and
+    gain margins that it guarantees, on the unit circle and on the real axis; None if
+    nothing was proved.
     """
     if not certificate.passed:
         return None
@@ -169,8 +170,8 @@ def _around_critical(description: str, radius: float, marks: list[Mark]) -> Figu
 def margins_figure(design: Design) -> Figure:
     """Draw phase margin and crossover over the payload: ideal, and in the real loop.
 
-    The band covers the corners of the parameter box: that of the design, or that of fit
-    and rig.
+    The band covers the corners of the design's parameter box, or of the one that follows
+    from fit and rig.
     """
     low, high = design.payloads
     # Below the range the mode is fast and the margin falls quickly; above it the margin
@@ -213,12 +214,13 @@ def margin_band(design: Design, payloads: Real) -> tuple[Real, Real] | None:
     """
     try:
         box = design.box or ParameterBox.of(design.model, design.rig)
-    # A delay interval below zero gives no box of arms that could exist.
-    except FieldError:  # nothing is known of a gauge that leads its encoder
+    # A delay interval below zero, of a gauge that leads its encoder, gives no box of
+    # arms that could exist.
+    except FieldError:
         return None
     w0 = np.array([design.natural_frequency(float(m)) for m in payloads])
-    # Every corner with the unchanged controller: the effect of the deviation from the
-    # model on the margin.
+    # Every corner with the same controller: only the deviation of the arm from the model
+    # changes the margin.
     loops = (
         arm.loop(design.controller, design.rig) for arm in arms_of(box, design.model)
     )

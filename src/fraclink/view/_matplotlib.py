@@ -16,8 +16,8 @@ __all__ = ["on_axes"]
 
 
 def on_axes(figure: Figure, ax: Any = None, **style: Any) -> Any:
-    """Draw the curves of `figure` into axes, one for each panel, new ones without `ax`,
-    and return them.
+    """Draw the curves of `figure` into axes, one for each panel, by default new ones,
+    and return the axes.
 
     `style` applies to the curves, as in `Axes.plot`. Existing curves in the axes remain
     in view.
@@ -81,7 +81,7 @@ def _look(ax: Any, curve: Curve) -> dict[str, Any]:
 
 
 def _scaled(ax: Any, name: str, scale: Scale, held: tuple[float, float] | None) -> None:
-    """The ends of an axis, wide enough for its earlier content."""
+    """Set an axis to a scale, wide enough to show its earlier content, too."""
     ends = scale.low, scale.high
     if held is not None:
         ends = min(*ends, *held), max(*ends, *held)

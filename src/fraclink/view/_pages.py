@@ -26,11 +26,11 @@ def template_text(name: str) -> str:
 
 
 def squeezed(name: str, folder: Traversable = _FOLDER) -> str:
-    """A script or style of a folder, by default that of the templates, without
-    indentation and comment lines: a sixth is saved.
+    """Return a script or style without indentation and comment lines, which are a sixth
+    of it; `folder`: by default that of the templates.
     """
-    # Including comments of several lines: a second line left in would disable the rule
-    # after it.
+    # Comments of several lines go as a whole: a second line left in would disable the
+    # rule after it.
     text = re.sub(
         r"^\s*/\*.*?\*/",
         "",

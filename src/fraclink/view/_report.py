@@ -36,11 +36,11 @@ def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path
     """Write the report of `study` to `path`, in one step, and return the path; the same
     study gives the same bytes.
 
-    With `script`, and where the study has a design, its first figure is the arm that
-    moves, as in `write_arm_page`, and figures show their values under the pointer;
-    without, the report holds no script at all.
+    With `script`, figures show their values under the pointer, and if the study has a
+    design, the first figure is the moving arm, as in `write_arm_page`; without, the
+    report contains no script at all.
 
-    Raises MissingExtraError where jinja2 is not installed.
+    Raises MissingExtraError if jinja2 is not installed.
 
     >>> import tempfile
     >>> write_report(Study(), Path(tempfile.mkdtemp()) / "report.html").name
@@ -98,7 +98,7 @@ def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path
 
 
 def _margin_rows(design: Design | None) -> list[Row]:
-    """A row with the least phase margin of every arm left open, beside the model's."""
+    """A row with the least phase margin over all arms consistent with fit and rig."""
     band = design and loops.margin_band(design, np.array(design.payloads))
     label = "Phase margin of every arm that fit and rig leave open"
     return [Row("", label, f"at least {number(band[0].min(), 3)}°")] if band else []
@@ -116,8 +116,7 @@ def _pointer(*, script: bool) -> Mapping[str, str] | None:
 
 def _inline(text: str) -> str:
     """A separate drawing without style and background, which the page provides."""
-    # The page has these rules once; a style in every drawing would take 4 kB each, and
-    # the policy allows a style only by its hash.
+    # The page has these rules once; they would take 4 kB in every drawing.
     return (
         text[: text.index("<style>")]
         + text[text.index("/>", text.index("</style>")) + 2 :]
@@ -125,8 +124,8 @@ def _inline(text: str) -> str:
 
 
 def _copy(drawing: str) -> str:
-    """A copy of a drawing for the first printed sheet, without pointer values; clipped
-    elements refer to the clip path of the original by its name.
+    """A copy of a drawing for the first printed sheet, without the attributes for the
+    pointer and for screen readers.
     """
     return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
 

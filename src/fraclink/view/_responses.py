@@ -50,9 +50,9 @@ class Response:
         limit: float | None,
         name: str = "",
     ) -> Response:
-        """The response of a system on `frequency` [rad/s], or on its own grid on which
-        it looks smooth over frequency and in the complex plane; a measured
-        response as measured; for a design its loop.
+        """The response of a system on `frequency` [rad/s], by default on a grid fine
+        enough for smooth curves over frequency and in the complex plane; a measured
+        response as it was measured; for a design its loop.
         """
         if isinstance(system, FrequencyResponse):
             return Response(system.frequency, system.response, name)
@@ -67,8 +67,8 @@ class Response:
         )
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             values = loop(x)
-        # No finite value next to a pole shows the course of the curve, and an infinite
-        # one would spoil the scale: a pole or zero hit exactly is a gap.
+        # A pole or zero hit exactly is a gap: an infinite value would spoil the scale,
+        # and no finite one is right.
         usual = np.isfinite(values) & (values != 0)
         return Response(np.exp(x), np.where(usual, values, math.nan), name)
 
@@ -79,14 +79,14 @@ class Response:
 
     @property
     def degrees(self) -> Real:
-        """arg L [°], continuous; it starts within 180° of the low-frequency slope times
-        90°.
+        """arg L [°], continuous; it starts within 180° of 90° times the low-frequency
+        slope, a power of ω.
         """
         turns = np.angle(self.values[1:] / self.values[:-1])
         size = np.abs(self.values)
         # Across a pole on the axis the phase falls by π, whatever sign rounding gave
-        # the jump; a change of 2.8 rad between two neighbours of a refined grid is not
-        # a curve. It counts as a pole only if both sides are large, since at a zero the
+        # the jump; a rise of 2.8 rad between two neighbours of a refined grid is such a
+        # jump, not a steep curve. It counts as a pole only if both sides are large, since at a zero the
         # phase rises.
         over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
         turns[over] -= math.tau
@@ -142,8 +142,8 @@ def decibel_range(response: Response) -> tuple[float, float]:
     if not usual.any():
         return -1.0, 1.0
     x, level = np.log(response.frequency[usual]), response.decibels[usual]
-    # By length along the axis instead of by points, which crowd at the resonance. Two
-    # per cent of the axis belong to an undamped mode.
+    # Percentiles of length along the axis, not of points, which crowd at the resonance.
+    # The two per cent outside them are left to an undamped mode.
     even = np.interp(np.linspace(x[0], x[-1], 400), x, level)
     low, high = np.percentile(even, [1, 99])
     least, most = float(level.min()), float(level.max())
@@ -208,11 +208,11 @@ def bode(
         transfer functions, functions of s = jω, python-control systems, designs, whose
         loop is drawn at the heaviest payload, and measured frequency responses.
     ax
-        Magnitude and phase axes to draw into; new ones are made without.
+        Magnitude and phase axes to draw into; by default new ones.
     labels
         One for each system, shown in a legend.
     frequency
-        Grid [rad/s]; without it the grid is chosen and refined where the curve bends.
+        Grid [rad/s]; by default one that is refined where the curve bends.
     limit
         Highest frequency [rad/s], such as the Nyquist frequency.
     **style
@@ -235,8 +235,8 @@ def bode(
 def loop_figure(
     responses: Sequence[Response], crossings: Sequence[Sequence[tuple[float, float]]]
 ) -> Figure:
-    """Return the Bode plot of open loops with a dot at each of their gain crossings:
-    frequency [rad/s] and phase margin [rad].
+    """Return the Bode plot of open loops with a dot at each gain crossing; crossings:
+    the frequencies [rad/s] and phase margins [rad] of each loop.
     """
     gain: list[Mark] = [Across(0.0, limit=False)]
     phase: list[Mark] = [Across(-180.0, limit=False)]

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
     error: list[Mark] = [Zone(-band_mrad, band_mrad, lying=True)] if size else []
     torque: list[Mark] = []
     voltage: list[Mark] = []
-    for line, run in zip(LINES, runs, strict=False):
+    for line, run in zip(cycle(LINES), runs, strict=False):
         tip.append(record(run.time, run.tip_angle, line, grams(run.payload)))
         error.append(record(run.time, 1e3 * (run.tip_angle - run.reference), line))
         torque.append(record(run.time, run.torque_measured, line, weight="thin"))
@@ -86,7 +87,7 @@ def shaped_figure(move: ShapedMove) -> Figure:
     acceleration = [record(time, reference.acceleration(time), 0)]
     voltage: list[Mark] = [Across(move.voltage, "limit"), Across(-move.voltage)]
     for line, arm, angle, volts in zip(
-        LINES,
+        cycle(LINES),
         move.worst_case.arms,
         move.tip_angle,
         move.motor_voltage,
@@ -110,8 +111,8 @@ def shaped_figure(move: ShapedMove) -> Figure:
 
 
 def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
-    """Run a case again and draw it: tip, motor and gauge with the clean run, and the
-    actions of the law.
+    """Run a case again and draw it: the tip next to that of the clean run, motor and
+    gauge as measured and true, and the mode of the law.
     """
     e = observe(bench, outcome.case)
     title = f"{outcome.name}: {fault_named(outcome.case.fault).title}"
@@ -159,8 +160,8 @@ def _tip(e: Evidence) -> list[Mark]:
 
 
 def _motor(e: Evidence) -> Panel:
-    # From the true angle and not from the encoder, which has the fault; 0.1 rad of
-    # space even if the arm stands still.
+    # The scale follows the true angle, since an encoder in degrees would flatten
+    # everything else; 0.1 rad of room even if the arm stands still.
     low, high = float(e.faulty.motor_angle.min()), float(e.faulty.motor_angle.max())
     edge = 0.2 * max(high - low, 0.5)
     marks: list[Mark] = [
@@ -174,5 +175,4 @@ def _motor(e: Evidence) -> Panel:
         ),
         record(e.faulty.time, e.faulty.motor_reference, 1, "reference"),
     ]
-    # an encoder in degrees would flatten everything else
     return Panel("motor [rad]", marks, 120.0, Scale(low - edge, high + edge))

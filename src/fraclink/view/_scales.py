@@ -39,8 +39,8 @@ def envelope(
     # reduceat of an empty one would repeat its first value.
     edges = np.linspace(0, count, points + 1).astype(int)[:-1]
     low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
-    # With a fixed order of smallest and largest value, a stretch of a sine could get a
-    # stroke back in time; its first value determines the order.
+    # With the smallest value always first, a falling stretch would be drawn as a saw
+    # tooth; the first value of a stretch determines the order.
     rising = values[edges] <= (low + high) / 2
     first, second = np.where(rising, low, high), np.where(rising, high, low)
     middle = np.append(edges[1:], count)
@@ -100,8 +100,8 @@ class Scale:
             (float(every.min()), float(every.max())) if every.size else (0.0, 1.0)
         )
         # A constant signal would have its rounding stretched over the whole panel, with
-        # ticks that all look alike: it gets a range of a twentieth of its value, or 1
-        # if the value is zero.
+        # ticks that all look alike: it gets a twentieth of its value on either side, or
+        # 1 if the value is zero.
         still = 0.05 * abs(high) or 1.0 if high - low <= 1e-9 * abs(high) else 0.0
         spare = max(0.5 * (least - (high - low)), room * (high - low), still)
         return cls(low - spare, high + spare, log)
@@ -135,7 +135,7 @@ def _text(value: float, step: float) -> str:
         return "0"
     if 1e-4 <= step < 1e5:
         return f"{value:.6f}".rstrip("0").rstrip(".").replace("-", "−")
-    # Two digits of the step (2.5), and in addition as many as the value is larger.
+    # Two digits for the step (2.5), and one more for each decade of the value above it.
     return number(
         value, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(step))
     )

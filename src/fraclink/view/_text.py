@@ -139,12 +139,12 @@ def finding_line(finding: Finding) -> str:
 
 
 def view(result: Any) -> Overview:
-    """Return the overview of a result; an overview is its own."""
+    """Return the overview of a result; an overview is returned as it is."""
     return result if isinstance(result, Overview) else result.overview()
 
 
 def doubted(overview: Overview, findings: tuple[Finding, ...]) -> Overview:
-    """`overview` after the errors of its input, with which nothing counts as passed."""
+    """`overview`, preceded by the errors of its input, after which nothing has passed."""
     if not findings:
         return overview
     failed = overview.state == "failed"

@@ -69,8 +69,8 @@ def steps(study: Study) -> list[tuple[str, str]]:
             else []
         )
     todo = []
-    # In order of the possible damage: a failing arm first, then the proof, the faults,
-    # and the board last.
+    # A failing arm first, then the proof and the faults; the board last, since there an
+    # error can do damage.
     if study.arms is not None and study.arms.summary.failed:
         todo.append(
             (

@@ -72,7 +72,7 @@ function layOne(law, place, cx, cy, floor) {
   return one;
 }
 
-// The outcome of the moves there and back, in a word.
+// The outcome of the moves there and back, in a few words.
 function fate(law) {
   const o = outcome(law), rests = Math.max(o.settles, o.returns);
   return o.worst > 2 ? DATA.modes[o.worst] : !state.move ? '' : Number.isNaN(rests) ? `swings on for ${fixed(DATA.half, 1)} s` : `at rest in ${rests.toFixed(2)} s`;
@@ -103,7 +103,7 @@ function drawFloor(hub) {
   }
 }
 
-// The length of 0.1 m, and a note on what is not to scale.
+// A scale bar, and a note on what is not to scale.
 function drawScale() {
   const g = el('g', {class: 'floor'}, arm.svg);
   const unit = [0.02, 0.05, 0.1, 0.2, 0.5, 1].find((m) => (m / DATA.length) * arm.L > 30) || 2;

@@ -121,7 +121,7 @@ function runTwin() {
   return ENGINE.run_twin(Number(state.single), size, N);
 }
 
-// Faults: what a button breaks from a certain period on. `rows` writes it for the engine, `python` for fraclink.
+// Faults: what a button breaks from a certain period on. `row` writes it for the engine, `python` for fraclink.
 const FAULTS = [
   {id: 'nan', name: 'Gauge reads NaN', part: 'gauge', row: (r) => { r[FAULT.bits] |= BIT.gaugeReplaced; r[FAULT.gaugeValue] = NaN; },
     python: (a, b) => [`fl.extend.SensorFault(${a}, ${b}, "gauge value", float("nan"))`]},
@@ -150,7 +150,7 @@ const EXTRA_DELAY = 6; // periods that the button "late" adds
 const state = {
   payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
   delay: DATA.start.delay, told: false, single: false, twin: false, late: false, thrown: -1,
-  faults: {}, // id: period from which on
+  faults: {}, // id: its first period
 };
 const amplitude = () => (state.move * Math.PI) / 180;
 
@@ -256,7 +256,7 @@ function inPython() {
   ].join('\n');
 }
 
-// The results of the run. The page judges this move only; the guarantees are stated in its own text.
+// The results of the run. The page judges only this move; its text states what is guaranteed.
 function outcome({tip, mode}) {
   const a = amplitude(), half = Math.floor(N / 2), band = 0.02 * (Math.abs(a) || 1); // without a move: of 1 rad
   let changed = -1, settled = 0, back = half, peak = 0, away = 0;

@@ -3,7 +3,7 @@
 const still = matchMedia('(prefers-reduced-motion: reduce)');
 const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, flight: null, seen: true};
 
-// id: [value of the slider, its text]
+// id: [lowest value, highest value, step, text of a value]
 const SLIDERS = {
   payload: [0, DATA.payloads.length - 1, 1, (i) => gramsOf(i)],
   move: [-120, 120, 1, (v) => `${fixed(v, 0)}°`],
@@ -53,7 +53,7 @@ function say() {
     if (Number.isNaN(o.settles)) text += `The tip does not come to rest within 2 % in ${fixed(DATA.half, 1)} s.`;
     else {
       text += `Settled after ${o.settles.toFixed(2)} s (within 2 %) with ${fixed(100 * o.overshoot, 1)} % overshoot`;
-      text += Number.isNaN(o.returns) ? '; it does not settle after the move back.' : `, on the way back after ${o.returns.toFixed(2)} s.`;
+      text += Number.isNaN(o.returns) ? '; it does not settle after the move back.' : `; after the move back, settled after ${o.returns.toFixed(2)} s.`;
     }
   }
   if ('reversed' in state.faults && o.worst <= 1) {

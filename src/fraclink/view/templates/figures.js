@@ -132,7 +132,7 @@ let appendix = null;
 addEventListener('beforeprint', () => {
   appendix = main.appendChild(document.createElement('section'));
   appendix.id = 'appendix';
-  appendix.append(Object.assign(document.createElement('h2'), {textContent: 'Appendix: what the page folds'}));
+  appendix.append(Object.assign(document.createElement('h2'), {textContent: 'Appendix: the folded parts of the page'}));
   for (const section of main.querySelectorAll('section[id]')) {
     const folded = [...section.querySelectorAll('details:not([open])')].filter((one) => !one.closest('.map, .armbox'));
     if (folded.length) appendix.append(section.querySelector('h2').cloneNode(true));
