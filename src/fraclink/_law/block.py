@@ -158,8 +158,8 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
                 f"at most {length}",
                 "ask for a lower order",
             )
-        # A mode with gain 0 adds nothing, so shorter lists are padded with them; the
-        # counts keep them out of the arithmetic.
+        # A mode with gain 0 adds nothing, so shorter lists are padded with zeros; the
+        # counts keep these modes out of the arithmetic.
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:
@@ -247,8 +247,8 @@ class Block(ABC):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the block, 64 hexadecimal digits: two with one digest run alike to
-        the last bit.
+        """SHA-256 of the block, 64 hexadecimal digits: two blocks with the same digest
+        run identically, to the last bit.
         """
         return hashlib.sha256(self.block).hexdigest()
 
@@ -291,8 +291,8 @@ class DiscreteMotorLoop:
 
 @dataclass(frozen=True)
 class Tracking:
-    """What a law needs that is told the payload: the scale of its feed-forward, and the
-    tip angle to expect.
+    """What a law needs to use a given payload: the scale of its feed-forward, and the tip
+    angle to expect.
 
     The feed-forward of a payload m is that of the nominal one times (m + link)/nominal.
     The tip then follows the reference as the motor follows its own (`MotorModel`).
@@ -484,7 +484,7 @@ def linear_range(coefficients: Mapping[str, Any]) -> float:
             "law.limits",
             reach,
             "too narrow for the correction",
-            f"limits that errors of {LEAST_RANGE:g} rad do not meet",
+            f"limits that errors of {LEAST_RANGE:g} rad do not reach",
             "use the derived limits",
         )
     digit = 10.0 ** (math.floor(math.log10(reach)) - 1)

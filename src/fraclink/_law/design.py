@@ -74,7 +74,7 @@ def deg(angle: float) -> float:
 
 
 class Specification(TypedDict, total=False):
-    """What a design is asked for; what is left out is left to its rule.
+    """The requirements of a design; one that is left out follows its own rule.
 
     Parameters
     ----------
@@ -95,10 +95,10 @@ class Specification(TypedDict, total=False):
         bound on the motor reference's RMS for white gauge noise of RMS one.
     mode_gain
         bound on the loop gain at the higher modes of the link. Below one no phase
-        of the mode can destabilise it. Where the model knows a second mode or the rig
-        the link's mass, the bound is 0.5 unless another is given; where no controller
-        keeps it at a second mode that the model knows, that mode may exceed it with a
-        phase that keeps the loop from -1, wherever the payload moves the mode.
+        of the mode can destabilise the loop. If the model has a second mode or the rig
+        a link mass, the bound is 0.5 by default; if no controller keeps it at the
+        model's second mode, that mode may exceed it with a phase that keeps the loop
+        away from -1 at every payload.
     filter_time
         δ [s], 0 for no filter; chosen with the controller when left out.
     filter_order
@@ -168,7 +168,7 @@ class Design(Saved):
     findings
         what a user should know (codes W4xx).
     box
-        the arms that keep the requirements; None where that is the model alone.
+        the arms that must keep the requirements; None for the model alone.
 
     Examples
     --------
@@ -204,8 +204,8 @@ class Design(Saved):
 
     @property
     def sentence(self) -> str:
-        """What decides: what it carries and how fast, how much more delay it tolerates,
-        and which requirement is the tightest.
+        """The result in one sentence: payloads, crossover and phase margin, the further
+        delay it tolerates, and its tightest requirement.
         """
         masses = span(*self.payloads, "g")
         parts = [
@@ -231,7 +231,7 @@ class Design(Saved):
         return "; ".join(parts)
 
     def overview(self) -> Overview:
-        """The sentence that decides, the controller, and every requirement."""
+        """The summary sentence, the controller, and every requirement."""
         notch = self.controller.notch
         rows = rows_of(
             self,
@@ -282,7 +282,7 @@ class Design(Saved):
 
     @property
     def has_law(self) -> bool:
-        """Whether a law can follow the controller, as far as that was tried: False with
+        """Whether a law can follow the controller: False only if the attempt failed, with
         finding W410.
         """
         return all(finding.code != "W410" for finding in self.findings)
@@ -345,11 +345,10 @@ class Design(Saved):
         return self.loop.margins_at(_checked_frequency(natural_frequency))
 
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
-        """Return what the law sees from its motor reference to the tip estimate,
-        exactly sampled.
+        """Return the exactly sampled plant from the law's motor reference to its tip
+        estimate.
         """
-        # ω₀ alone: the plant has no payload, and a design for a given ω₀ has none to be
-        # converted.
+        # By ω₀ alone: a design for natural frequencies may have no payload to convert.
         ratio = self.model.natural_frequency / _checked_frequency(natural_frequency)
         link = self.model.with_mass(ratio**2)
         return sampled_plant(link, self.motor_loop, self.rig.motor, self.rig.period)
@@ -368,8 +367,8 @@ class Design(Saved):
             mass at the tip [kg].
         correction
             Ĉ on the unit circle as a function of ω [rad/s], such as the exact
-            `controller.response`, which no computer runs; the coefficients that are
-            shipped where it is left out.
+            `controller.response`, which no computer runs; that of the shipped
+            coefficients where it is left out.
         """
         if correction is None:
             law = discretize_controller(self.controller, self.rig.period)
@@ -392,10 +391,11 @@ class Design(Saved):
         """Return the design with the requirements on its law as it ships: the worst
         phase margin of the sampled loop, and its distance from -1.
 
-        The margin is the one asked for less the law's own tolerance of 0.5°, over the
-        payloads and over the box, with the motor loop that runs and the modes of the
-        link's mass; a design for the paper's reading (`margins_kind` "ideal") has to be
-        stable. A controller that no law of law.c's size follows keeps neither (W410).
+        The required margin is the one asked for less the law's own tolerance of 0.5°,
+        over the payloads or over the box, with the motor loop that runs and the modes
+        of the link's mass; a design by the paper's L (`margins_kind` "ideal") only has
+        to be stable. A controller that no law of law.c's size follows meets neither
+        requirement (W410).
         """
         findings, rows = self.findings, no_law_rows(self)
         try:

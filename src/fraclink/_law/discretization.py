@@ -67,7 +67,7 @@ STATES = (
     6  # most states for the sake of the margin; more only where C itself needs them
 )
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
-# Ĉ as it runs, fitted until 1 + Ĉ is met: with a zero at z = 1, where it is at rest.
+# Fits of Ĉ with a zero at z = 1, as it is 0 at rest, until 1 + Ĉ meets the tolerance.
 correction_fits = partial(
     DiscreteFits,
     zeros_at_one=1,
@@ -91,8 +91,8 @@ def discretize_controller(
 
     Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C =
     1 + Ĉ on a band of frequencies, closest about the gain crossover (`fit_correction`), and
-    the feed-forward s^λ θt*/ω₀² becomes a fit of s^(λ−2)/ω₀² that works on the
-    reference's known acceleration.
+    the feed-forward s^λ θt*/ω₀² becomes a fit of s^(λ−2)/ω₀² that is applied to
+    the reference's known acceleration.
 
     Without a filter Ĉ is improper: no sampled controller can follow it to the Nyquist
     frequency, and the band ends at 300 rad/s (600 with a filter). The errors
@@ -174,9 +174,9 @@ def discretize(
     """Return the law that runs a design: the same coefficients are simulated and
     exported.
 
-    Of a design it is the whole law, with the motor loop, the sensors' limits and the
-    compensations of its rig; of a controller alone it is Ĉ and the feed-forward, and
-    the motor loop is that of the drive.
+    For a design it is the whole law, with the motor loop, the sensors' limits and the
+    compensations of its rig; for a controller alone it is Ĉ and the feed-forward, and
+    the drive closes the motor loop.
 
     Parameters
     ----------
@@ -246,10 +246,9 @@ def equip(
 ) -> Law:
     """Return the law with the rig's motor loop, compensations and sensor limits.
 
-    The motor loop is the rig's with the pole the law was made for where it is left out;
-    the guards are derived again from it, from the gauge's range, noise and quantum, the
-    encoder's resolution, `moves` and the `heaviest` payload [kg], which are the rig's
-    where they are left out.
+    `motor_loop` defaults to the rig's with the pole that the law was made for, `moves`
+    and the `heaviest` payload [kg] to the rig's. The guards are derived again from
+    these, the gauge's range, noise and quantum, and the encoder's resolution.
     Raises FieldError where the periods differ.
     """
     check_rigs_period(law, rig)
@@ -373,8 +372,8 @@ def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Mod
             f"{reals} real modes and {pairs} pairs",
             "ask for a lower order",
         )
-    # Sorted, so that a controller gives the same block, and the same digest, whatever
-    # order the fit ends in.
+    # Sorted, so that a controller gives the same block, and the same digest, in whatever
+    # sequence the fit returns its modes.
     slowest_last = np.argsort(fit.decays)
     return Modes(
         _single(fit.feedthrough),
@@ -467,7 +466,7 @@ def _weight(
 
 
 def _about_notch(controller: Controller, band: tuple[float, float]) -> Real:
-    """Frequencies that follow the notch of a controller, inside the band."""
+    """Frequencies about the notch of a controller, inside the band."""
     if controller.notch is None:
         return np.empty(0)
     widths = np.array([controller.notch.zeros, controller.notch.poles])

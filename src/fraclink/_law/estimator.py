@@ -5,11 +5,12 @@ A bank of models, one for each of a row of payloads, predicts the torque from th
 angle. Model k is a vibration and one real mode, B_k(z)(1 − z⁻¹)/A_k(z), fitted to the
 fractional Γ/θm over the frequencies that a move excites; its error is filtered by
 A_k/C_k, whose C_k forgets within half a vibration. For a gauge of gain 1 + x and offset
-y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least
-squares over x and y, with the rig's uncertainty of the gain, gives the cost of the
-model. The curve through the costs of seven neighbouring models gives the payload,
-since the bank is too coarse for a parabola. Its variance is that of the same
-sum of errors for the gauge's noise, which A_k/C_k correlates, and for its gain.
+y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ, v = (B_k/C_k)(1 − z⁻¹)θm and
+w = A_k(1)/C_k(1): least squares over x and y, with the rig's uncertainty of the gain,
+gives the cost of the model. The curve through the costs of seven neighbouring models gives the payload,
+since the bank is too coarse for a parabola. The variance of the estimate follows from
+that of the same sum of errors due to the gauge's gain and to its noise, which A_k/C_k
+correlates.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ PER_VIBRATION = 10
 # motion.
 FORGETTING = 0.35
 # Weight of the encoder's quantisation in the fit of the models. Without it the third
-# pole of a viscous link, which two describe exactly, could lie anywhere.
+# pole of a viscous link, which two poles describe exactly, could lie anywhere.
 NOISE_GAIN = 0.003
 # Least standard deviation of the gauge's gain: strain gauges and their bridges are not
 # known better over months, whatever the interval of one fit.
@@ -91,8 +92,8 @@ NOT_STATED = 0.01
 # offset before the arm has stood still, relative to the largest credible torque
 OFFSET_DOUBT = 0.1
 MOVED = 4.0  # standard deviations of a sample: a larger torque counts as motion
-# Square of the relative error of the torque, a fifth: the right model never has a
-# larger error, one for half or twice the payload does.
+# Limit on the square of the torque's relative error, a fifth: the right model never
+# exceeds it, one for half or twice the payload does.
 SURPRISE = 0.05
 # Largest relative standard deviation at which an estimate is better for the law than
 # none.
@@ -125,8 +126,7 @@ class PayloadEstimator(Block):
     precision
         "single" or "double", as the law's.
     together, chunk
-        periods in a sample of the models; models that are brought up to date in one
-        period.
+        periods per sample of the models; models updated per period.
     quiet_limit, gap_limit
         samples without motion until the estimate is frozen; periods without a sensor
         until it begins anew.
@@ -202,8 +202,8 @@ class PayloadEstimator(Block):
             of encoder [rad] and gauge [N·m], one value a period, shape (N,); NaN for a
             lost sample.
         ticks
-            numbers of the periods, from 1 where they are left out; one that is skipped
-            was missed.
+            numbers of the periods, by default from 1; a number that is skipped is a missed
+            period.
         """
         angle, twist = (np.ascontiguousarray(x, float) for x in (motor_angle, torque))
         numbers = np.arange(1, angle.size + 1) if ticks is None else np.asarray(ticks)
@@ -243,11 +243,11 @@ def payload_estimator(
     ----------
     link
         with a known payload; its order, gauge delay, gauge gain and second mode are in
-        the tables. The gain is as sure as its interval says, and no surer than 3 %.
+        the tables. The gain's standard deviation is that of its interval, and at least 3 %.
     rig
-        whose gauge noise and link mass are counted on.
+        with the noise of the gauge and the mass of the link.
     law
-        that is given the estimate: its period, precision and limits.
+        which receives the estimate: its period, precision and limits.
     payloads
         that the design covers (low, high) [kg]. The bank reaches from a quarter of the
         first to the law's largest payload.
@@ -284,8 +284,8 @@ def payload_estimator(
     masses = np.geomspace(
         LIGHTEST * payloads[0] + own, HEAVIEST * law.limits.payload_limit + own, MODELS
     )
-    # Shares of the first mode in the torque at the root. An identified gain of the gauge
-    # includes that of its own payload; a computed link has no mass.
+    # Shares of the first mode in the torque at the root. An identified gauge gain
+    # includes the share at the payload of its log; a computed link has no mass.
     *beams, usual = (
         modal_shares(Beam.from_rig(rig, payload=payload))
         for payload in (*(masses - own).tolist(), link.payload)
@@ -307,8 +307,8 @@ def payload_estimator(
     # another law than the model's shifts the estimate: evidence fades over two vibrations
     # of the heaviest payload, one for each of two moves.
     keep = math.exp(-sample * links[-1].resonance / (4 * math.pi))
-    # The best model is half a step of the bank from the payload at most, and its torque
-    # errs by no more.
+    # The best model is at most half a step of the bank away from the payload, and its
+    # torque errs by no more than that.
     contact = (0.5 * math.log(masses[1] / masses[0])) ** 2
     values = _values(rig, law, together, gain_doubt, keep, contact, own, payloads)
     return PayloadEstimator(
@@ -371,8 +371,8 @@ def _values(
 def _model(
     link: LinkModel, frequencies: Real, shares: Real, corner: float, sample: float
 ) -> tuple[float, ...]:
-    """One row of the bank without its mass: A, B and C at samples of `sample` [s], and
-    A(1)/C(1).
+    """One row of the bank without its mass: A, B and C at samples of `sample` [s], A(1)/C(1)
+    and the covariances of white noise behind A/C.
 
     frequencies, shares: of the modes of its beam (`modal_shares`). Those above the first
     hardly vibrate in a move, but their inertia is in the torque. corner: of the spectrum
@@ -383,7 +383,7 @@ def _model(
     fast = np.exp(
         abs(pole) * complex(-FORGETTING, math.sqrt(1 - FORGETTING**2)) * sample
     )
-    # C filters both sides: the rest of the start, and of an earlier payload, decays
+    # C filters both sides: the effect of the start, and of an earlier payload, decays
     # with its poles. Without it the equation would be fitted to noise that A
     # differentiates.
     below = np.convolve(
@@ -430,8 +430,8 @@ def _model(
         np.concatenate([target.real, target.imag]),
         rcond=None,
     )[0]
-    # The autocovariance of white noise behind A/C; that with the filter's state follows
-    # by its recursion.
+    # The autocovariance of white noise behind A/C; its covariance with the filter's state
+    # follows by the filter's recursion.
     power, *later = np.fft.irfft(
         abs(np.fft.rfft([1.0, *above], CIRCLE) / np.fft.rfft(below, CIRCLE)) ** 2
     )[:4]

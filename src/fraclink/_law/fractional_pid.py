@@ -64,14 +64,14 @@ def discretize_pid(
     the C of every law.
 
     On `band` C(z) meets C(jω) to 0.1 dB and 0.5° where 8 states can
-    (`Law.correction_error` says what was met); below it k_i/s^λ goes over into an
+    (`Law.correction_error` is the error reached); below it k_i/s^λ turns into an
     integer integral, so that a lasting error is always removed. u is limited to
     ±`output_limit`, and the integral does not wind up there.
 
     On the board the measurement is `law_input.motor_angle`, the reference
     `law_input.reference`, and u `law_output.voltage`; `torque`, `payload` and
-    `reference_acceleration` stay 0. u answers the samples of its period, and takes
-    effect when the board writes it.
+    `reference_acceleration` stay 0. u follows from the samples of the same period,
+    and takes effect when the board writes it.
 
     Parameters
     ----------
@@ -160,9 +160,9 @@ def pid_response(law: Law, frequency: ArrayLike) -> Complex:
         raise FieldError(
             "law",
             repr(law),
-            "no law of a PID",
-            "that of a FractionalPid",
-            "discretize_pid makes one; Law.frequency_response is that of every other",
+            "not the law of a PID",
+            "the law of a FractionalPid",
+            "discretize_pid makes one; Law.frequency_response serves every other law",
         )
     return _response(law.motor_loop.pid, frequency) * (
         1.0 + law.frequency_response(frequency)
@@ -214,8 +214,8 @@ def _response(loop: DiscretePid, frequency: ArrayLike) -> Complex:
 def _limits(correction: Modes, reach: float) -> Limits:
     """The guards of a loop of which only the range of the measurement is known.
 
-    Errors are within 2Y. The limits follow from the l1 norms of the parts of the
-    filter, so that no such error is limited. The guards that compare a motor with its
+    |r| and |y| are at most Y = `reach`, errors at most 2Y. The limits follow from the l1
+    norms of the parts of the filter, so that no such error is limited. The guards that compare a motor with its
     model (residual, frozen encoder) can never act, and a torque, which a loop without a
     gauge does not have, is rejected without any effect on the output.
     """

@@ -1,5 +1,5 @@
-"""The control law at its period: a frozen object with the block of numbers that a board
-gets, in one file.
+"""The control law at its period: a frozen object, saved as one file, with the block of
+numbers that a board gets.
 """
 
 from __future__ import annotations
@@ -121,11 +121,11 @@ class Law(Block, Saved):
     correction_error, band
         largest error of C = 1 + Ĉ in (decibels, degrees) on the band [rad/s].
     feedforward_error
-        the same of F, from a fifth of the resonance on.
+        the same for F, from a fifth of the resonance upwards.
     motor_loop_pole
         p of M(s) [rad/s]; 0 for a law that closes no motor loop.
     motor_model
-        how the motor follows, as the guards and a given payload count on it.
+        how the motor follows its reference, for the guards and a given payload.
     motor_loop
         None for a robot that has its own position servo.
     limits
@@ -216,8 +216,8 @@ class Law(Block, Saved):
 
     @property
     def has_gauge(self) -> bool:
-        """Whether the law measures a torque; the law of a `FractionalPid` has a
-        measurement only.
+        """Whether the law reads a torque; that of a `FractionalPid` reads the plant's
+        output only.
         """
         return math.isfinite(self.stiffness)
 
@@ -258,8 +258,8 @@ class Law(Block, Saved):
 
     @cached_property
     def _filter(self) -> tuple[float, Complex, Complex, Complex, Complex]:
-        """(d, p − 1, g and those of the pairs) of the block, cached: a design evaluates
-        its response a thousand times.
+        """(d, p − 1, g, and p − 1 and g of the pairs) of the block, cached: a design
+        evaluates the response a thousand times.
         """
         c = self.coefficients
         # Taken from the block instead of `correction`: in single precision these are

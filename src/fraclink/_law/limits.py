@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "derive_limits"]
 
-# Multiple of the nominal payload: more is a wrong unit, and beyond the bounds of the
-# torque.
+# Largest payload, relative to the nominal one: more is a wrong unit, and its torque is
+# beyond the limits.
 LARGEST_SCALE = 4.0
 # [s] in which the scale of the feed-forward changes by 1: within a move, but without a
 # jump
@@ -27,7 +27,7 @@ JUMP = 3.0
 # [s]: the correction fades slowly enough not to excite the link, and fast enough to be
 # gone within a move
 FADE_TIME = 0.2
-# Periods with the same reading of a gauge without delay that is not stuck. In an
+# Periods for which the reading of a sound gauge without delay may stay the same. In an
 # ordinary move the model passes the threshold torque within five periods, and a stuck
 # gauge is found in 15.
 STILL = 10
@@ -105,10 +105,10 @@ def derive_limits(
     """Return the thresholds for moves up to `moves` at `period` [s].
 
     `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where it is unknown.
-    `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. `heaviest`: the heaviest payload over
-    that of the link, which bends the link as much more where it does not swing back. Largest torque of a move: c a
+    `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. `heaviest`: ratio of the heaviest
+    payload to the link's, by which a lasting deflection grows. Largest torque of a move: c a
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
-    as it was placed, its delay included. Reasons stand beside each number in the source.
+    as it was placed, with its delay. The reason for each number stands beside it in the source.
     """
     resonance = link.resonance
     flexible = float(abs(link.lead(resonance))) * moves.acceleration
@@ -119,7 +119,7 @@ def derive_limits(
     # Reference, feed-forward and correction may each require the full speed at the same
     # time.
     motor_step = 3 * moves.velocity * period
-    # As the motor angle's, the range of the torque is symmetric about the gauge's zero.
+    # Like that of the motor angle, the range of the torque is symmetric about zero.
     resting = abs(moves.rest_torque)
     torque_limit = min(4 * torque + resting, CREDIBLE_SHARE * gauge_limit)
     # A vibrating link swings back within half a period. A deflection that lasts longer
@@ -140,14 +140,14 @@ def derive_limits(
     # standard deviations for centuries
     torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
     return Limits(
-        # the largest sudden demand of a new offset, in addition to the feed-forward
+        # the correction's jump at the largest torque and reference steps, and the feed-forward
         sum_limit=4 * flexible
         + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
         # 0.15 rad: residual vibration and gauge offset in addition to the lag
         correction_limit=1.5 * (loop.lag * period * moves.velocity + 0.15),
-        # the states sum the acceleration up to the speed
+        # the states sum the acceleration, at most up to the speed divided by the period
         forward_limit=3 * moves.velocity / period,
-        # The lead of the motor over the tip is the flexion, at both ends of a move.
+        # The motor leads the tip by the flexion, at both ends of a move.
         angle_limit=reach + 2 * flexible,
         angle_step=2 * motor_step + 2 * encoder_resolution,
         torque_limit=torque_limit,
@@ -170,15 +170,15 @@ def derive_limits(
         motor_step=motor_step,
         fade_step=min(1.0, period / FADE_TIME),
         residual_angle=residual,
-        # a move that has begun in the model but, for three periods of delay, not in the
-        # motor
+        # a move that has begun in the model but, because of three periods of delay, not yet
+        # in the motor
         frozen_angle=min(
             residual,
             2 * encoder_resolution
             + max(sticking, 4.5 * moves.acceleration * period**2),
         ),
         stuck_torque=_stuck_torque(link, period, torque_limit, gauge_quantum),
-        # a sound gauge reads the same for its delay
+        # a sound gauge also reads the same throughout its delay
         stuck_limit=STILL + math.ceil(link.gauge_lag / period),
         # eight standard deviations of the tip's reading are not yet vibration
         swing_angle=max(
@@ -187,8 +187,8 @@ def derive_limits(
         ),
         stop_ringing=moves.vibration is not None,
         block_limit=max(5, round(hold / period)),
-        # sum of squared motor steps whose torque is 6 standard deviations above the
-        # noise of a torque step, at least that of 0.1 rad in 25 periods
+        # sum of squared motor steps whose torque is 6 standard deviations of the noise of
+        # a torque step, at least the sum for 0.1 rad in 25 periods
         wiring_energy=max(
             (6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25
         ),
@@ -203,7 +203,7 @@ def _stuck_torque(
     The reading of a sound gauge stays constant while the motor turns by less than one
     quantum, q/c. With the jerk j of the reference this takes (6q/cj)^(1/3); the torque
     of the model is then c j/ω² times that time. For no j is this more than n periods
-    after the model passed 8q/(9n²ω²T²). Noise only changes the reading.
+    after the model passed 8q/(9n²ω²T²). Noise can only make the reading change sooner.
     """
     step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
     slow = 8 / (9 * (STILL * link.resonance * period) ** 2)

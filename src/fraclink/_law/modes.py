@@ -1,8 +1,8 @@
 """The loop at the higher modes of the link.
 
-The strain gauge responds to them clearly. Their level is that of the sampled plant, with
-the first aliases: near the Nyquist frequency they double it. A second mode that was
-identified takes the place of the beam's.
+The strain gauge responds to them clearly. Their level is that of the sampled plant with
+its first aliases, which double it near the Nyquist frequency. A second mode that was
+identified replaces that of the beam.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ __all__ = [
 ]
 
 
-# of the loop gain towards -1: the rest of the distance to it is one over the customary
-# sensitivity peak of 2
+# Limit of the loop gain towards -1: the distance that it leaves is one over the customary
+# sensitivity peak of 2.
 MODE_LIMIT = 0.5
-# The phase at a mode that was not identified may be off by what such a loop stands
-# elsewhere: its phase margin of 29°.
+# Possible phase error at a mode that was not identified: 29°, the phase margin that such
+# a loop has elsewhere.
 PHASE_DOUBT = 2.0 * math.asin(0.5 * MODE_LIMIT)
 # so that the points of a strongly damped mode do not extend down to the first mode
 _WIDEST = 0.035
@@ -143,8 +143,8 @@ def higher_modes(
             level = np.log(whole(seen, aliases=1) - rest)
             rows.append((mode, payload, w, level))
     number, masses, frequencies, levels = map(np.array, zip(*rows, strict=True))
-    # The phase counts where the beam was measured, by its second mode, up to the Nyquist
-    # frequency; the bound on that mode itself is one on its gain, whatever its phase.
+    # With an identified second mode the phase of the modes above it counts, up to the
+    # Nyquist frequency; the second mode itself is bounded in gain, whatever its phase.
     known = (number[:, np.newaxis] > 2) & (frequencies < nyquist)
     known &= model.second_mode is not None
     levels.imag[~known] = math.nan
@@ -154,7 +154,7 @@ def higher_modes(
 def _about_modes(
     model: LinkModel, rig: Rig, payload: float, damping_ratio: float | None
 ) -> Iterator[tuple[int, Real]]:
-    """(number, frequencies about its peak) of the higher modes of the link."""
+    """(number, frequencies about its peak) of each higher mode of the link."""
     if model.second_mode is not None:
         width = min(model.second_mode.damping_ratio, _WIDEST)
         yield 2, model.second_mode.frequency * np.exp(width * _POINTS)

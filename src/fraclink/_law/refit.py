@@ -23,8 +23,8 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     """Return `law` with gains for `controller`, and the largest relative error of C on
     the law's band.
 
-    Least squares, |C - C_law|/|C| on a logarithmic grid, with the poles that `law` has:
-    a fraction of a millisecond, where the minimax fit of `discretize` takes fifty. It
+    Least squares of |C - C_law|/|C| on a logarithmic grid, with the poles of `law`: it
+    takes a fraction of a millisecond, the minimax fit of `discretize` fifty. The result
     is a preview without a verdict: its guards are those of `law`, and it is never saved
     or exported.
 

@@ -87,10 +87,9 @@ class Requirement:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What people and programs read of it."""
+        """The requirement as shown to people and programs."""
         sign = "≤" if self.bound == "at most" else "≥"
-        # Rounded like the achieved value as shown; further digits are those of the
-        # solver.
+        # Rounded like the achieved value as it is shown: further digits are solver error.
         size = max(abs(self.achieved), abs(self.wanted))
         places = 3 - math.floor(math.log10(size)) if 0.0 < size < math.inf else 0
         slack = round(self.slack, places) if math.isfinite(self.slack) else self.slack
@@ -118,7 +117,7 @@ LAW_MODULUS = "distance to -1, shipped law"
 # Least |1 + L| of a loop that passes: a phase margin of 14.4° and a gain margin of a
 # factor of 1.33, also for deviations not covered by the box.
 LEAST_MODULUS = 0.25
-# payloads of the model at which loops are looked at; of an arm of the box only the ends
+# payloads of the model at which loops are evaluated; for an arm of the box only the ends
 PAYLOADS = 9
 
 

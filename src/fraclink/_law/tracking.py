@@ -94,8 +94,8 @@ def following(
     motor: MotorConstants | None,
     pid: DiscretePid | None,
 ) -> Following:
-    """Return the tracking of a motor loop: the sampled PID with its motor, or M(s) with
-    its `pole` [rad/s] without one, and a `delay` of whole periods.
+    """Return the tracking of a motor loop: the sampled PID with its motor or, without
+    these, M(s) with its `pole` [rad/s], and a `delay` of whole periods.
 
     `resonance` [rad/s] is that of the link: a move has little content beyond twice that
     frequency, otherwise it would ring with any law.
@@ -143,7 +143,7 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
     """Return the payload to which the link's ω₀² belongs, and the equivalent mass of
     the link at its tip [kg].
 
-    ω₀² of a payload m is the model's times the first over m plus the second. The
+    At a payload m, ω₀² is the model's times the first mass over (m + the second). The
     payload of the link must be known.
     """
     if rig is None or link.payload is None:
@@ -161,7 +161,7 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
     """Magnitude of the fitted feed-forward relative to the wanted one at the resonance,
     where its error remains as vibration.
 
-    A fit that is 1.7 % low there, as that of the paper's link, is right for a payload
+    A fit that is 1.7 % low there, as for the paper's link, is right for a payload
     lighter by as much.
     """
     resonance = link.resonance
