@@ -214,20 +214,32 @@ def noiseless(payload: float) -> Run:
     )
 
 
+def sensors_of(model: int) -> tuple[Real, Real]:
+    """Angle and torque, without noise, of a move of the arm that is one of the models."""
+    from scipy.signal import lfilter
+
+    size = bank().together
+    a1, a2, a3, b0, b1, b2, *_ = bank().models[model]
+    angle = moved(0.03).motor_angle[:240].reshape(-1, size).mean(axis=1)
+    change = np.diff(angle, prepend=angle[0])
+    torque = lfilter([b0, b1, b2], [1.0, a1, a2, a3], change)
+    return np.repeat(angle, size), np.repeat(torque, size)
+
+
+def test_every_model_between_the_outermost_is_found_as_itself() -> None:
+    link = dict(zip(REALS, bank().values, strict=True))["link"]
+    for model, (*_, mass) in enumerate(bank().models):
+        found = over(bank(), *sensors_of(model)).estimate[-1]
+        inside = 0 < model < MODELS - 1
+        assert found == pytest.approx(mass - link if inside else 0.0, rel=5e-3), model
+
+
 @pytest.mark.parametrize("model", [3, 6, 9])
 def test_the_interval_is_that_of_many_noises_and_gains(model: int) -> None:
     """A move of an arm that is one of the models, read by 400 gauges: the estimates
     scatter as the half width says.
     """
-    from scipy.signal import lfilter
-
-    angle = moved(0.03).motor_angle[:240]
-    a1, a2, a3, b0, b1, b2, *_ = bank().models[model]
-    angle = np.repeat(angle.reshape(-1, bank().together).mean(axis=1), bank().together)
-    change = np.diff(angle[:: bank().together], prepend=angle[0])
-    torque = np.repeat(
-        lfilter([b0, b1, b2], [1.0, a1, a2, a3], change), bank().together
-    )
+    angle, torque = sensors_of(model)
     rng = np.random.default_rng(39)
     rows = [round(time / GEARED.period) for time in (0.4, 0.6, 0.9)]
     estimates, deviations = [], []
