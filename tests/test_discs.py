@@ -114,3 +114,7 @@ def test_a_disc_with_zero_has_no_inverse_and_intervals_keep_their_ends() -> None
             for end in (low[k], high[k]):
                 assert inverse.low[k] <= 1 / mpmath.mpf(end) <= inverse.high[k]
                 assert contains(disc, k, mpmath.mpc(end))
+    # and are no wider than rounding needs: what is too wide proves nothing
+    assert inverse.low * high == pytest.approx(1.0, rel=1e-12)
+    assert inverse.high * low == pytest.approx(1.0, rel=1e-12)
+    assert disc.c + disc.r == pytest.approx(high, rel=1e-12)

@@ -83,7 +83,7 @@ class Metrics:
     peak_voltage: float
     motor_reference_noise: float
     saturated: float
-    growth: float = 0.0
+    growth: float
 
     @property
     def rows(self) -> tuple[Row, ...]:
