@@ -198,7 +198,7 @@ def test_a_log_against_its_header_is_shown_nothing(tmp_path: Path) -> None:
     assert study.verdict.state in ("failed", "not shown")
     reasons = " ".join(study.verdict.reasons)
     assert "is in rad by the log's own header, in deg by [log]" in reasons
-    assert "as with an angle in degrees that is called radians" in reasons
+    assert "as if degrees were called radians" in reasons
 
 
 @pytest.mark.slow

@@ -79,7 +79,7 @@ class Beam:
     Raises
     ------
     FieldError
-        a value is negative, not finite, or there is nothing that could move.
+        a value is negative or not finite, or link and payload are both massless.
 
     >>> rod = Beam(length=0.65, flexural_rigidity=0.26, link_mass=0.00735, payload=0.030)
     >>> [round(w, 2) for w in rod.modes(3).frequencies.tolist()]
@@ -215,7 +215,7 @@ def mass_matrix(beam: Beam) -> Real:
     return mass
 
 
-@lru_cache(maxsize=16)  # asked for with one payload instead of all
+@lru_cache(maxsize=16)  # called with the same payload for all: one entry per link
 def _unloaded(beam: Beam) -> tuple[Real, Real, Real]:
     """(M, L⁻¹, L⁻¹ M L⁻ᵀ) of a clamped beam without its payload: its mass matrix [kg]
     and the factor of its stiffness matrix K = L Lᵀ [N/m].
@@ -246,7 +246,7 @@ def residual_inertia(beam: Beam, modes: BeamModes) -> float:
 
 @lru_cache(
     maxsize=256
-)  # every run of a twin needs its period of vibration, half of the cost of the run
+)  # without it, the vibration period would be half of the cost of a twin's run
 def _modes(beam: Beam, count: int) -> BeamModes:
     # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω², so the wanted modes are the largest. A
     # massless link (singular M) needs no special case, while K φ = ω² M φ would require
@@ -287,8 +287,8 @@ def modal_shares(beam: Beam) -> tuple[Real, Real]:
     request for a rig needs them.
     """
     modes = beam.modes(_MODES)
-    # EI φ''(0), what a gauge at the base reads of a mode, is ω² Γ: the moment of the
-    # inertia load, as accurate as the eigenvalue, where differentiating the cubic twice
+    # EI φ''(0), the part of a mode in the gauge's torque, is ω² Γ: the moment of the
+    # inertia load. It is as accurate as the eigenvalue; differentiating the cubic twice
     # would lose two orders.
     return modes.frequencies, (modes.frequencies * modes.participation) ** 2
 
@@ -325,8 +325,8 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
 
 def assumed_ratio(model: LinkModel) -> float | None:
     """The damping ratio of the modes that a model does not include: that of its second
-    mode if its power law has less, an assumed one without any damping, None if its law
-    defines it.
+    mode if the power law gives less, an assumed one if the model has no damping, None
+    if its law defines it.
     """
     mode = model.second_mode
     if mode is not None and mode.damping_ratio > -math.cos(math.pi / model.order) > 0.0:

@@ -51,8 +51,8 @@ class Arm:
     motor_ratio: float = 1.0
 
     def loop(self, controller: Controller, rig: Rig) -> Loop:
-        """Return the loop on this arm; the PID of a sampled motor loop is that of the
-        rig.
+        """Return the loop on this arm; a sampled motor loop keeps the PID placed for
+        the rig's motor.
         """
         return Loop.of(controller, self.model, rig, ratio=self.motor_ratio)
 
@@ -100,7 +100,7 @@ class ParameterBox:
     order, damping
         λ and μ.
     gauge_gain
-        measured over true torque, with what the link's stiffness may be off [1].
+        measured over true torque, including the uncertainty of the link's stiffness [1].
     gauge_delay
         [s].
     motor_ratio
@@ -171,8 +171,8 @@ class ParameterBox:
                     "others",
                     f"{other.second_mode.frequency:.4g} rad/s",
                     "with a second mode that the model does not know",
-                    "models without one, or a model that knows it, too",
-                    "begin from the model that knows it, and give the other one beside it",
+                    "models without one, or a `model` that has one, too",
+                    "give the model with the second mode as `model`, and the other in `others`",
                 )
             # ω₀ depends on the payload of its log: two logs can only be compared at the
             # same payload.
@@ -182,8 +182,8 @@ class ParameterBox:
         return box
 
     def hull(self, other: ParameterBox) -> ParameterBox:
-        """Return the smallest box that holds both; a second mode that one does not show
-        may have no gain.
+        """Return the smallest box that holds both; a second mode that only one
+        has may have a gain of 0.
         """
         frequencies = [
             box.mode_frequency for box in (self, other) if box.mode_gain[1] > 0.0
@@ -242,8 +242,8 @@ def _around(model: LinkModel, rig: Rig) -> ParameterBox:
         (model.order - tolerances.order, model.order + tolerances.order),
         model.interval("order"),
     )
-    # An undamped link of order two never comes to rest: the interval ends half way to
-    # it.
+    # An undamped link of order two never comes to rest: the interval ends halfway to
+    # two.
     highest = 2.0 if model.damping else 0.5 * (model.order + 2.0)
     gain = share("gauge_gain", model.gauge_gain, tolerances.gauge_gain)
     # A torque log determines the product of gauge gain and stiffness, so the
@@ -297,7 +297,7 @@ def _hull(first: Interval, second: Interval | None) -> Interval:
 
 def outward(low: float, high: float) -> tuple[float, float]:
     """The interval with ends of six digits, the first rounded down and the second up; a
-    point as it is.
+    point stays as it is.
 
     A sentence of thirty numbers is readable only if they are short.
     """

@@ -82,7 +82,7 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
         if not {"stiffness_Nm_per_rad", "flexural_rigidity_Nm2"} & set(
             data.get("link", {})
         ):
-            # Link checks it only once its length is known
+            # `Link` reports a missing stiffness only once its length is known
             blanks.append("link.stiffness_Nm_per_rad")
         return RigDraft(columns, tuple(dict.fromkeys(blanks)), Path(path).stem[:100])
 
@@ -112,7 +112,7 @@ def draft_text(
     remarks
         comments above each line of it, by role.
     known
-        numbers that are no blanks, such as "link.stiffness", with a comment on each.
+        numbers that are known, such as "link.stiffness", with a comment on each.
     """
     # ν shifts the poles of the closed motor loop by ν/J divided by their sum, 5 % for
     # the paper's motor: no need to ask for it.
@@ -168,8 +168,8 @@ def _inline(channel: object) -> str:
 # the frequency: by 1.55 for 60 g and a payload of 10 g.
 _MOST = 2.0
 _UNITS = {
-    math.degrees(1.0): "as with an angle in degrees that is called radians",
-    1000.0: "as with milli- or kilo- left out of a unit",
+    math.degrees(1.0): "as if degrees were called radians",
+    1000.0: "as if milli- or kilo- were missing in a unit",
 }
 
 
@@ -179,10 +179,9 @@ def doubts_of(
     """Return the errors W105 and W106 of a model and of payloads [kg] on this
     rig.
 
-    A payload is in doubt a hundred times beyond the rig's range, a stiffness that
-    differs from the rig's by more than a factor of 2, and a frequency that differs by
-    as much from √(c/J) with the rig's own c, J = (m + 33/140 M) L², payload m and link
-    mass M.
+    A payload is doubted if it is a hundred times outside the rig's range, a stiffness
+    if it differs from the rig's by more than a factor of 2, a frequency if it differs
+    as much from √(c/J) with the rig's c, J = (m + 33/140 M) L², payload m, link mass M.
 
     >>> rig = Rig.named("paper-2023")
     >>> [finding.code for finding in doubts_of(rig, LinkModel(0.0272, 10.0, order=1.92, payload=0.030))]

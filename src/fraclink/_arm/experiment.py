@@ -36,7 +36,7 @@ __all__ = ["Experiment"]
 @compared
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One recorded motion of a flexible arm; what every identification starts from.
+    """One recorded motion of a flexible arm: the input of every identification.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ class Experiment:
         header entries of the log, such as (("simulated", "true"),).
     earlier_angle
         θm at the samples just before the first, shape (H,) [rad], of a log that was
-        cut; None for one that begins with the recording. A link that was moving at the
-        cut swings by what the motor did before.
+        cut; None for one that begins with the recording. If the link was moving at the
+        cut, its vibration depends on it.
 
     Arrays are stored as read-only copies.
 
@@ -127,10 +127,10 @@ class Experiment:
         """Return the experiment in a data frame: pandas, polars, a table of pyarrow, a
         dict of arrays.
 
-        `columns` states which column is what, in which unit and with which sign, as a
-        rig's ``[log]`` table does, or in words. The stamps have steps below 1 s; raises
-        LogError where they have gaps, repeats or strong jitter, for an unknown unit, and
-        for a column that is not there.
+        `columns` states which column is what, in which unit and with which sign: the
+        rig's ``[log]`` table, or a text for each. Steps of the stamps must be below 1 s;
+        raises LogError for gaps, repeats or strong jitter in them, FieldError for an
+        unknown unit, LogError for a column that is not there.
 
         >>> frame = {"t": [0.0, 0.01, 0.02], "pot": [0.0, 5.0, 9.0], "gauge": [0.0, 0.1, 0.3]}
         >>> stated = {"time": "t [s]", "motor_angle": "pot [deg]", "torque": "- gauge [Nm]"}
@@ -256,7 +256,7 @@ class Experiment:
 
     @property
     def simulated(self) -> bool:
-        """Whether the log says of itself that it was simulated."""
+        """Whether the log's notes say that it was simulated."""
         return dict(self.notes).get("simulated", "").lower() in ("true", "yes", "1")
 
     def split(self, fraction: float) -> tuple[slice, slice]:

@@ -32,15 +32,15 @@ class FractionalPid(Saved):
     """A PI^λD^μ controller of an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f
     s)^n``.
 
-    n is 1 for μ ≤ 1 and 2 above it, the least that keeps C proper; λ = μ = 1 is the PID
-    of every textbook.
+    n is 1 for μ ≤ 1 and 2 above it, the least that keeps C proper; λ = μ = 1 is the
+    textbook PID.
 
     Parameters
     ----------
     proportional
         k_p, >= 0, in units of the output over those of the error.
     integral, derivative
-        k_i and k_d, >= 0, the same times s^(-λ) and s^μ; 0 leaves a part out.
+        k_i and k_d, >= 0, in these units times s^(-λ) and s^μ; 0 leaves a part out.
     integral_order, derivative_order
         λ and μ, > 0 and < 2.
     filter_time
@@ -49,7 +49,7 @@ class FractionalPid(Saved):
     Raises
     ------
     FieldError
-        a value out of its range, and a controller whose gains are all zero.
+        a value out of its range, or all gains zero.
 
     Source: Podlubny, IEEE Trans. Automatic Control 44 (1999) 208–214.
 

@@ -33,7 +33,7 @@ class GaugedLink:
     Parameters
     ----------
     link_order, loss, damping_order
-        λ, η = μ/ω₀² and α of the link; η is its material's, the same for every ω₀.
+        λ, η = μ/ω₀² and α of the link; η is the material's and the same for every ω₀.
     gauge_delay, gauge_gain, second_mode
         τ_g [s], g, and the second mode, as in `LinkModel`.
 
@@ -66,8 +66,8 @@ class GaugedLink:
         inertia, elastic = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
             return self._gauge_log(np.exp(ln_w), natural_frequency)
-        # log1p: far below the resonance ln G is s^λ/ω₀² alone, which 1 + s^λ/ω₀² would
-        # round away.
+        # log1p: far below the resonance ln G is −s^λ/ω₀², which 1 + s^λ/ω₀² would round
+        # away.
         if not self.loss:
             return -np.log1p(inertia)
         return np.log(elastic) - np.log(inertia + elastic)
@@ -158,7 +158,7 @@ class GaugedLink:
 
     def turns(self, low: float, high: float, each: float) -> Real:
         """Return frequencies from `low` to `high` with `each` points per half turn of
-        the delay; |B| repeats after two.
+        the delay's phase; |B| repeats after a whole turn.
         """
         count = int(each * abs(self.gauge_delay) * (high - low) / math.pi) + 2
         # 20 000 points: a delay of seconds, far beyond that of any gauge, must not fill
@@ -179,8 +179,8 @@ class GaugedLink:
         return GaugedLink(*(getattr(self, field.name) for field in fields(GaugedLink)))
 
     def mode_band(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
-        """Return the frequencies closer, by ratio, to the second mode than to the
-        first; empty if it is not known.
+        """Return the ends of the band about the second mode, from the geometric mean of
+        both modes to as far above; (∞, ∞) if no second mode is known.
         """
         if self.second_mode is None:
             never = np.full(np.shape(natural_frequency), math.inf)
@@ -214,7 +214,7 @@ def _unit_gains(
     ascending.
 
     The delay turns X without changing its modulus, so a scan about the modes finds all
-    crossings. They only need the accuracy of a phase branch.
+    crossings.
     """
     # Seven decades about the resonance, with points whose distance to it shrinks
     # geometrically on both sides: |X| of a lightly damped link is steepest there, and a

@@ -2,8 +2,8 @@
 
     Γ(s)/θm(s) = c s^λ / (s^λ + μ s^α + ω₀²)
 
-A structure of the paper is a row of one table that says which of (ω₀, λ, μ, α) are
-free; the others keep the value that makes the term vanish or classical.
+A structure of the paper is a row of a table that says which of (ω₀, λ, μ, α) are free;
+the others keep the value with which their term vanishes or is classical.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ class SecondMode:
     frequency
         ω₂ [rad/s], > 0.
     gain
-        static share of the mode in the tip estimate [1], > 0: the gauge sits at the
-        root, where every mode pulls with the same sign.
+        the mode's share of Γ/(c θm) far above ω₂ [1], > 0: the gauge sits at the root,
+        where every mode pulls with the same sign.
     damping_ratio
         ζ [1], 0 < ζ < 1.
 
@@ -113,7 +113,7 @@ class SecondMode:
     ]
     gain: Annotated[
         float,
-        above(0.0, 1e3, remedy="give its static share in Γ/(c θm)"),
+        above(0.0, 1e3, remedy="give its share in Γ/(c θm)"),
     ]
     damping_ratio: Annotated[
         float,
@@ -130,8 +130,8 @@ class SecondMode:
         """Return `count` frequencies about the mode [rad/s], close within its width and
         wider apart to either side.
         """
-        # At least eight half-widths: beyond, the mode adds at most 1/16 of its peak. A
-        # sharp peak is high, and its circle passes -1 far from its centre.
+        # At least eight half-widths: there the mode is down to an eighth of its peak. A
+        # sharp peak is high, and its Nyquist circle passes -1 far from the mode.
         reach = math.asinh(max(8.0, 0.2 / self.damping_ratio))
         shape = self.damping_ratio * np.sinh(np.linspace(-reach, reach, count))
         return self.frequency * np.exp(shape)
@@ -327,9 +327,9 @@ class LinkModel:
         """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α
         + ω₀² = 0.
 
-        Without damping ω₀^(2/λ) e^(jπ/λ) exactly; with damping Newton's iteration in ln
-        s follows it, to the negative real axis where overdamped (a pole for λ = 2, α =
-        1 only, a time scale otherwise).
+        Without damping exactly ω₀^(2/λ) e^(jπ/λ). With damping, Newton's iteration in
+        ln s follows it; overdamped, it ends on the negative real axis (a pole only for λ
+        = 2, α = 1, otherwise a time scale).
         """
         if self.damping == 0:
             return cmath.rect(
@@ -346,21 +346,21 @@ class LinkModel:
 
     @property
     def vibration_period(self) -> float:
-        """Period of the vibration [s]; the decay time of a link that decays faster than
-        it turns.
+        """Period of the vibration [s]; 2π over the decay rate of a link that decays
+        faster than it swings.
         """
         return math.tau / max(self.pole.imag, -self.pole.real)
 
     @property
     def gauge_lag(self) -> float:
-        """The delay of the gauge itself [s]: 0 where the model has a leading gauge, which
-        no arm has; there the motor angle is late.
+        """The delay of the gauge itself [s]: 0 if the model's gauge leads, since then it
+        is the motor angle that is late.
         """
         return max(self.gauge_delay, 0.0)
 
     @property
     def loss(self) -> float:
-        """η = μ/ω₀² [s^α]: what the link's material is, at every payload.
+        """η = μ/ω₀² [s^α]: a property of the material, the same for every payload.
 
         >>> LinkModel(1.56, 10.0, damping=0.4).loss
         0.004
@@ -384,12 +384,12 @@ class LinkModel:
 
     @property
     def oscillates(self) -> bool:
-        """Whether the pole is one of a vibration: not real but for rounding."""
+        """Whether the pole is that of a vibration: not real within rounding errors."""
         return abs(self.pole.imag) > 1e-9 * self.resonance
 
     @property
     def sentence(self) -> str:
-        """What a person sees of the link with its motor held.
+        """The link in words, as seen with its motor held.
 
         >>> LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92, payload=0.03).sentence
         'swings at 12.24 rad/s (1.95 Hz) with 30 g, 6.5 % damping'
@@ -417,7 +417,7 @@ class LinkModel:
     @checked
     def at_payload(self, payload: Mass) -> LinkModel:
         """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload),
-        eq. (5), and μ by m/payload, since the link's material stays.
+        eq. (5), and μ by m/payload, since the material stays the same.
 
         The paper's Table 3 keeps μ as well: its damped structures would need a material
         that damps more under a heavier payload. Needs a known `payload`.
@@ -429,7 +429,7 @@ class LinkModel:
 
     def with_mass(self, ratio: float, **others: Any) -> LinkModel:
         """Return the link with `ratio` times its mass, and other fields as given. The
-        material damps: D(s) = 1 + (μ/ω₀²) s^α is the same for every mass.
+        damping is the material's: D(s) = 1 + (μ/ω₀²) s^α is the same for every mass.
 
         >>> LinkModel(1.56, 10.0, damping=0.4).with_mass(4.0).damping
         0.1
@@ -469,7 +469,7 @@ def _damped_pole(
     order: float, damping: float, damping_order: float, square: float
 ) -> complex:
     """Newton's method on z ↦ e^{λz} + μ e^{αz} + ω₀², z = ln s, with continuation in μ
-    (or ω₀²) from 0 to its value.
+    from 0 to its value.
     """
     alone = (
         damping ** (1 / (order - damping_order))

@@ -31,7 +31,7 @@ __all__ = [
 
 OutputKind = Literal["torque", "deflection"]
 
-# Unit -> factor to SI and radians, grouped by quantity; its unit in SI first.
+# Unit -> factor to SI and radians, grouped by quantity, the SI unit first.
 UNITS = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -45,7 +45,7 @@ UNITS = MappingProxyType(
         "gain": {"1": 1.0, "dB": 1.0},
     }
 )
-# The same by the column of a log.
+# The units of each column of a log.
 UNITS_OF = MappingProxyType(
     {
         "time": UNITS["time"],
@@ -330,7 +330,7 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
     A factor follows the name: ``motor_angle=counts * 360/4096 [deg]``.
 
     Raises FieldError where a text has another form, a role is missing, unknown or
-    stated twice, or where the unit in brackets does not measure its role.
+    stated twice, or the unit in brackets is not one of its role.
 
     >>> parse_columns(["time=t [s]", "motor_angle=theta [deg]", "torque=-gamma [Nm]"]).output.sign
     -1

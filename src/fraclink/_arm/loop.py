@@ -9,7 +9,7 @@ with the gauge's delay and gain and its second mode (`fraclink._arm.gauged_link`
 `Loop` is its logarithm with the true, unwrapped phase. Every factor is continuous in ω,
 so neither a crossing nor an encirclement can be lost to a phase that jumps by 2π. It is
 evaluated over many frequencies and many links (ω₀, and so payloads) at once.
-`fraclink._arm.sampled` has the same loop as it is sampled.
+`fraclink._arm.sampled` has the exactly sampled plant of this loop.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ __all__ = [
 
 
 # Points and weights of a panel of the noise integral. The error of the noise gain is
-# 3e-4 on four designs; with three points it is 4e-3, with two 4 %.
+# 0.03 % on four designs; with three points it is 0.4 %, with two 4 %.
 _GAUSS = np.polynomial.legendre.leggauss(6)
 _PANELS = np.geomspace(0.25, 8.0, 26)  # their edges, as multiples of the resonance
 _STEP = 1e-5  # step in ln ω of a central difference: the cube root of the precision
@@ -53,9 +53,6 @@ _STEP = 1e-5  # step in ln ω of a central difference: the cube root of the prec
 def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
     """Return the model with a known payload: its own, else ω₀ of eq. (5) at the rig's
     nominal payload.
-
-    From here on `LinkModel.at_payload` and `LinkModel.payload_at` are the only
-    conversion between m and ω₀.
     """
     if model.payload is not None:
         return model
@@ -69,7 +66,7 @@ def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
 @dataclass(frozen=True)
 class Crossings:
     """Every gain crossing of loops that differ in ω₀ only; arrays of equal length, one
-    entry a crossing.
+    entry per crossing.
 
     ``row`` is the index of ω₀, ``frequency`` in rad/s, ``phase`` the unwrapped phase of
     L [rad], ``slope`` the slope of ln|L| over ln ω: negative means that L falls below
@@ -94,8 +91,7 @@ class Loop(GaugedLink):
     Parameters
     ----------
     gain, order, filter_time, filter_order, notch
-        k_d, β, δ [s], n and the notch of the controller; with gain 1 and order 0 the loop is all
-        that stands beside Ĉ.
+        k_d, β, δ [s], n and the notch of the controller; gain 1 and order 0 leave Ĉ out.
     link_order, loss, damping_order, gauge_delay, gauge_gain, second_mode
         the link and its gauge, as in `GaugedLink`.
     lag
@@ -103,11 +99,11 @@ class Loop(GaugedLink):
     delay
         τ [s]: computation delay and half a period of hold.
     correction
-        logarithm of what the sampled motor loop makes of M(s) and the delay, a function
-        of ω, or None.
+        logarithm of the ratio of the sampled motor loop to M(s) with the delay, a
+        function of ω, or None.
     highest
-        frequency [rad/s] above which nothing is looked for: the Nyquist frequency of a
-        sampled controller.
+        frequency [rad/s] at which the search for crossings ends: the Nyquist frequency
+        of a sampled controller.
     """
 
     gain: float = 1.0
@@ -129,11 +125,10 @@ class Loop(GaugedLink):
         *,
         ratio: float = 1.0,
     ) -> Loop:
-        """Return all that stands in the loop beside Ĉ, for a controller that runs at
-        `period` [s].
+        """Return the loop without Ĉ, for a controller that runs at `period` [s].
 
-        `ratio` is the motor's true over its stated gain or, where its loop is ideal, the
-        loop's pole.
+        `ratio` is the true over the stated gain of the motor or, if its loop is ideal,
+        pole of that loop.
         """
         correction = motor_loop.correction(motor, period, ratio=ratio)
         return replace(
@@ -151,7 +146,7 @@ class Loop(GaugedLink):
 
     @staticmethod
     def ideal(model: LinkModel) -> Loop:
-        """Return G alone, the paper's reading: no motor loop, no delay, an exact gauge."""
+        """Return G alone, as in the paper: no motor loop, no delay, an exact gauge."""
         return Loop(
             link_order=model.order,
             loss=model.loss,
@@ -224,7 +219,7 @@ class Loop(GaugedLink):
         return np.exp(self.outer_log(w) + self.motor_log(w)) * bracket
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
-        """Return ln|L(jω)|, the real part of `log`, for which no phase is unwrapped."""
+        """Return ln|L(jω)|, the real part of `log`, without unwrapping the phase."""
         if self.exact_gauge:
             return self.log(frequency, natural_frequency).real
         # exp(log ω) as in `link_log`, so that both agree to the last bit.
@@ -280,7 +275,7 @@ class Loop(GaugedLink):
         low, high = 1e-4, 1e4
         if self.order > 0.0:
             # Up to a quarter of the mode |L| < 2 k ω^β, far above it at most k ω₀²
-            # ω^(β-λ): all crossings of |L| = 1 lie between those of these two.
+            # ω^(β-λ): all crossings of |L| = 1 lie between those of these bounds.
             first = -math.log(2.0 * self.gain) / self.order
             low = min(
                 0.25, math.exp(min(max(first, -300.0), 300.0)) / float(mode.max())
@@ -358,8 +353,8 @@ class Loop(GaugedLink):
     def margins(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
         """Return (upper gain crossover, signed phase margin) for each ω₀.
 
-        Where |L| rises through one about the second mode only to fall again, that is no
-        crossover of the loop; its margins count like any other's.
+        If |L| only exceeds one in a peak at the second mode, the crossings there are not
+        the loop's crossover, but their margins count like any other's.
 
         The margin is the smallest over all crossings, negative where the closed loop is
         unstable; without a crossing it counts as π and the crossover as 0. L is
@@ -404,8 +399,8 @@ class Loop(GaugedLink):
         """Return the noise gain for each ω₀, ``(∫₀^{ωN} |Ĉ/(1+L)|² dω / ωN)^½`` (30),
         ωN = π/`period`.
 
-        It is the RMS of the motor reference over that of white gauge noise, both as
-        angles: the gauge's torque noise divided by the stiffness.
+        It is the RMS of the motor reference over that of white gauge noise, taken as an
+        angle: the gauge's torque noise divided by the stiffness.
         """
         w0 = np.atleast_1d(np.asarray(natural_frequency, float))
         w, weights = noise_points(self, w0, period)
@@ -428,7 +423,7 @@ def noise_points(
     if loop.gauge_delay:
         # |1 + L| oscillates with the delay up to the Nyquist frequency. Without these
         # panels the noise gain of a design for a gauge 20 ms late was 8 % off; with
-        # them it is 0.7 % off, and 2e-3 on four others.
+        # them it is 0.7 % off, and 0.2 % on four others.
         common.append(loop.turns(0.0, nyquist, 2.0)[1:])
     edges = np.concatenate([modes * _PANELS, modes * 0.0 + np.concatenate(common)], 1)
     # panels beyond the Nyquist frequency have no width there

@@ -1,7 +1,7 @@
 """The motor and the PID that closes its loop, by pole placement.
 
-The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with one
-filter pole close it, u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s +
+The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with a
+common filter pole close it, u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s +
 a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c) (20), so that θm/θm* = M(s) = 1/(1 +
 s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the filter's pole,
 not the link's stiffness, and the values below are recomputed from A, B and p.
@@ -116,8 +116,8 @@ class ContinuousPid:
     def discretize(self, period: Period) -> DiscretePid:
         """Return the loop at `period` [s] > 0 by Tustin's rule.
 
-        A backward difference and a zero-order hold lag or advance the PID: at 4 ms with
-        one sample of delay and p = 80 both are unstable.
+        A backward difference or a zero-order hold would shift the PID's phase: at 4 ms
+        with one sample of delay and p = 80, the loop is unstable with either.
         """
         c, half = self.filter_pole, 0.5 * period
         filtered = half / (1 + c * half)

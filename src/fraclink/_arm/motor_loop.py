@@ -38,9 +38,9 @@ __all__ = [
 ]
 
 
-# A faster filter would ring at the Nyquist frequency for longer than the loop takes to
-# settle.
-_FASTEST_FILTER = 0.8
+# With r closer to -1, the filter would ring at the Nyquist frequency for longer than the
+# loop takes to settle.
+_FILTER_POLE_LIMIT = 0.8
 
 
 @checked
@@ -95,8 +95,8 @@ class MotorLoop:
     def sampled(
         self, motor: MotorConstants, period: float, *, ratio: float = 1.0
     ) -> SampledMotorLoop:
-        """Return the PID that was placed for `motor`, around one with `ratio` times its
-        gain, with the computation delay.
+        """Return the loop of the PID placed for `motor` and a motor with `ratio` times
+        its gain, with the computation delay.
         """
         true = MotorGain(motor.gain * ratio, motor.decay)
         return SampledMotorLoop(self.pid(motor, period), true, self.delay_samples)
@@ -193,7 +193,7 @@ class SampledMotorLoop:
         ``M(s)·e^{-(d+1/2)Ts s}``, at ω [rad/s].
 
         Aliases are omitted: they are 1e-4 of it at half the Nyquist frequency, and 1e-9
-        at the crossing.
+        at the crossover.
         """
         w = np.asarray(frequency)
         s, period = 1j * w, self.pid.period
@@ -232,7 +232,7 @@ def direct_placement(
     """
     # The largest modulus has a kink wherever two remaining poles meet, so derivatives
     # do not help. Two grids determine r to 1e-3.
-    grid = np.linspace(-_FASTEST_FILTER, _FASTEST_FILTER, 61)
+    grid = np.linspace(-_FILTER_POLE_LIMIT, _FILTER_POLE_LIMIT, 61)
     radii = [_left_over(motor, pole, period, delay_samples, float(r))[1] for r in grid]
     best = int(np.argmin(radii))
     fine = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)], 41)
@@ -243,7 +243,7 @@ def direct_placement(
         raise FieldError(
             "motor_loop.pole",
             pole,
-            "not to be placed with this delay",
+            "too fast for this delay",
             "a slower motor loop",
             f"with a delay of {delay_samples} × {period:g} s an unstable pole is left over",
         )

@@ -98,7 +98,7 @@ class Recording:
         """Return the record of a link that was bent, held and let go, from its output
         alone.
 
-            y(0) − y(t) = G(s) 1/s,    G = k/(s^a + w): a step of the force that held it, taken away
+            y(0) − y(t) = G(s) 1/s,    G = k/(s^a + w): the response to removing the force that held it
 
         A record that begins while it is held keeps that part, as a delay of the step;
         one that begins later is cut at its widest swing, where the link turns round.
@@ -174,7 +174,7 @@ class Recording:
         return cls(log.period, channels[input], measured, start, log.source, log.sha256)
 
 
-_OUT = "leave the line at zero frequency out"
+_OUT = "leave out the line at zero frequency"
 Lines = Annotated[
     Real,
     Array(1),
@@ -183,7 +183,7 @@ Lines = Annotated[
 Coherence = Annotated[
     Real,
     Array(1),
-    above(0.0, 1.0, remedy="leave lines without it out"),
+    above(0.0, 1.0, remedy="leave out lines without it"),
 ]
 
 
@@ -294,7 +294,7 @@ def coherence_weights(response: Complex, coherence: Real) -> Real:
     """Weight √(γ²/(1 − γ²))/|H| of each line's error: proportional to the inverse of
     its standard deviation.
     """
-    # γ² = 1 would have infinite weight. A limit of one millionth below is an error of
-    # 0.1 % of a line, less than any measurement has.
+    # γ² = 1 would have infinite weight. The limit, a millionth below, corresponds to an
+    # error of 0.1 % of a line, less than any measurement has.
     share = np.minimum(coherence, 1 - 1e-6)
     return np.sqrt(share / (1 - share)) / np.abs(response)

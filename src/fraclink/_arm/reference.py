@@ -1,8 +1,7 @@
-"""References of tip or motor, with exact velocity and acceleration.
+"""References for tip or motor, with exact velocity and acceleration.
 
-A reference is a piecewise polynomial of time, so that the feed-forward of
-the law gets the true acceleration instead of differences of samples, or a table of
-samples that includes the acceleration.
+A reference is a piecewise polynomial of time, or a table of samples that includes the
+acceleration: the feed-forward of the law then needs no differences of samples.
 """
 
 from __future__ import annotations
@@ -98,12 +97,12 @@ class Path(Reference):
     breaks[i].
 
     Before the first break, the constant of the first piece applies. A jump of the angle
-    has no velocity: velocity and acceleration are those of the pieces.
+    does not appear in the velocity: velocity and acceleration are those of the pieces.
 
     Parameters
     ----------
     kind
-        a word for plots.
+        what plots call it.
     breaks
         shape (n,) [s], rising.
     coefficients
@@ -121,7 +120,7 @@ class Path(Reference):
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
         t = np.asarray(time, float)
         # Continuous from the right: at a break the later piece applies, so a step at t
-        # = 0 has been made at t = 0.
+        # = 0 is complete at t = 0.
         piece = np.clip(np.searchsorted(self.breaks, t, side="right") - 1, 0, None)
         local = np.maximum(t - self.breaks[piece], 0.0)
         value = np.zeros_like(local)
@@ -165,8 +164,8 @@ class Path(Reference):
 @compared
 @dataclass(frozen=True, eq=False)
 class SampledReference(Reference):
-    """A table: angle, velocity and acceleration at 0, period, 2 period …, straight
-    lines between the rows.
+    """A table: angle, velocity and acceleration at 0, period, 2 period …, interpolated
+    linearly between the rows.
 
     At the period of a law, nothing is interpolated and the law gets the table's own
     numbers. Before and after the table its first and last angle hold.
@@ -233,8 +232,8 @@ def spline(
     """Return the cubic spline through via points or samples, from rest at the first to
     rest at the last.
 
-    Velocity and acceleration are continuous between the ends; the path has the least
-    ∫θ̈² of all through these points.
+    Velocity and acceleration are continuous between the ends; of all paths through
+    these points with both ends at rest, it has the least ∫θ̈².
 
     Parameters
     ----------
@@ -263,7 +262,7 @@ def spline(
         raise FieldError(
             "angle",
             angle.shape,
-            "not one a time",
+            "not one for each time",
             f"{time.shape}",
             "pair them",
         )
@@ -329,8 +328,8 @@ def smooth_step(amplitude: Angle, duration: Length, start: Start = 0.0) -> Path:
 
 @checked
 def pulse(amplitude: Angle, width: Length, start: Start = 0.0) -> Path:
-    """Return a pulse of `amplitude` [rad] and `width` [s] > 0, from jump to jump. One
-    with smooth edges is two moves: ``smooth_step(…).then(smooth_step(…))``.
+    """Return a pulse of `amplitude` [rad] and `width` [s] > 0 with a jump at either
+    end. One with smooth edges is two moves: ``smooth_step(…).then(smooth_step(…))``.
 
     >>> bool(pulse(1.0, 7.0).angle(3.0) == 1.0), float(pulse(1.0, 7.0).angle(7.5))
     (True, 0.0)
@@ -341,7 +340,7 @@ def pulse(amplitude: Angle, width: Length, start: Start = 0.0) -> Path:
 
 @checked
 def hold(angle: Angle, duration: Start = 0.0) -> Path:
-    """Return a constant `angle` [rad] for `duration` [s] ≥ 0, and ever after.
+    """Return a constant `angle` [rad] for `duration` [s] ≥ 0, and thereafter.
 
     >>> float(hold(0.3).angle(5.0))
     0.3

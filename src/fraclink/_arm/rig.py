@@ -67,19 +67,19 @@ class Rig:
     Parameters
     ----------
     name
-        how reports call it.
+        what reports call it.
     motor, link, payloads, encoder, gauge
         its parts.
     period
         sampling period Ts [s], > 0 and <= 10.
     motor_loop
-        the loop that closes the motor: pole [rad/s] and computation delay [samples].
+        the position loop of the motor: pole [rad/s] and computation delay [samples].
     model
         link model that the file carries, or None.
     log
         which column of a log is what, or None.
     design
-        what a design reaches where the call does not say, or None.
+        what a design aims at if the call does not say, or None.
     tolerances
         how far the arm may differ from its model.
     moves
@@ -286,7 +286,7 @@ def _contradiction(
     return (contradiction,)
 
 
-# --- the file: what a person may write otherwise than the rig has it ---------------------------------------
+# --- the file: what may be written differently or left out ------------------------------------------------
 
 
 def _in_seconds(data: dict[str, Any]) -> dict[str, Any]:

@@ -71,8 +71,8 @@ class Moves:
     Parameters
     ----------
     angle
-        of reference and motor reference, to either side of `centre` [rad], > 0; a law
-        does not start beyond it.
+        of the reference and the motor reference, to either side of `centre` [rad], > 0;
+        a law does not start beyond it.
     velocity, acceleration
         of the reference [rad/s], [rad/s²], > 0.
     torque
@@ -278,8 +278,8 @@ class Payloads:
         >>> finding.message
         'a payload of 30 kg is 750 times the heaviest that the rig states'
         """
-        # In both directions: kilograms on a rig stated in grams are at least a hundred
-        # times too light.
+        # In both directions: if a rig states grams as kilograms, a correct payload
+        # looks too light.
         if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
             return None
         nearest, word = (
@@ -374,13 +374,13 @@ class DesignDefaults:
 @checked(prefix="tolerances.")
 @dataclass(frozen=True)
 class StatedTolerances:
-    """Tolerances of the arm relative to its model: the least that a proof covers beyond
-    the intervals of a fit.
+    """Tolerances of the arm relative to its model: the least that a proof covers,
+    even if the intervals of a fit are narrower.
 
     natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute
     [1]; gauge_delay is the largest delay beyond the identified one [s]. The defaults
     are those of a careful laboratory: 3 % of ω₀², a strain gauge calibrated to 5 %,
-    half a period of an undeclared delay at 4 ms.
+    an undeclared delay of half a period of 4 ms.
 
     >>> StatedTolerances().order
     0.03

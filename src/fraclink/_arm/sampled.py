@@ -97,8 +97,8 @@ def sampled_plant(
 
     def response(s: Complex) -> Complex:
         ideal = (1.0 + lag * s) ** 2
-        # With the sampled PID the bare motor follows the hold, and the PID before it
-        # (`before`).
+        # With the sampled PID, the hold drives the bare motor, and the PID comes before
+        # the hold (`before`).
         drive = s * (s + motor.decay) / (motor.gain * ratio) if sampled else ideal
         ln_s = np.log(s)
         inertia: Complex = np.exp(model.order * ln_s)

@@ -207,7 +207,7 @@ def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
             {"jitter_s": worst, "jitter_share": share, "period_s": period},
             "samples were interpolated onto the grid"
             if resample
-            else "taken as uniform: this moves no parameter",
+            else "taken as uniform: this changes no parameter noticeably",
         ),
     )
 
