@@ -5,6 +5,7 @@ with an independent computation.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,10 +64,11 @@ def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
         )
 
 
+@pytest.mark.parametrize("late", [0.0, 0.01])
 @pytest.mark.parametrize("motor_loop", ["ideal", "sampled"])
-def test_phase_budget_adds_up_to_the_margin(motor_loop: str):
+def test_phase_budget_adds_up_to_the_margin(motor_loop: str, late: float):
     made = fl.design(
-        RIG.model,
+        replace(RIG.model, gauge_delay=late),
         RIG,
         **WANTED,
         motor_loop=motor_loop,
