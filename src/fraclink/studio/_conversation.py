@@ -27,7 +27,7 @@ from fracsys.checks import rule
 
 __all__ = ["Conversation"]
 
-# requests of a page in progress; a page that sends more is not ours
+# most requests of a page that wait for their turn; the studio's own sends fewer
 _WAITING = 64
 
 
@@ -95,7 +95,7 @@ class Conversation:
         self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
         self._sending = asyncio.Lock()
         self._job: Job | None = None
-        # where the last preview ended
+        # of the last preview: the search of the next one starts there
         self._near: Controller | None = None
 
     async def run(self) -> None:
@@ -189,7 +189,7 @@ class Conversation:
 
     def _map(self, message: Message) -> Reply:
         def going() -> None:
-            # Both share one interpreter: the map waits until the handle is released.
+            # Previews share its interpreter: the map waits until the handle is released.
             self._released.wait()
             if self._newest["map"] is not message:
                 raise SupersededError

@@ -44,8 +44,8 @@ def copies(session: Session) -> dict[str, str]:
 
 
 def _log_words(session: Session, verb: str, rig: str = "", *more: str) -> str:
-    """The command `verb` on the log, with what was stated of its columns where a rig is
-    named: `inspect` lists the contents of a file for any interpretation.
+    """The command `verb` on the log; with a rig, also with the user's statements about
+    the columns, which `inspect` does not need.
     """
     source, log = session.source, session.study.experiment
     # The command line calls the bundled log demo; its path belongs to this
@@ -81,7 +81,7 @@ def _rig_name(session: Session) -> str:
 def as_command(
     request: Mapping[str, Any], rig: str, model: Path | None, out: Path
 ) -> str:
-    """Return the command that makes the design of `request`, byte for byte."""
+    """Return the command that makes the design of `request`, identical to the byte."""
     words = ["fraclink", "design", "--rig", rig]
     if model is not None:
         words += ["--model", str(model)]

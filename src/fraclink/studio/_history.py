@@ -86,8 +86,8 @@ class History:
             file.write(json.dumps(entry, allow_nan=False) + "\n")
         self._apply(entry)
 
-    # The same method for reading and writing, so that a history read back equals the
-    # one that was left.
+    # The same method for reading and writing: a history read back equals the one that
+    # was written.
     def _apply(self, entry: Mapping[str, Any]) -> None:
         # A file edited by hand may refer to a state far beyond the last: it becomes the
         # next one.
@@ -99,8 +99,8 @@ class History:
 
 def _entry(line: bytes) -> dict[str, Any] | None:
     """The entry of a line; None if it is not valid."""
-    # As for requests of a page, longer ones are not accepted; a file with one endless
-    # line is not parsed.
+    # Longer lines are rejected, as requests of a page are: a file may be one endless
+    # line.
     if len(line) > LONGEST:
         return None
     try:

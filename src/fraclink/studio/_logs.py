@@ -199,7 +199,7 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
 
 def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
     """Use another rig, bundled or uploaded, or the model of an uploaded file; results
-    for the old one are discarded.
+    for the old rig are discarded.
     """
     name, before = given.get("name"), session.study
     if name == "upload" and session.upload is not None:

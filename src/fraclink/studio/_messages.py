@@ -57,8 +57,8 @@ class Reply:
         object.__setattr__(self, "head", {"ok": True, **self.head})
 
     def packed(self, seq: int, verb: str) -> bytes:
-        """The length of the head in four bytes, little-endian; the head, padded to 4;
-        the curves.
+        """The length of the head in four bytes, little-endian; the head, padded to a
+        multiple of four; the curves.
 
         Non-finite numbers become null in the header; in a curve they are a defect.
         """
@@ -207,7 +207,6 @@ def checked_request(given: object) -> dict[str, Any]:
             )
     values = {}
     for name, hint in _HINTS.items():
-        # None leaves the choice to the rule or the rig.
         value = given.get(name)
         values[name] = None if value is None else rule(hint).check(name, value)
     return values

@@ -99,14 +99,12 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
     flash, state = exact_sizes(law)
     room = _kernels.law_sizes(precision == "single")
     modes = law.order + len(law.feedforward.poles)
-    # Measured for 6 + 2 modes and extrapolated: every further mode takes eight
-    # instructions per period.
     counts = [f"about {count + _A_MODE * (modes - _OF_MODES)}" for count in _COUNTED]
     rows = [
         ["memory of each arm (RAM)", f"{state} bytes", f"{room[1]} bytes"],
         ["coefficients (flash)", f"{flash} bytes", f"{room[0]} bytes"],
         [f"instructions a period, Cortex-M4F, {modes} modes",
-         *(counts if precision == "single" else ["not counted: it has no such unit"] * 2)],
+         *(counts if precision == "single" else ["not counted: its FPU is single precision"] * 2)],
         ["last line of the self-test", *[f"hash {expected(law):08X}"] * 2],
     ]  # fmt: skip
     return Reply({"board": rows, "power_on": power_on(design)})

@@ -1,5 +1,5 @@
 """Runs computed in Python for the arm in the page: a held tip, a payload lost in a
-move, a case of a fault.
+move, a case of the fault campaign.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def _events(
             _number(hold, name) for name in ("begin", "until", "angle")
         )
         # A hand stops the arm in its motion: the obstacle is on the side to which the
-        # reference moves, since at the moment of the grip it may still be at the
-        # position of the tip.
+        # reference is about to move; at the grip itself the reference may still be
+        # where the tip is.
         after = begin + _number(given, "time")
         side: Literal[1, -1] = 1 if angle(after) >= place else -1
-        # If it is released in the same frame the obstacle has no duration; a
-        # millisecond is a touch.
+        # A release in the same frame would leave no duration: it counts as a touch of a
+        # millisecond.
         events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
         sentences.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
     if isinstance(throw, Mapping):
@@ -107,8 +107,6 @@ def _reply(said: str, run: Run, move: float) -> Reply:
         "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
         "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
     }  # fmt: skip
-    # A value that is not finite is a reading changed by the fault; the law held the
-    # previous one, and so does the picture.
     clean = {
         name: held(np.asarray(values, float), 1e6) for name, values in curves.items()
     }

@@ -50,10 +50,8 @@ _FASTEST, _WIDEST = (4.0, 100.0)
 
 @dataclass(frozen=True)
 class Subject:
-    """The subject of a design: rig and link; and the part of the last exact design used
-    by a preview.
-
-    Of its `law` the poles.
+    """The subject of a design: rig and link; and the last exact law, whose poles a
+    preview uses.
     """
 
     rig: Rig
@@ -67,8 +65,8 @@ class Subject:
 
     @cached_property
     def links(self) -> Links:
-        """The link at the payloads of the margin plot: the rig's range and as much again
-        on both sides.
+        """The link at the payloads of the margin plot, from well below the rig's range to
+        well above it.
         """
         span = self.rig.payloads
         payloads = payloads_about(span.low, span.high)
@@ -76,8 +74,8 @@ class Subject:
 
     @cached_property
     def frequencies(self) -> Real:
-        """Frequencies of the Bode plots [rad/s]: from a twentieth of the slowest mode
-        to the Nyquist.
+        """Frequencies of the Bode plots [rad/s]: from a tenth of the slowest mode, or
+        lower, to the Nyquist frequency.
         """
         slowest = float(self.links.natural_frequencies.min()) ** (
             2.0 / self.model.order
@@ -86,7 +84,7 @@ class Subject:
         return np.geomspace(min(0.1 * slowest, 0.01 * nyquist), nyquist, _POINTS)
 
     def axes(self) -> dict[str, Any]:
-        """The axes, which are fixed during a drag: with scaled axes the page would hide
+        """The axes, which are fixed during a drag: axes that follow the curves would hide
         its effect.
         """
         span = self.rig.payloads
@@ -105,7 +103,7 @@ def preview(
     near: Controller | None = None,
 ) -> tuple[Reply, Controller | None]:
     """Return design, loop and margins of `state`, or the refusal that `fraclink design`
-    would print; and the controller from which the next preview of a drag goes on.
+    would print; and the controller from which the next preview of a drag starts.
 
     A pure function of its arguments: no file is read or written, nothing is stored. The
     law of the answer, if there is one, is `refitted`, and its figures are a preview of
@@ -206,7 +204,7 @@ def blocks_of(law: Law) -> list[str]:
     ]
 
 
-# --- beside the loop: what can be asked for, and arms of a box ---------------------------
+# --- beside the loop: feasible requests, and arms of a box -------------------------------
 
 
 def map_of(

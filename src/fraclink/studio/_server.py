@@ -55,8 +55,7 @@ _KINDS = {
     ".svg": "image/svg+xml",
 }
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
-# A plain file name with an ending: no folder, no leading dot, and nothing with a
-# special meaning for a file system or a shell.
+# A plain file name with an ending: no folder, and no leading dot or hyphen.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
 _PATIENCE = 10.0  # [s] for the token, which the page sends immediately
 

@@ -40,11 +40,11 @@ def serve(
     Parameters
     ----------
     opening
-        makes the session; it runs while the browser loads the page, and what it raises
+        makes the session; it runs while the browser loads the page, and an error in it
         ends the studio.
     port
-        where to listen on this machine alone (127.0.0.1); 0 takes one that is free.
-        From another machine the page is reached through ``ssh -L``.
+        to listen on, of this machine only (127.0.0.1); 0 takes a free one. From another
+        machine the page is reached through ``ssh -L``.
     open_page
         whether to open the browser.
     say
@@ -68,7 +68,7 @@ def serve(
         # At most four bytes per character (UTF-8): longer than any request accepted by
         # `parsed`.
         ws_max_size=4 * LONGEST,
-        ws_per_message_deflate=False,  # 14 kB per drag that never leave the machine
+        ws_per_message_deflate=False,  # 14 kB per drag, which never leave the machine
         h11_max_incomplete_event_size=LONGEST,
         lifespan="off",
     )

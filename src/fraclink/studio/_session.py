@@ -99,8 +99,8 @@ class Session:
         self.state = self._first_state()
 
     def _first_state(self) -> dict[str, Any]:
-        """The state left by a crash, the request of the study's design, or the request
-        in the rig.
+        """The last state of the history; without one, the request of the study's design,
+        or that of the rig.
         """
         self.asked = None
         try:
@@ -179,10 +179,10 @@ class Session:
                 for name in ("rig", "experiment", "fit")
             ):
                 raise SupersededError
-            # If a handle returns to the same position nothing is lost: proof and
-            # campaign still apply.
+            # If a handle returns to the same position nothing is lost: proof, arms and
+            # faults still apply.
             same = before.design == study.design
-            if same:  # proof, arms and faults belong to exactly this design
+            if same:
                 parts = ("certificate", "missing", "arms", "faults")
                 study = replace(
                     study, **{name: getattr(before, name) for name in parts}
@@ -202,7 +202,7 @@ class Session:
         design, law = self.study.design, self.study.law
         if design is None or law is None:
             return {"arm_key": "", "arm": None}
-        # The parts of the page's engine: 100 kB that are sent only if one of these has
+        # The data of the page's engine, 100 kB, are sent only if one of these has
         # changed. The law, which changes during a drag, is sent separately.
         whole = repr((design.model, design.rig, design.payloads)).encode()
         key = hashlib.sha256(whole).hexdigest()[:16]

@@ -43,7 +43,7 @@ _MADE = {
     "arms": ("arms",),
     "faults": ("faults",),
 }
-# Option of a job -> its range, and what it is where the page leaves it out.
+# Option of a job -> its range, and its value if the page leaves it out.
 _OPTIONS: dict[str, tuple[Between, float | None]] = {
     "heldout": (Between(0.05, 0.9), None),
     "runs": (Between(1, 20_000), 1000),
@@ -89,8 +89,7 @@ class Job:
         }
         place = Path(tempfile.mkdtemp(dir=self.session.draft))
         try:
-            # The campaign's parts stay where they are: a job that needs them computes
-            # them again.
+            # Without the runs of varied arms, which no job reads.
             save_study(replace(self.study, arms=None), place)
             self._run(place, values, tell)
             return self._taken(place, values)
@@ -187,9 +186,9 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     """Return the map of the distance from −1 over payload [g] and delay [ms], negative
     where the loop is stable; and curves.
 
-    Curves are L on the unit circle at both ends of the range and between, without and
-    with the delays of the map's middle, each as one row of real and one of imaginary
-    parts.
+    The curves are L at both ends of the payload range and in its middle, without added
+    delay and with half of the map's largest, each as one row of real and one of
+    imaginary parts.
     """
     low, high = design.payloads
     payloads = payloads_about(low, high, _PAYLOADS)
@@ -229,8 +228,8 @@ def _plant(design: Design, payload: float, late: float) -> Any:
 
 def _distance(design: Design, law: Law, payload: float, late: float) -> float:
     margins = margins_of(law.frequency_response, _plant(design, payload, late))
-    # One scale from far (−1) through critical (0) to unstable: the map interpolates
-    # between cells.
+    # A single scale for the shades of the map: from far (−1) through critical (0) to
+    # unstable.
     return -margins.modulus_margin if margins.stable else margins.modulus_margin
 
 

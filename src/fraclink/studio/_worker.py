@@ -43,8 +43,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any]) -> Study:
         return identified(study, heldout=options["heldout"])
     if verb == "prove":
         _tell({"said": "proving every payload and delay"})
-        # Otherwise a cancelled job would leave the result of an earlier one in place.
-        return proved(replace(study, certificate=None))
+        return proved(study)
     if verb == "arms":
         _tell({"said": f"simulating {options['runs']:g} varied arms"})
         return tried(study, int(options["runs"]))
@@ -52,7 +51,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any]) -> Study:
 
 
 def cell_of(outcome: Outcome) -> dict[str, Any]:
-    """Return the run of a fault as the page marks it: a cell is as bad as its worst."""
+    """Return what marks the run of a fault in the page, whose cells show their worst."""
     case = outcome.case
     return {
         "fault": case.fault,

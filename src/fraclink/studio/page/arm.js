@@ -7,13 +7,13 @@ export class Arm {
     this.app = app;
     this.key = '';
     this.moving = null; // the interface of the running arm
-    this.taken = Promise.resolve(); // when it has the newest answer
+    this.taken = Promise.resolve(); // resolved when the newest answer has been taken
     this.moved = () => {};
     this.held = null;
     this.hands();
   }
 
-  /** The answer of an exact design: it holds a new arm, or a new law for this one. One after the other: an arm takes a moment to start. */
+  /** Take the answer of an exact design: a new arm, or a new law for this one. One after the other, since an arm takes a moment to start. */
   take(answer) {
     if (answer.arm_key !== undefined) this.taken = this.taken.then(() => this.taking(answer));
   }

@@ -47,7 +47,7 @@ export class Around {
       });
     }
   }
-  /** Overlay a state, or no longer; a third one takes the place of the first. */
+  /** Overlay a state, or remove it; a third one takes the place of the first. */
   async pin(key, state) {
     const {pinned} = this;
     if (!pinned.delete(key)) {

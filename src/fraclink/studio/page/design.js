@@ -51,7 +51,7 @@ export class Design {
     const asked = this.last?.asked || {};
     return key === 'payloads' ? (this.app.axes.rated || [0.02, 0, 0.04])[i === '1' ? 2 : 0] : asked[key] ?? null;
   }
-  /** Set a value that is no part of a gesture: from a field or a key. */
+  /** Set a value that is not part of a gesture: from a field or a key. */
   put(name, value) {
     this.app.begin();
     this.set(name, value);
@@ -156,7 +156,7 @@ export class Design {
     this.loop(name, kind, c.gain[1], c.phase[1], label);
     this.margin.curve(name, kind, this.app.axes.payloads.map(grams), c.margin[0], label);
   }
-  /** One loop in every plot: L over frequency and as a Nichols curve, S and T; payloads have their label where they part. */
+  /** One loop in every plot: L over frequency and as a Nichols curve, S and T; the payloads are labelled in the Nichols plot only. */
   loop(name, kind, gain, phase, label, w = this.app.axes.frequencies) {
     const S = sensitivity(gain, phase);
     [gain, phase, S, S.map((s, k) => s + gain[k])].forEach((values, i) => this.over[i].curve(name, kind, w, values, kind === name ? '' : label));
@@ -234,7 +234,7 @@ export class Design {
     $('step-design').classList.add('stale');
     this.app.refuse(true);
   }
-  /** Take over the nearest request of a refusal. */
+  /** Use the nearest feasible request of a refusal. */
   use(nearest) {
     this.app.begin();
     this.app.state = {...this.app.state, ...nearest};

@@ -62,7 +62,7 @@ export class Link {
     else this.busy ||= setTimeout(() => { root.dataset.busy = 'true'; }, 200);
   }
 
-  /** One request is in progress, the newest waits, and those in between are dropped. `late` tells of one that takes long. */
+  /** One request is in progress, the newest waits, and those in between are dropped. `late` is called for one that takes long. */
   drag(given, shown, late) {
     this.next = [given, shown, late];
     if (!this.dragging) this.newest();

@@ -147,7 +147,7 @@ export class Logs {
   /** The arm with a place for each channel. */
   slots() { for (const box of document.querySelectorAll('[data-role]')) this.slot(box); }
   slot(old) {
-    // A new copy: an element that is shown again would receive a drop twice.
+    // A new copy: with the listeners added to the same element again, it would receive a drop twice.
     const {role} = old.dataset, set = this.roles[role], box = old.cloneNode(true), words = box.firstElementChild.textContent;
     while (box.children.length > 2) box.lastElementChild.remove();
     old.replaceWith(box);

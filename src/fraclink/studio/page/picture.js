@@ -2,7 +2,7 @@
 import {el} from './plot.js';
 import {make, put, saveAs} from './dom.js';
 
-// What a viewer needs of the style sheet, which stays in the page.
+// The properties that a viewer needs from the page's style sheet.
 const LOOK = ['fill', 'fill-opacity', 'stroke', 'stroke-width', 'stroke-opacity', 'stroke-dasharray', 'stroke-linejoin', 'opacity', 'paint-order', 'font-family', 'font-size', 'font-weight'];
 const look = (node, shown) => put(node, Object.fromEntries(LOOK.map((name) => [name, getComputedStyle(shown).getPropertyValue(name)])));
 const LINE = 16, SAMPLE = 22; // [pixels] height of a line of text, and length of a line in the legend

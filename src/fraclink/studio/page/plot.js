@@ -52,7 +52,7 @@ export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
 /** A circle about a point of the real axis. */
 export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre + r * Math.cos((Math.PI * k) / 60), r * Math.sin((Math.PI * k) / 60)]);
 
-/** A move of the pointer as it arrives, where the browser tells of it before the next frame. */
+/** The event of a pointer move: at once where the browser offers that, else once a frame. */
 const MOVED = 'onpointerrawupdate' in window ? 'pointerrawupdate' : 'pointermove';
 const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
 const steps = (low, high, count) => {
@@ -201,7 +201,7 @@ export class Plot {
     this.place();
   }
 
-  /** Those of the page for the whole axis, and round numbers for a part of it. */
+  /** The ticks: those of the page for the whole axis, round numbers for a part of it. */
   ticks({low, high, log, ticks}, home, count) {
     if (ticks && low === home.low && high === home.high) return ticks;
     const round = log ? decades(low, high) : [];
@@ -312,7 +312,7 @@ export class Plot {
     return entry;
   }
 
-  /** A grid of values in four shades: from edges[k] to edges[k + 1], the last without an upper end. */
+  /** A grid of values, a shade for each interval from edges[k] to edges[k + 1]; the last has no upper end. */
   cells(xs, ys, values, edges, said = plain) {
     this.grid = {xs, ys, values, said};
     for (const [k, from] of edges.entries()) {
@@ -338,7 +338,7 @@ export class Plot {
     on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
     on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
   }
-  /** Draw a hairline in every plot with the same axis, with the values of its curves there, and dots on curves along it. */
+  /** Draw a hairline in every plot with the same axis, with the values of its curves there, and dots in a plot whose curves run along that axis. */
   point(v) {
     for (const plot of plots) {
       if (!plot.W) continue;

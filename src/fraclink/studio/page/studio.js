@@ -32,7 +32,7 @@ export const app = {
         performance.measure('drag', {start: at, end: performance.now()});
       });
     }, () => design.late());
-    // behind the request, which Python answers in the meantime; once a frame while the pointer moves
+    // after the request, which Python answers in the meantime; once a frame while the pointer moves
     if (time === undefined) app.place();
     else app.placing ||= requestAnimationFrame(app.place);
   },
@@ -135,7 +135,7 @@ export const app = {
   line() {
     const none = app.refused && STEPS.indexOf(app.step) >= STEPS.indexOf('design');
     const words = app.study.copies?.[app.step] || '', text = none ? '' : app.step === 'move' ? arm.command(words) : words;
-    const why = none ? 'No command: no design meets this request' : 'No command: no option states what was changed here';
+    const why = none ? 'No command: no design meets this request' : 'No command: no option covers what was changed here';
     say('command', text || why);
     put($('copy-command'), {title: text ? '' : why});
     $('copy-command').disabled = !text;
