@@ -1,5 +1,5 @@
-"""Single runs of one arm, model (massless link) or twin, under the law that ships; and
-shaped moves.
+"""Single runs of one arm (the model with its massless link, or the twin) under the
+shipped law, and shaped moves.
 """
 
 from __future__ import annotations

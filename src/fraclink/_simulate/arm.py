@@ -31,13 +31,13 @@ from fracsys.checks import (
 
 __all__ = ["Twin", "damping_of", "geared"]
 
-# Ratio of hub inertia to that of the arm below which the compensation of the coupling
+# Ratio of the hub's inertia to the arm's, below which the compensation of the coupling
 # torque, delayed by 1.5 periods, feeds more energy into the mode than the motor loop
 # removes. On the paper's rig with 8 to 40 g at 4 ms, 0.5 % (as printed) and 2 % are
 # unstable, 4.5 % rings at 8 g, and 12 % or more is stable.
 LIGHT_HUB = 0.1
 
-# The frequency of the model and equation (5) may differ by the effect of the link's
+# The model's frequency may differ from that of equation (5) by the effect of the link's
 # mass, up to 17 % at 8 g.
 SAME_ARM = 0.2
 
@@ -98,7 +98,7 @@ def _agree(rig: Rig, model: LinkModel) -> None:
 @checked
 @dataclass(frozen=True)
 class Twin:
-    """A simulated arm, with what the model leaves out.
+    """A simulated arm, with the effects that the model leaves out.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ class Twin:
         motor and amplifier as in the rig file; its inertia, friction and torques act at
         the gear's output as n²J, n²ν, nΓc and nK V
     encoder, gauge
-        the rig's; the gauge's reading is gauge_gain times a torque that is gauge_delay [s]
-        old, 0 to 100 periods
+        the rig's; the gauge reads gauge_gain times the torque of gauge_delay [s] ago, 0
+        to 100 periods
     voltage_delay
         control periods between reading the sensors and the voltage's effect, 0 to 100
     modes
@@ -157,12 +157,12 @@ class Twin:
         ----------
         payload, link_mass [kg]: see `Beam.from_rig`
         model
-            the link as it was identified; the rig's own where it is left out
+            the identified link; default: the rig's own
         damping
-            default the material of the model (`damping_of`)
+            default: the model's material (`damping_of`)
 
-        Delay and gain of the gauge are the model's: the same bend reads the same torque
-        as in the log.
+        Delay and gain of the gauge are the model's: the same bend gives the same
+        reading as in the log.
         """
         link = rig.model if model is None else model
         if damping is None:
@@ -176,7 +176,7 @@ class Twin:
             damping = damping_of(link)
         # A fit expresses a delayed motor angle as a leading gauge; a real gauge never
         # leads.
-        # A torque log shows the product of stiffness and gain only; the beam bends by
+        # A torque log only determines the product of stiffness and gain; the beam has
         # the rig's stiffness.
         late, gain = (
             (

@@ -55,7 +55,7 @@ Payloads = Annotated[tuple[float, float], ascending()]
 PAYLOAD_STEP = 0.2
 # vibration periods for which an arm is observed after the end of the reference
 REST = 5.0
-# the same of the linear loop, in which a growth of a hundredth a period stands out
+# the same for the linear loop, which shows a growth of a hundredth per period
 LONGEST = 12.0
 # [rad] height of the step that a linear loop is run with: far below every guard of the
 # law, and far enough above the rounding of doubles
@@ -160,8 +160,8 @@ class ArmSet:
         arms = ArmSet(design.rig, design.law(), model, links, tuple(masses), given, on)
         if told != ESTIMATED:
             return arms
-        # by another damping law than the model's a move shows another payload than the
-        # free vibration does
+        # with another damping law than the model's, the estimate from a move differs from
+        # that of the free vibration
         first = smooth_step(size, arms.vibration)
         finding = replace(arms, given=dict.fromkeys(each, design.estimator()))
         found = {
@@ -193,8 +193,8 @@ class ArmSet:
 
     @cached_property
     def unstable(self) -> tuple[tuple[str, float], ...]:
-        """The links, by their words, and payloads [kg] that the law does not hold: the
-        vibration of the linear loop grows, however small it is at the end of a move.
+        """The links, by their words, and payloads [kg] with which the linear loop is
+        unstable: its vibration grows, however small it is at the end of a move.
         """
         linear, window = self.linear, round(self.vibration / self.law.period)
         step = smooth_step(STEP, 0.1 * self.vibration)
@@ -202,7 +202,7 @@ class ArmSet:
         def grows(link: LinkModel, payload: float) -> bool:
             run = linear.run(link, payload, step, duration=LONGEST * self.vibration)
             left = run.tip_angle[window:] / STEP - 1.0
-            # a guard of the law holds what would grow beyond all bounds
+            # a guard of the law stops a vibration that would grow beyond all bounds
             return _guarded(run) or growth_per_window(left, window) > 0.0
 
         arms = product(self.links.items(), self.payloads)
@@ -290,8 +290,8 @@ class ArmFigures:
     payload
         with which it settles last [kg].
     settling_time
-        from which the tip stays within 2 % of the move [s]; infinite where a run does
-        not pass.
+        time from which the tip stays within 2 % of the move [s]; infinite where a run
+        does not pass.
     overshoot
         of the move [1].
     residual_vibration
@@ -312,7 +312,7 @@ class ArmFigures:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """Their rows for people and programs."""
+        """The figures as shown to people and programs."""
         return rows_of(
             self,
             ("arm", "arm"),
@@ -380,7 +380,7 @@ class WorstCase:
         result = (
             f"every arm settles within {time}, last"
             if math.isfinite(self.settling_time)
-            else "not every arm settles, not"
+            else "not every arm settles; worst is"
         )
         return Overview(
             f"{self.carried}: {result} the arm “{worst.arm}” with {quantity(worst.payload, 'g')}",
@@ -405,8 +405,8 @@ def worst_case(
     on: On = "twin",
     seeds: Annotated[int, Between(1, 1000)] = 1,
 ) -> WorstCase:
-    """Return what every arm of a set makes of a move: the links of the fit's box and
-    both damping laws, with every payload of a range.
+    """Return the result of a move on every arm of a set: the links of the fit's box and
+    of both damping laws, with every payload of a range.
 
     Parameters
     ----------
@@ -418,7 +418,7 @@ def worst_case(
         lightest and heaviest payload [kg]; the design's where it is left out.
     told
         whether the law is given the payload; "estimated": the payload that its estimator
-        finds in a first move of the arm by as much, in one vibration.
+        finds in a first move of the same size that takes one vibration period.
     over
         "box": the fit's box, at least as wide as the rig's tolerances, and the other
         damping law with the same damping ratio; "model": the model alone.
@@ -426,7 +426,7 @@ def worst_case(
         "twin": arms with distributed mass, friction and sensors, made from the rig's
         stiffness and length; "model": massless links as they were identified.
     seeds
-        noises to run each arm with.
+        number of noise seeds with which each arm is run.
 
     Raises
     ------

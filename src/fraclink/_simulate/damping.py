@@ -44,7 +44,7 @@ __all__ = [
 # the effect of D falls as (s/ω)². The trapezoidal rule alone would need twice as many
 # elements.
 SLOWEST, FASTEST = 0.1, 3e3
-# ratio of the fastest rate of the trapezoidal rule to the highest frequency, at least
+# least ratio of the fastest rate of the trapezoidal rule to the highest frequency
 REACH = 2.0
 
 
@@ -126,11 +126,10 @@ _Time = Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
 @checked
 @dataclass(frozen=True)
 class KelvinVoigt:
-    """Viscous damping, D = 1 + η s: modal damping ratio ηω/2, so ∝ ω² in the modal
-    equation.
+    """Viscous damping, D = 1 + η s.
 
     time: η [s], >= 0; 0 is the undamped link. Negative η generates energy and is rejected.
-    higher: η of the modes beyond the first [s], where it is not the material's.
+    higher: η of the modes beyond the first [s], if it differs from the material's.
 
     A mode at ω has the damping ratio ζ = η ω/2.
 
@@ -156,8 +155,8 @@ class KelvinVoigt:
 class FractionalKelvinVoigt:
     """Fractional damping, D = 1 + η s^α.
 
-    coefficient: η [s^α], >= 0; order: α, 0 < α < 1. Outside of it the element is no
-    damper of a material (α = 1 is `KelvinVoigt`, α > 1 is partly an inertia), and η < 0
+    coefficient: η [s^α], >= 0; order: α, 0 < α < 1. With another order the element is
+    not a material's damper (α = 1 is `KelvinVoigt`, α > 1 is partly an inertia); η < 0
     generates energy. higher: as in `KelvinVoigt`.
 
     >>> FractionalKelvinVoigt(coefficient=0.012, order=0.9).label
@@ -184,8 +183,8 @@ class FractionalKelvinVoigt:
 @checked
 @dataclass(frozen=True)
 class PowerLaw:
-    """Power-law link, D = s^(2−λ): the paper's order λ of the inertia, seen as the
-    material's.
+    """Power-law link, D = s^(2−λ): the paper's order λ of the inertia, attributed to
+    the material.
 
     m L² s^λ θt = c (θm − θt), equation (8), is m L² s² θt = c s^(2−λ) (θm − θt):
     Newton's law with a link whose stiffness is a springpot. D is in units of s^(λ−2),

@@ -1,5 +1,5 @@
-"""The inputs of loop and twin as WebAssembly (csrc/web/engine.c): the numbers of an arm
-in the order of the engine.
+"""The inputs of the WebAssembly engine (csrc/web/engine.c), which runs loop and twin:
+the numbers of an arm in its order.
 
 The engine has no mathematics library. Whatever needs one is computed here, by the
 functions and kernels that `simulate` uses, so that a run in a page is identical to the
@@ -62,8 +62,8 @@ def engine_bytes() -> bytes:
 
 @dataclass(frozen=True)
 class EngineLink:
-    """A link in the form of the engine: numbers of real modes and pairs, and its values
-    in sequence.
+    """A link in the form of the engine: how many real modes and pairs it has, and its
+    values in sequence.
     """
 
     reals: int
@@ -78,8 +78,7 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     >>> engine_link(LinkModel(1.56, 11.094, order=2.0), 0.004, 4.0).numbers.size
     36
     """
-    # As in `simulate`, with which the page must agree to the bit: at least two periods,
-    # since a response has to be stored for one.
+    # Two periods at least, as in `simulate`, with which the page must agree to the bit.
     weights = link_weights(model, period, max(span, 2 * period))
     second = weights.second.ravel()
     parts = (
@@ -99,8 +98,8 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
 
 
 def engine_rig(rig: Rig, law: Law, model: LinkModel) -> dict[str, float]:
-    """Return the numbers of the rig as in `simulate` for the model, in the order of
-    loop_rig: the rig's own delay, offset, noise, which a page changes, and payload.
+    """Return the numbers of the rig for the model as in `simulate`, in the order of
+    loop_rig; a page may change delay, offset, noise and payload.
     """
     motor, gauge = rig.motor, rig.gauge
     weights = _kernels.loop_weights(motor.decay, law.period, SUBSTEPS)

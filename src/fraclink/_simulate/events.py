@@ -47,11 +47,10 @@ ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = r
 @checked
 @dataclass(frozen=True)
 class PayloadChange:
-    """From `time` [s] on the tip carries `payload` [kg]; a new part moves with the tip
-    when it is taken.
+    """From `time` [s] on the tip carries `payload` [kg]; a part that is picked up
+    already moves with the tip.
 
-    Shape and speed of the link and what its material remembers stay; only the modes are
-    new.
+    Shape, speed and material memory of the link are kept; only its modes change.
 
     >>> PayloadChange(time=0.5, payload=0.008).payload
     0.008
@@ -284,7 +283,7 @@ def _inject(fault: SensorFault, rows: Real) -> None:
 def given_payload(
     told: bool | float | str | PayloadEstimator, payload: float | None
 ) -> float:
-    """The payload given to the law [kg], 0 for none, or if it is estimated."""
+    """The payload given to the law [kg]; 0 if there is none, or if it is estimated."""
     if isinstance(told, str | PayloadEstimator):
         return 0.0
     if told is not True:

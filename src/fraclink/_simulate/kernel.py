@@ -308,7 +308,7 @@ class ArmState:
         for them.
         """
         # Memory of the estimator before the run, from which its output is recomputed
-        # bit for bit: the kernel records the law's actions, not its inputs.
+        # bit for bit: the kernel records sensors and law, not the estimates.
         before = self.estimate.tobytes()
         record = self.run(law.block, inputs, single=law.single, estimator=estimator)
         if estimator is None:
@@ -353,8 +353,8 @@ class ArmState:
 
 @lru_cache(maxsize=64)
 def _discretised(twin: Twin, step: float) -> tuple[Plant, StepMatrices]:
-    # Modes and the matrix exponential take longer than a run, and a campaign uses the
-    # same few arms repeatedly.
+    # Modes and the matrix exponential take longer than a run, and a fault campaign uses
+    # the same few arms repeatedly.
     plant = twin.plant(step)
     return plant, plant.discretise(step)
 

@@ -12,7 +12,7 @@ In the link's own time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ)
 
 and the trapezoidal rule errs by the residues of the integrand's own poles, which are
 those of G on both sides of the cut: each is a further exponential, whose weight passes
-from one to zero as the pole crosses the cut. Damping of any size is one sum.
+from one to zero as the pole crosses the cut. One sum holds for damping of any size.
 
 One grid in v = ln(r/Ω) serves every payload (homothety of Lemma 1), and only
 exponentials remain to be computed.
@@ -45,8 +45,8 @@ LONGEST = 2.0
 # for a move; for a campaign, whose metrics are accurate to 1e-4, three digits below
 # that.
 ALONE, MANY = 21.0, 15.0
-# Relative distance of M from 2, below which the poles p of a link with α = λ/2 are one in
-# double precision: there the roots are known to 1e-13, and their residues to 1e-7.
+# Relative distance of M from 2, below which the poles p of a link with α = λ/2 coincide
+# in double precision: there the roots are known to 1e-13, and their residues to 1e-7.
 DOUBLE = 1e-6
 
 
@@ -142,7 +142,7 @@ def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
 
 def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
     """Return ln of each link's vibration pole over Ω = ω₀^(2/λ), and of the pole that
-    meets it where the vibration ends, shape (2, R); imaginary parts are arguments.
+    meets it at critical damping, shape (2, R); imaginary parts are arguments.
 
     Both are roots of w ↦ e^(λw) + M e^(αw) + 1, the second one beyond the cut arg = π
     until the link is overdamped. Newton's method follows them from M = 0.
@@ -151,7 +151,7 @@ def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
     if not np.any(ratio):
         return log_poles
     # The poles meet at an M of argument π(1 − 2α/λ) and size above one: they are
-    # followed past it on the other side, and from there to the real M.
+    # followed along complex M on the other side of it, and from there to the real M.
     side = np.where(2.0 * alpha >= order, 1j, -1j) * np.minimum(ratio, 1.0)
     steps = math.ceil(6.0 * math.log1p(ratio.max()))
     growing = [(k / steps, 1.0) for k in range(1, steps + 1)]

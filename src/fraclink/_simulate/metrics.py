@@ -32,16 +32,16 @@ BAND = 0.02  # fraction of the move: the usual band of the settling time
 REST_BAND = 2e-3  # [rad]: the band of "settled" for a reference that does not move
 # A growing vibration differs from one driven by noise in the straightness of its
 # logarithmic envelope: slope over standard error. Student's t would suffice for
-# independent windows, but those of a lightly damped loop are not, hence the lower
-# limit: with it none of 5000 good arms with the paper's noise is found to grow, nor any
-# of 500 resonances excited by noise. The printed controller (58) reaches 20 to 160 in 4
-# s; the limit is 18.
+# independent windows, but those of a lightly damped loop are not, hence STRAIGHT as a
+# lower bound: with it none of 5000 good arms with the paper's noise is found to grow,
+# nor any of 500 resonances excited by noise. The printed controller (58) reaches 20 to
+# 160 in 4 s, where 18 is required.
 CHANCE, STRAIGHT = 2e-4, 10.0
 # vibration periods: a straight line through three points has no meaningful standard
 # error
 WINDOWS = 4
-# share of the periods at rest: white noise with an RMS of half the limit reaches it in
-# 4.6 %
+# share of the periods at rest: a white voltage with an RMS of half the limit reaches
+# that limit in 4.6 %
 _AT_LIMIT = 0.05
 
 
@@ -72,7 +72,7 @@ class Metrics:
         part of the periods with the voltage at its limit [1].
     growth
         rate at which the vibration's envelope grows [1/s]; negative where it decays, 0
-        where it cannot be distinguished from what noise does.
+        where it cannot be distinguished from noise.
     """
 
     overshoot: float
@@ -87,7 +87,7 @@ class Metrics:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What people and programs read of them."""
+        """The figures as shown to people and programs."""
         return rows_of(
             self,
             ("overshoot", "overshoot", "%", 3),

@@ -39,7 +39,7 @@ __all__ = ["acted", "checked_motor_loop", "on_twin", "twin_run"]
 
 
 def checked_motor_loop(law: Law) -> Law:
-    """Return the law, which drives a motor at its own period; FieldError otherwise."""
+    """Return the law if it has a motor loop at its own period; FieldError otherwise."""
     if law.motor_loop is None:
         raise FieldError(
             "law.motor_loop",
@@ -84,7 +84,7 @@ def on_twin(
 
     def period(first: int, last: int) -> Real:
         if estimator is None:
-            # Between two actions the payload is constant; True follows the arm.
+            # Between two actions the payload is constant; `told` = True follows it.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part, rows = state.estimating(law, inputs[first:last], estimator, first)
         estimates.extend(rows)

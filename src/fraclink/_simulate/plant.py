@@ -6,7 +6,7 @@ Hub angle θm and velocity v, then for every mode the absolute coordinate pi = q
     fi  = ωi² (e qi + d q̇i + Σj wj zj)           modal force of the material, e spring, d dashpot
     żj  = q̇i − rj zj
     p̈i  = −fi + φi(L) F                           F: a force on the tip [N]
-    hub:               (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: what the modes leave out
+    hub:               (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: the inertia that the modes leave out
 
 Between two steps the inputs are constant and the step is the exact matrix exponential.
 """
@@ -37,10 +37,10 @@ __all__ = [
 
 # Relative error of D(jω), the same for all modes, so that the elements keep their
 # meaning when the payload, and with it the mode shapes, change. At λ = 1.92 the
-# resonance amplifies it about 50 times in the tip angle.
+# resonance amplifies this error about 50 times in the tip angle.
 TOLERANCE = 3e-8
-# [s]; in longer steps the force or speed of the hub would be held for a quarter of mode
-# 2
+# [s] for which the hub's inputs are held: a tenth of the period of mode 3 of the paper's
+# arm
 LONGEST_STEP = 1e-3
 Step = Annotated[
     float, Between(1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")
@@ -193,7 +193,7 @@ def assemble(
     size = 2 + basis.frequencies.size * (2 + chain.rates.size)
     a, b, y = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size))
     # The inertia of the arm that is not carried by the retained modes turns rigidly
-    # with the hub; without it a heavy link would be too light by its higher modes.
+    # with the hub; without it a heavy link would lack the inertia of its higher modes.
     inertia = hub_inertia + residual_inertia(beam, basis)
     y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = y[TIP_VELOCITY, 1] = 1.0
 
@@ -206,8 +206,8 @@ def assemble(
         )
         law = chain
         if i and damping.higher is not None:
-            # The elements stay, without force, so that all modes have as many states;
-            # the material remains as stiff as it is at that frequency.
+            # The elements stay, without force, so that all modes have the same number of
+            # states; the material remains as stiff as it is at that frequency.
             spring = chain(1j * omega).real
             law = Chain(
                 spring, spring * damping.higher, 0.0 * chain.weights, chain.rates

@@ -31,8 +31,8 @@ Bounds = list[tuple[float, float]]
 # periods after the end of the reference in which a limit may still be reached
 AFTER = 25
 FIRST = 31  # stride of the rows that are in the programme from the beginning
-# Tolerances relative to the side of a row, and to a thousandth of the largest one: 0.1
-# mrad of 1 rad, 1 mV of 8 V.
+# Tolerance relative to the right-hand side of a row (0.1 mrad of 1 rad, 1 mV of 8 V), or
+# to PART of the largest one if that is more.
 BROKEN, PART = 1e-4, 1e-3
 # Pieces of the unit step in powers of x = t/h: the angle over the three knots of its
 # rise, then rest.
@@ -63,8 +63,9 @@ class Programme:
     """Responses of every arm to one smooth step, and the limits of a reference.
 
     answers: tip angle, then voltage, step of the motor reference and torque relative to
-    limits, shape (arms, 4, N). knot: periods between two steps. largest: coefficient
-    [rad]; the velocity lies between the c_j/h. acceleration: of the reference [rad/s²].
+    limits, shape (arms, 4, N). knot: periods between two steps. largest: limit of
+    a coefficient [rad], as the velocity lies between the c_j/h. acceleration: limit of
+    the reference [rad/s²].
     """
 
     answers: Real
@@ -116,7 +117,7 @@ class Programme:
         return int(self.answers.shape[2])
 
     def count(self, time: float) -> int:
-        """Return the steps of a reference that rests two knots after `time` [s]."""
+        """Return how many steps a reference has that rests four knots after `time` [s]."""
         return max(1, math.ceil(time / (self.knot * self.period) - 1e-9)) + 2
 
     def path(self, coefficients: Real) -> Path:
@@ -131,9 +132,9 @@ class Programme:
         )
 
     def least_distance(self, count: int, end: float, first: int, last: int) -> float:
-        """Return the largest distance of any tip to `end` [rad] from row first to last,
-        least of all references of `count` coefficients; infinite if none keeps the
-        limits.
+        """Return the largest distance [rad] of any tip from `end` in rows first to last,
+        with the reference of `count` coefficients that makes it smallest; infinite if
+        none keeps the limits.
         """
         rows, sides = self._rows(count, end, first, last)
         bounds = [(-self.largest, self.largest)] * count + [(0.0, math.inf)]
@@ -145,9 +146,9 @@ class Programme:
     def gentlest(
         self, count: int, end: float, first: int, last: int, within: float
     ) -> Real | None:
-        """Return, of all references whose tips keep the distance `within` [rad], the
-        one whose acceleration varies least; the nearest one switches between its
-        limits.
+        """Return the reference whose acceleration varies least among those whose tips
+        stay `within` [rad] of `end`; the one with the least distance switches between
+        its limits.
         """
         rows, sides = self._rows(count, end, first, last)
         # Σ |differences of the acceleration| as a linear programme: each one is bounded

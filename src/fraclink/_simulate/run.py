@@ -50,18 +50,18 @@ class Run(Saved):
     motor_angle
         θm at the gear's output [rad].
     motor_reference
-        θm*, which the law gave [rad].
+        θm*, the law's output [rad].
     torque
         Γ at the root of the link [N·m].
     motor_angle_measured
-        what the encoder said [rad].
+        reading of the encoder [rad].
     torque_measured
-        what the gauge said [N·m].
+        reading of the gauge [N·m].
     tip_estimate
         θm − Γ/c as the law saw it [rad].
     voltage
-        of the motor [V]; behind an ideal motor loop the one that it needs,
-        compensations left out.
+        of the motor [V]; with an ideal motor loop the one that the motion needs,
+        without compensations.
     mode, reason, flags
         of the law, see law.h.
     payload
@@ -131,7 +131,7 @@ class Run(Saved):
 
     @property
     def carried(self) -> str:
-        """The payload at the tip, and what the law was given of it."""
+        """The payload at the tip, and the one that the law was given."""
         law_payload, payload = (
             self.about.get("payload_given", 0.0),
             quantity(self.payload, "g"),
@@ -160,7 +160,7 @@ class Run(Saved):
         )
 
     def overview(self) -> Overview:
-        """What the move came to."""
+        """The result of the move."""
         return Overview(
             # The reason already names the missed requirement of the move with its
             # value.

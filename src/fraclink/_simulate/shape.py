@@ -62,8 +62,8 @@ MOST = 60
 @compared
 @dataclass(frozen=True, eq=False)
 class ShapedMove(Saved):
-    """A reference for every arm of a set, with what was promised of it and what the
-    arms made of it.
+    """One reference for every arm of a set, with the result that was promised and the
+    one that was simulated.
 
     Parameters
     ----------
@@ -72,18 +72,18 @@ class ShapedMove(Saved):
     period
         of the law [s].
     voltage
-        that is kept [V], noise and friction included.
+        limit of |V| [V], noise and friction included.
     reserve
         part of the band and of the voltage that the linear loops leave to friction and
         noise [1].
     promised
-        what the linear loops say: when the tip of every arm stays within 2 % of the
+        time from which the linear loops keep the tip of every arm within 2 % of the
         move [s].
     worst_case
-        what the arms made of it, with friction and noise.
+        the result on the arms with friction and noise.
     tip_angle, motor_voltage
-        of each arm of the set with the payload with which it settles last, one value a
-        period, shape (A, N) [rad], [V].
+        of each arm of the set with the payload that settles last, one value per period,
+        shape (A, N) [rad], [V].
     findings
         what a reader should know.
 
@@ -170,18 +170,17 @@ def shape(
     on: On = "twin",
     seeds: Annotated[int, Between(1, 1000)] = 1,
 ) -> ShapedMove:
-    """Return the reference from rest to rest with which every arm of a set settles
-    first.
+    """Return the rest-to-rest reference with which every arm of a set settles soonest.
 
     The closed loop of the shipped law and an arm is linear as long as no limit acts, so
-    the coefficients of a spline follow from a linear programme: the tips of all arms
-    with all payloads within 2 % of the move, less a reserve, from the settling time on,
-    and every voltage within its limit. The shortest settling time is found by
-    bisection, and of all references that reach it, or the time that is asked for, the
-    one whose acceleration varies least is taken.
+    the coefficients of a spline follow from a linear programme that keeps the tips of
+    all arms with all payloads within 2 % of the move, less a reserve, from the settling
+    time on, and every voltage within its limit. The shortest settling time is found by
+    bisection. Of all references that reach it, or the requested time, the one whose
+    acceleration varies least is taken.
 
-    What is returned was then run on the arms with friction, noise and all their modes;
-    where they do not do what was promised, a finding says so.
+    The result is then run on the arms with friction, noise and all their modes; a
+    finding reports where they miss the promise.
 
     Parameters
     ----------
@@ -190,19 +189,18 @@ def shape(
     move
         size of the move [rad], not 0.
     payloads
-        lightest and heaviest payload [kg], one reference for all; the design's where it
-        is left out. Twice the same where it is known.
+        lightest and heaviest payload [kg], with one reference for all; default: the
+        design's. Give a known payload twice.
     told
-        whether the law is given the payload (`simulate`); "estimated": for the moves
-        after the first of a law with its estimator (`worst_case`).
+        whether the law is given the payload (`simulate`); "estimated": the one that its
+        estimator finds in a first move (`worst_case`).
     over
-        the arms that it is made for: "box", the fit's box and both damping laws, or
-        "model", the model alone (`worst_case`).
+        the set of arms: "box", the fit's box and both damping laws, or "model", the
+        model alone (`worst_case`).
     settle
-        the settling time that is wanted of every arm [s]; the shortest where it is left
-        out.
+        settling time required of every arm [s]; default: the shortest.
     voltage
-        limit of |V| [V], noise and friction included; the rig's where it is left out.
+        limit of |V| [V], noise and friction included; default: the rig's.
     reserve
         part of the 2 % band and of the voltage that the linear loops leave to friction
         and noise, 0 … 0.9 [1].
@@ -210,13 +208,13 @@ def shape(
         "twin": arms made from the rig's stiffness, length and masses; "model": massless
         links as they were identified.
     seeds
-        noises to run each arm with.
+        number of noise seeds with which each arm is run.
 
     Raises
     ------
     FieldError
-        a value out of its range, a limit with which no arm can be moved in the time
-        that is wanted.
+        a value out of its range, limits with which not every arm settles in the
+        requested time.
 
     Examples
     --------
@@ -236,7 +234,7 @@ def shape(
         raise FieldError(
             "move",
             move,
-            "no move of this law",
+            "not a move that this law can make",
             f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
             "derive the law's limits for it",
         )

@@ -54,8 +54,8 @@ __all__ = ["link_at", "model_run", "simulate"]
 Part = TypeVar("Part", Twin, Gauge, MotorLoop)
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
-# [s] simulated after the reference has come to rest: 30 periods of the paper's slowest
-# link
+# [s] simulated after the reference has come to rest: eight periods of the paper's
+# slowest link
 SETTLE = 5.0
 
 
@@ -79,16 +79,15 @@ def simulate(
     seed: Seed = 0,
     delay_samples: Annotated[int, Between(0, 100, "periods")] | None = None,
 ) -> Run:
-    """Run the law that is shipped on an arm and return its signals, metrics and
-    verdict.
+    """Run the shipped law on an arm and return its signals, metrics and verdict.
 
     The law is law.c itself, compiled in. The arm is the model, whose link is exact and
     massless (see `fraclink._simulate.kernel`), or with `arm` the twin, whose link has
     mass and several modes. The law's PID drives the motor of the model through its
     voltage, with friction, stiction and saturation; the coupling torque is taken as
     compensated without error, as the paper assumes. Where the law has no motor loop,
-    the motor follows M(s) = 1/(1 + s/p)² (21). What identification found, the gauge's delay and gain and a
-    second mode, is in the simulation.
+    the motor follows M(s) = 1/(1 + s/p)² (21). The identified delay and gain of the
+    gauge and a second mode are simulated, too.
 
     Parameters
     ----------
@@ -110,19 +109,19 @@ def simulate(
     told
         payload that the law is given as its input: True for the arm's own, also where
         an event changes it, a number [kg] for one that may be wrong, False or 0 for
-        none. The law then scales its feed-forward and compares the tip with where its
-        motor loop can have brought it by now. "estimated" gives it what the payload
-        estimator of the design finds while the arm moves; a `PayloadEstimator` is one
-        of your own.
+        none. With a payload, the law scales its feed-forward and corrects the tip towards
+        the reference as delayed by its motor loop. "estimated": the output of the
+        design's payload estimator while the arm moves; a `PayloadEstimator`: that of
+        your own.
     duration
         time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end
         where it is left out, long enough to see a vibration grow.
     events
-        what happens: `SensorFault`, and to the twin also `PayloadChange`, `TipPulse`,
-        `Obstacle`, `Restart`.
+        `SensorFault`, and for the twin also `PayloadChange`, `TipPulse`, `Obstacle`,
+        `Restart`.
     gauge_offset, noise
         of the gauge [N·m]; the rig's where they are left out. The model's offset
-        appears in the second period: a law that starts with it would not see it at all.
+        appears in the second period, as the law takes the first reading as zero.
     seed
         of the noise. A seed gives the same noise on every machine.
     delay_samples
@@ -158,8 +157,8 @@ def simulate(
         gauge = _changed(twin.gauge, **own_gauge)
         twin = _changed(twin, gauge=gauge, voltage_delay=delay_samples)
         return on_twin(twin, law, reference, length, events, seed, told, estimator)
-    # A massless model has neither modes to exchange nor a tip to push; only its sensors
-    # can fail.
+    # The massless model has no modes for another payload and no tip to push; only its
+    # sensors can fail.
     faults = tuple(event for event in events if isinstance(event, SensorFault))
     if len(faults) < len(events):
         raise FieldError(
@@ -222,8 +221,8 @@ def _changed(part: Part, **values: Any) -> Part:
 
 
 def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
-    """Return the link at a payload [kg], shifted like the rig's beam; if its own
-    payload is unknown, with ω₀ of the rig, eq. (5).
+    """Return the link at a payload [kg], its ω₀ shifted like that of the rig's beam; if
+    the link's own payload is unknown, with ω₀ of the rig, eq. (5).
     """
     if link.payload is not None:
         return link if payload == link.payload else model_at(link, rig, payload)
