@@ -73,11 +73,10 @@ class PhaseShare:
 
 @checked
 def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
-    """Return what each element of the loop gives at the upper gain crossover, at
+    """Return the phase that each element of the loop adds at the upper gain crossover, at
     `payload` [kg] > 0.
 
-    The shares and the 180° of feedback add up to the phase margin of the loop with
-    everything inside.
+    The shares and the 180° of feedback add up to the phase margin of the full loop.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
@@ -97,13 +96,13 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
             "a payload at which |L| crosses one",
             "give the mass in kg",
         )
-    # The highest crossing: at those where |L| rises through one the loop is slow, and a
-    # delay costs nothing.
+    # The highest crossing: where |L| rises through one, the frequency is low, and a delay
+    # costs almost nothing.
     return phase_shares(design, float(np.max(crossings)), w0)
 
 
 def phase_shares(design: Design, w: float, w0: float) -> tuple[PhaseShare, ...]:
-    """Return what each element of the loop gives at ω [rad/s], at a link's ω₀."""
+    """Return the phase that each element of the loop adds at ω [rad/s], at a link's ω₀."""
     loop = design.full_loop
     hold = 0.5 * design.rig.period
     # The share of the gauge is the difference from a perfect one: its delay alone would
@@ -142,7 +141,7 @@ class MarginCurve:
 
 @dataclass(frozen=True)
 class Links:
-    """A link at some payloads [kg], shape (N,), with the loop beside Ĉ tabulated once: a
+    """A link at some payloads [kg], shape (N,), with the loop without Ĉ tabulated once: a
     drag shows the margins of many controllers.
     """
 
@@ -248,9 +247,9 @@ def mode_gains(
 
     Below one a mode cannot be destabilised, whatever its phase. The modes are those of
     the rig's link mass (``[link] mass_kg``), with the model's damping unless
-    `damping_ratio` is given, and the second mode that was identified. Of a mode above
-    that one only what points to -1 counts, 1 + |L|/2 - |1 + L/2|, with a phase of L that
-    may be off by 29°.
+    `damping_ratio` is given, and the second mode that was identified. Of L at a
+    mode above that one only the part that points to -1 counts, 1 + |L|/2 - |1 + L/2|,
+    where the phase of L may be off by 29°.
 
     Examples
     --------
@@ -303,7 +302,7 @@ def feasibility_map(
     **wanted: Unpack[Specification],
 ) -> FeasibilityMap:
     """Return the noise gain of `design` for every pair of crossover [rad/s] and phase
-    margin [rad], with whatever else is `wanted`; its law is not looked at.
+    margin [rad], with whatever else is `wanted`; the law is not checked.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")

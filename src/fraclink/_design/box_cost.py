@@ -36,8 +36,8 @@ _WORDS = {
 
 
 def cost_of_box(design: Design, solution: Solution) -> Finding:
-    """Return W407: the phase margin that the box of a design costs, and the gain from
-    each interval if its parameter were exactly that of the model at the worst corner.
+    """Return W407: the phase margin that the box of a design costs, and what the worst
+    corner would gain with each parameter at exactly the model's value.
     """
     model, box = design.model, design.box
     assert box is not None  # noqa: S101
@@ -88,7 +88,7 @@ def cost_of_box(design: Design, solution: Solution) -> Finding:
 
 
 def arm_in_words(arm: Arm, box: ParameterBox) -> str:
-    """Return what an arm of a box has where the box leaves a parameter open.
+    """Return an arm's values of the parameters that its box leaves open, as text.
 
     ω₀ is left out: its interval widens the range of the payloads.
     """

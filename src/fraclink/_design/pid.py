@@ -57,8 +57,8 @@ def tune_pid(
 
     |L| = 1 with the phase margin φ_m at ω_c, and d arg L/d ln ω = 0 there (flat phase: the margin then
     outlasts a change of the plant's gain), are three linear equations in the gains for each (λ, μ). Of all
-    pairs of orders, and of all ω_c where none is given, the one of least ITAE = ∫ t |e| dt is taken that has
-    no negative gain, a stable loop, and keeps `gain_margin` and `max_sensitivity`.
+    pairs of orders, and of all ω_c if none is given, the result has the least ITAE = ∫ t |e| dt with no negative
+    gain, a stable loop, and `gain_margin` and `max_sensitivity` kept.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def tune_pid(
         free.
     InfeasibleError
         no controller of this form meets them; `nearest` holds the nearest phase margin
-        that one does.
+        that can be met.
 
     Source: flat phase: Chen and Moore, Nonlinear Dynamics 38 (2005); the equations:
     Monje et al., Control Engineering Practice 16 (2008) 798–812, solved here in the
@@ -199,8 +199,8 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "ask for a slower gain crossover, or take a shorter period",
             ),
         )
-    # its own tolerance, and as much for the difference between the hold and a delay of
-    # 1.5 periods
+    # the law's tolerance, and the same again for the difference between hold and
+    # computation and a delay of 1.5 periods
     if made.phase_margin - margin <= math.radians(2.0 * TOLERANCE_DEG):
         return ()
     return (
@@ -231,7 +231,7 @@ def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, .
             "warning",
             "without an integral a step of the reference is never reached",
             {"lasting error, %": error},
-            "ask for a PID, or let the reference be larger by as much",
+            "ask for a PID, or raise the reference to compensate for it",
         ),
     )
 
@@ -258,7 +258,7 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             "plant",
             "0",
             "zero",
-            "a plant that answers",
+            "a plant that is not zero",
             "build it from s",
         )
     # |L| of a plant that does not fall at high frequency may stay above 1, and the 1.5
@@ -376,7 +376,7 @@ def _crossovers(
         raise FieldError(
             "gain_crossover",
             None,
-            "left out for a plant without a delay: the faster the better, without end",
+            "left out for a plant without a delay, where a faster loop is always better",
             "> 0 rad/s",
             "give gain_crossover=, or period= of the law, whose delay bounds it",
         )

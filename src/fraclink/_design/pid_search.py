@@ -41,11 +41,11 @@ REACH = 1e3  # factor on either side of the crossover
 # Samples of the error in the search: frequencies up to 80 times the crossover. With 512
 # samples a plant with an integrator gets another candidate than with 16 384; with 1024
 # it is the same one on the three plants tried, although the ITAE of a candidate near
-# its margin is 9 % off.
+# instability is 9 % off.
 _SAMPLES = 1024
 # Damping of the Fourier series: the wrap-around is multiplied by 1e-5. A larger factor
-# would amplify the truncation error of the series: with 1e8, candidates near their
-# margin are wrong by a factor of three.
+# would amplify the truncation error of the series: with 1e8, candidates near
+# instability are wrong by a factor of three.
 _DAMPING = math.log(1e5)
 _TOLERANCE = 3e-4  # [rad] largest difference between scan and root
 _ROOM = 1.002  # margin between the scan's value of a bound and the exact one
@@ -125,7 +125,7 @@ class PidProblem:
         return w[(w >= low) & (w <= high)]
 
     def solved(self, places: Real) -> Candidates:
-        """The candidates at these places, of flat phase where the order is left for it;
+        """The candidates at these places, with a flat phase if an order is free for it;
         gains are NaN where the equations have no solution.
         """
         places = places.copy()
@@ -133,7 +133,7 @@ class PidProblem:
         # differ only there could not be separated by any root finder.
         places[:, :2] = np.round(places[:, :2], 4)
         low, high = self.spans[4]
-        if low < high:  # an offer: people specify whole degrees
+        if low < high:  # an offered margin is a round number of degrees
             places[:, 4] = OFFER * np.round(places[:, 4] / OFFER)
         if not self.flat or (self.integral and self.derivative):
             return self._at(places)
@@ -211,7 +211,7 @@ class PidProblem:
                 distance = np.min(np.abs(1.0 + loop), axis=1)
                 slacks.append(distance - _ROOM / self.max_sensitivity)
             missed = np.maximum(-np.array(slacks), 0.0).sum(axis=0)
-        # no loop, no distance from one: farther away than any other
+        # without gains there is no loop: farther away than any other
         return np.nan_to_num(missed, nan=1e3, posinf=1e3)
 
     @cached_property

@@ -70,13 +70,13 @@ class PidTuning(Saved):
     controller
         C(s).
     gain_crossover, phase_margin, gain_margin, max_sensitivity
-        what was asked for: [rad/s], [rad], factor, and bound of Ms; None where it was
-        not.
+        what was asked for: [rad/s], [rad], factor, and bound on Ms; None where nothing
+        was.
     itae
         ∫ t |e| dt [s²] over `horizon` [s] after a unit step of the reference.
     period
-        of the law [s]; None for a controller without sampling. The tuning counts 1.5
-        periods of delay.
+        of the law [s]; None for a controller without sampling. The tuning includes
+        1.5 periods of delay.
     output_limit, measurement_limit
         of the law; None where they were not given.
     findings
@@ -110,7 +110,7 @@ class PidTuning(Saved):
 
     @property
     def delay(self) -> float:
-        """Delay of the sampling that the tuning counts [s]."""
+        """Delay of the sampling that the tuning includes [s]."""
         return PERIODS * (self.period or 0.0)
 
     @property
@@ -182,7 +182,7 @@ class PidTuning(Saved):
         return self.stable and all_kept and not errors_of(self.findings)
 
     def overview(self) -> Overview:
-        """The controller, what was asked of it and achieved, and its step."""
+        """The controller, its margins and ITAE, and every requirement."""
         c = self.controller
         rows = rows_of(
             self,
@@ -231,8 +231,8 @@ class PidTuning(Saved):
     ) -> Law:
         """Return the law that runs the controller, by `fraclink.extend.discretize_pid`.
 
-        What is left out is what the tuning was given; its filter is closest to C within
-        two decades below the crossover and fifty times it.
+        What is left out is what the tuning was given; the law's filter is fitted from
+        1/200 of the crossover to fifty times it, if the period allows.
         """
         values = {
             "period": self.period if period is None else period,
@@ -275,8 +275,8 @@ class PidTuning(Saved):
         """Return every margin of the sampled loop that `law` closes, one period of
         computation included.
 
-        The plant behind its zero-order hold is exact (`discrete_modes`), the law is its
-        coefficients.
+        The plant behind its zero-order hold is exact (`discrete_modes`), the law is that
+        of its coefficients.
         """
         # exact from ω_c/1000 upwards
         modes = discrete_modes(
@@ -299,7 +299,7 @@ class PidTuning(Saved):
         size: float = 1.0,
         duration: float | None = None,
     ) -> PidStep:
-        """Return the answer to a step of the reference by `size`, over `duration` [s]
+        """Return the response to a step of the reference by `size`, over `duration` [s]
         (default `horizon`).
 
         Without `law` it is that of C(s) in continuous time. With it law.c runs, period

@@ -80,9 +80,9 @@ def design(
     box
         arms that must keep every requirement: a `ParameterBox`; True for
         ``ParameterBox.of(model, rig)``, the fit's intervals and at least the rig's
-        ``[tolerances]``; False for the model alone; None for False if a crossover or a
+        ``[tolerances]``; False for the model alone; None means False if a speed or a
         margin is asked for, else True. Finding W407 says what the box costs, and which
-        parameter costs most. The design keeps the box, and `certify` proves it.
+        parameter costs most. The design meets every row over the box, and `certify` proves it.
     goal
         "settling": the highest crossover, if none is asked for; "margin": the largest
         phase margin; a tenth of either is traded for less noise. "noise": the least
@@ -377,8 +377,8 @@ def _arm_of_box(solution: Solution, made: Design, worst: Requirement) -> str:
 
 
 def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]:
-    """The nearest request in the user's own quantities, rounded inwards to three
-    digits; empty if no such request passes when followed, with the law as it ships.
+    """The nearest request in the user's own quantities, rounded to three digits
+    towards the less demanding; empty if no such request passes with the law that ships.
     """
     # The bound on the gain at a mode is not eased: above a gain of one, only the phase of
     # the mode would keep the loop from -1.

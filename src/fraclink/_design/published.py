@@ -98,7 +98,7 @@ def published(
             if field in unknown
             else "missing for the published procedure",
             "crossover and margin, and nothing else",
-            'leave out procedure="published" for the solver, which needs none and knows all',
+            'leave out procedure="published": the solver needs neither and takes every requirement',
         )
     ideal = {"motor_loop": "ideal", "placement": "tustin", **spec}
     request = Request.of(with_payload(model, rig), rig, ideal, None)
@@ -155,7 +155,7 @@ def published(
 
 
 def _links(request: Request) -> Real:
-    """ω₀ of the payloads that are looked at, as the solver does."""
+    """ω₀ of the payloads at which loops are evaluated, as by the solver."""
     return np.geomspace(*request.natural_frequencies, PAYLOADS)
 
 

@@ -36,7 +36,7 @@ _EMPTY_SHARE = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One arm at some payloads [kg]: ω₀ of each; `empty` where it is the gripper's."""
+    """One arm at some payloads [kg], with ω₀ of each; `empty` for the empty gripper."""
 
     arm: Arm
     natural_frequencies: Real
@@ -212,7 +212,7 @@ class Request:
             raise FieldError(
                 "natural_frequencies",
                 self.spec["natural_frequencies"],
-                "given beside payloads",
+                "given together with payloads",
                 "one of the two",
                 "leave one out",
             )
@@ -269,7 +269,7 @@ class Request:
     @property
     def max_sensitivity(self) -> float:
         """The bound on Ms: the customary one if no margin is requested, and with a
-        margin the distance from -1 that the law has to keep.
+        margin one over the distance from -1 that the law has to keep.
         """
         limit = self.spec.get("max_sensitivity")
         if limit is None and "phase_margin" in self.spec:
@@ -290,7 +290,7 @@ class Request:
         pairs = [(row, aims.get(row.key, row.wanted(self))) for row in ROWS]
         return [(row, goal) for row, goal in pairs if goal is not None]
 
-    # ---- the loops that are looked at
+    # ---- the loops to be evaluated
 
     @cached_property
     def payloads(self) -> tuple[float, float]:

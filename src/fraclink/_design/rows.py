@@ -51,10 +51,10 @@ class Row:
     """One requirement of the table.
 
     ``figure`` is the logarithm of what is judged unless ``signed``. ``empty`` says
-    whether it is asked of the empty gripper, or of the payloads. ``bound`` takes the place of
-    the figure in a search: values that must not be negative. ``absent`` is achieved
-    where a loop has no such figure, as one that never crosses. What is ``implied`` by
-    another row is no row of a search.
+    whether it applies to the empty gripper instead of the payloads. ``bound`` replaces
+    the figure in a search: values that must not be negative. ``absent`` counts as
+    achieved where a loop has no such figure, for example no crossing. A row that is
+    ``implied`` by another one is left out of a search.
     """
 
     key: str
@@ -73,8 +73,8 @@ class Row:
     def kept(
         self, request: Request, wanted: float, reserve: float = 0.0
     ) -> tuple[Figure, ...]:
-        """Return by how much more than a reserve the row is kept, negative where missed;
-        relative, so that an easing of all rows is one number.
+        """Return the slack of the row beyond a reserve, negative where it is missed;
+        relative, so that one number eases all rows.
         """
         reserve += self.reserve
         if self.bound is not None:
@@ -87,8 +87,8 @@ class Row:
     def measured(
         self, trial: Trial, request: Request, wanted: float, payloads: Real
     ) -> list[Requirement]:
-        """Return what a trial achieves where it is worst, with the payload [kg] of that
-        link; for each of its modes where it is their row.
+        """Return the worst value that a trial achieves, with the payload [kg] of that link;
+        one for each mode in the row of the modes.
         """
         table, figure = trial.table, self.figure(request)
         value, judged = trial.value(figure), table.empty == self.empty
@@ -165,7 +165,7 @@ ROWS = (
         "at most",
         lambda request: request.arms.highest,
         lambda request: Figure("last crossing"),
-        # beyond the limit of the table, which is the one that is wanted
+        # no crossing beyond the limit of the table, which is the wanted value
         bound=lambda wanted: (Figure("quiet"),),
         absent=0.0,
     ),

@@ -26,22 +26,22 @@ from fracsys.checks import Mask, Real
 __all__ = ["Search", "Solution", "beside", "solved"]
 
 
-# Where searches start within the span of β: at its quarters, from a steep Ĉ with a long
-# filter to the flattest with none. Neighbours come last: where two searches end alike,
-# they should not have begun in one valley.
+# Starts within the span of β, at its quarters: the larger β, the steeper Ĉ and the longer
+# its filter. The first two lie apart: two searches that end alike should not have begun
+# in the same valley.
 _SHARES = np.array([0.75, 0.25, 0.0, 0.5])
 _LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
 _WIDTH, _DEPTH = 0.3, 0.1  # first guess of a notch: ζ of its poles and of its zeros
-# Relative violation that counts as met, half of the reserve of every row, and change of
-# a cost that counts as a gain.
+# Largest relative violation that counts as met, half of the reserve of a row; a cost must
+# fall by more than this to count as a gain.
 _KEPT = 0.5 * RESERVE
-# Parameters are logarithms and orders, in which the rows are smooth up to about one:
-# farther away, a descent has lost its way.
+# Range of a descent in each parameter, a logarithm or an order: the rows are smooth over
+# about one; farther away, a descent has lost its way.
 _REACH = 1.0
 
 
 class _Stalled(Exception):
-    """A descent that gains nothing any more, or enough."""
+    """Ends a descent that no longer gains anything, or has gained enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Bounded:
 
     @cached_property
     def missed(self) -> float:
-        """By how much a value is missed."""
+        """The largest violation of a value, beyond the tolerance."""
         return max(-float(np.min(self.value, initial=0.0)) - _KEPT, 0.0)
 
     @cached_property
@@ -70,7 +70,7 @@ class Bounded:
         return not self.missed and self.largest <= limit
 
     def better(self, other: Bounded) -> bool:
-        """Whether less is missed than elsewhere, or the cost is smaller."""
+        """Whether less is missed than in the other, or the cost is smaller."""
         if other.missed - self.missed > (_KEPT if self.missed else 0.0):
             return True
         return self.missed <= other.missed and self.largest < other.largest - _KEPT
@@ -85,13 +85,13 @@ def lowest(
     enough: float = -math.inf,
     once: bool = False,
 ) -> tuple[Real, Bounded]:
-    """Return the best parameters that sequential quadratic programming tries, and what
-    is bounded there; the first with no cost above `enough` and nothing missed.
+    """Return the best parameters that sequential quadratic programming tries, and their
+    costs and values; it ends at the first with nothing missed and no cost above `enough`.
 
-    A descent is given up after twice as many points as it has unknowns without a gain:
-    at a kink, its line search makes no headway. Another one begins where it ended, with
-    a curvature of its own, until one gains nothing, unless `once` is to do. All of them
-    together try twice as many points as the curvature has entries.
+    A descent is given up after two points per unknown without a gain: at a kink, its
+    line search makes no headway. The next one begins at the best point with a new
+    curvature, until one gains nothing; with `once` there is only one. Together they try
+    at most two points per entry of the curvature.
     """
     best = last = start, bounded_at(start)
     idle, left = 0, 2 * (start.size + 1) ** 2
@@ -155,7 +155,7 @@ class Entries:
         return Entries(np.concatenate(places), *repeated.T)
 
     def at(self, trial: Trial) -> tuple[Real, Real]:
-        """Return (their values, their gradients (P, M)); one where a link has none."""
+        """Return (their values, their gradients (P, M)); 1 where a link has none."""
         value = self.factor * trial.figures.ravel()[self.place] + self.offset
         value[np.isnan(value)] = 1.0
         gradients = trial.gradients.reshape(len(trial.gradients), -1)
@@ -164,10 +164,10 @@ class Entries:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A request over some links of its table, with n and with a notch in an interval
-    [rad/s], where there is one.
+    """The search for a request over some links of its table, with n and, if given, a
+    notch in an interval [rad/s].
 
-    ``reserves`` is what is aimed at beyond a row, by its key.
+    ``reserves``, by the key of a row, are kept in addition to the row's own.
     """
 
     request: Request
@@ -178,7 +178,7 @@ class Search:
 
     @cached_property
     def table(self) -> Table:
-        """The loops beside Ĉ of these links."""
+        """The loops without Ĉ of these links."""
         return self.request.arms.table.rows(np.array(self.links))
 
     @cached_property
@@ -187,13 +187,13 @@ class Search:
         request = self.request
         own = request.spec.get("filter_time")
         highest = min(request.model.order, 2.0 if own == 0.0 else self.filter_order)
-        # a filter that has decayed to e^-2π within a period is none to the law, and one
-        # below the frequencies of the table is a gain
+        # a filter that decays to e^-2π within a period has no effect in the law, and one
+        # with its corner below the frequencies of the table is a mere gain
         shortest = request.rig.period / math.tau
         delta = math.log(shortest), -math.log(self.table.w.min())
         if own is not None:
             delta = (math.log(max(own, 1e-12)),) * 2
-        # beside 1, less than this is nothing in the numbers of the law
+        # added to 1, a smaller Ĉ vanishes in single precision
         nothing = math.log(np.finfo(np.float32).eps)
         pairs = [(nothing, math.inf), (_LEAST_ORDER, highest - 0.02), delta]
         if self.notch is not None:
@@ -216,8 +216,8 @@ class Search:
 
     @cached_property
     def figures(self) -> list[tuple[str, Figure, Mask]]:
-        """By how much every row is kept, by its key, and the links that are asked for it;
-        those that may be eased come first.
+        """(key of a row, its slack, the links that must keep it) for every row; those
+        that may be eased come first.
         """
         request = self.request
         wanted = [pair for pair in request.wanted if not pair[0].implied]
@@ -229,13 +229,13 @@ class Search:
 
     @cached_property
     def _slacks(self) -> Entries:
-        """By how much every row is kept at every link that is asked for it."""
+        """The slack of every row at every link that must keep it."""
         figures = [(figure, asked) for _, figure, asked in self.figures]
         return Entries.of(figures, self.table)
 
     @cached_property
     def _eased(self) -> int:
-        """How many of them may be eased, the first ones."""
+        """How many of these slacks, the first ones, may be eased."""
         return sum(
             self.table.places[figure.rows, asked].size
             for key, figure, asked in self.figures
@@ -248,16 +248,16 @@ class Search:
         return Entries.of([(Figure("noise"), ~self.table.empty)], self.table)
 
     def easing(self, x: Real) -> Bounded:
-        """Return by how much each row has to be eased that may be, and the others."""
+        """Return the required easing of the rows that may be eased, and the other slacks."""
         value, gradient = self._slacks.at(self.trial(x))
         eased = self._eased
-        # none below zero: what is kept is kept
+        # no cost below zero: a row that is kept needs no easing
         cost = np.append(-value[:eased], 0.0)
         slope = np.column_stack([-gradient[:, :eased], np.zeros(x.size)])
         return Bounded(cost, slope, value[eased:], gradient[:, eased:])
 
     def noise(self, x: Real) -> Bounded:
-        """Return ln of the noise gain of every link, and all rows."""
+        """Return ln of the noise gain of every link, and all slacks."""
         trial = self.trial(x)
         return Bounded(*self._noise.at(trial), *self._slacks.at(trial))
 
@@ -267,8 +267,8 @@ class Search:
         """Parameters to begin from, (S, P): closed forms that cross at `crossover`
         [rad/s] at the heaviest payload, and meet the phase at the lightest.
 
-        β lies between what the phase needs without a filter and its limit; the filter
-        costs the phase that such a β has to spare.
+        β lies between the least that the phase needs without a filter and its upper
+        limit; the filter costs the phase that such a β has to spare.
         """
         request, loop = self.request, self.request.arms.loops[0]
         low, high = request.natural_frequencies
@@ -285,7 +285,7 @@ class Search:
         if not lag:
             spare = 0.5 * math.pi * (beta - least) / self.filter_order
             delta = np.log(np.maximum(np.tan(spare) / w, math.exp(bottom[2])))
-        # what the filter leaves of a gain of one there, and of that at ω_r
+        # ln of the filter's attenuation at the crossover and at ω_r
         left, right = (
             0.5 * self.filter_order * np.log1p(np.square(np.exp(delta) * frequency))
             for frequency in (crossover, request.reference)
@@ -302,8 +302,8 @@ class Search:
     # ---- the search
 
     def over_links(self, start: Real) -> Solution:
-        """Return where a search ends from a start, the links that are worst taken in as
-        they turn up.
+        """Return where a search from a start ends; links that prove worse than those
+        searched are added to them.
         """
         solution = self.descended(start)
         while (wider := solution.wider()) is not None:
@@ -311,7 +311,7 @@ class Search:
         return solution
 
     def descended(self, start: Real, *, once: bool = False) -> Solution:
-        """Return where the rows are eased least, and the noise is least if none is."""
+        """Return where the rows are eased least or, if none is, the noise is least."""
         x, end = lowest(self.easing, start, *self.bounds, enough=0.0, once=once)
         if end.missed > 0.0 or end.largest > _KEPT:
             return Solution(self, x, end.missed, end.largest)
@@ -320,7 +320,7 @@ class Search:
         )
 
 
-# the noise is lowered from where the easing ended
+# one entry, as the noise is lowered from the point where the easing ended
 @lru_cache(maxsize=1)
 def _trial(search: Search, x: tuple[float, ...]) -> Trial:
     """The links of a search under Ĉ of some parameters."""
@@ -333,12 +333,12 @@ class Solution:
 
     search: Search
     x: Real
-    missed: float  # by how much a row is missed that may not be eased
-    easing: float  # by how much the others have to be eased
+    missed: float  # largest violation of the rows that may not be eased
+    easing: float  # largest easing of the others
 
     @property
     def kept(self) -> bool:
-        """Whether every row is kept, with half of what is kept in reserve."""
+        """Whether every row is kept, with at least half of its reserve."""
         return self.missed == 0.0 and self.easing == 0.0
 
     @cached_property
@@ -349,9 +349,9 @@ class Solution:
         )
 
     def equals(self, other: Solution) -> bool:
-        """Whether neither is lost, and both ease the rows by as much: with a notch, or
-        without. A notch that fills up ends where the search without one did, which says
-        nothing of a deeper one.
+        """Whether neither is lost and both ease the rows equally, both with a notch or
+        both without: a notch that fills up ends where the search without one did, which
+        says nothing about a deeper one.
         """
         return (
             self.x.size == other.x.size
@@ -361,7 +361,7 @@ class Solution:
 
     @property
     def crossovers(self) -> tuple[float, float]:
-        """Of the heaviest and of the lightest payload [rad/s]; 0 without one."""
+        """The crossovers of the heaviest and the lightest payload [rad/s]; 0 for none."""
         heavy, _, light, _ = self.search.request.first_links
         frequencies = np.nan_to_num(np.exp(self._trial.value(Figure("crossover"))))
         return float(frequencies[0, heavy]), float(frequencies[0, light])
@@ -410,7 +410,7 @@ class Solution:
 
     @cached_property
     def _worst(self) -> dict[str, tuple[float, int]]:
-        """(by how much it is kept, the link) where each row is kept least."""
+        """(slack, link) of each row at the link where its slack is least."""
         worst: dict[str, tuple[float, int]] = {}
         for key, figure, asked in self._every.figures:
             value = np.where(asked, self._trial.value(figure), math.nan)
@@ -454,11 +454,11 @@ class Solution:
 
 
 def beside(request: Request, controller: Controller) -> Solution:
-    """Return where one descent at every link of a request ends that begins from a
-    controller.
+    """Return where a single descent from a controller ends, over every link of a
+    request.
     """
     notch = None if controller.notch is None else request.notches[-1]
-    # the order that was asked for, if it is another one
+    # the controller's own n, if the request allows it
     order = max(request.filter_orders, key=lambda n: n == controller.filter_order)
     search = Search(request, tuple(range(len(request.arms.table))), order, notch)
     x = Outer.of(controller, request.reference).x[: search.bounds[0].size]
@@ -466,8 +466,8 @@ def beside(request: Request, controller: Controller) -> Solution:
 
 
 def solved(request: Request, near: Solution | None = None) -> Solution:
-    """Return the controller of a request, or the one nearest to it: from a solution that
-    keeps it, if one is known; or else with every n without a notch, then with one, from
+    """Return the solution of a request, or the nearest one: from `near`, if that leads to
+    one that keeps every row; or else with every n without a notch, then with one, from
     each start until one keeps every row, or two ease them equally.
     """
     known = (
@@ -477,9 +477,9 @@ def solved(request: Request, near: Solution | None = None) -> Solution:
     )
     if known and known[0].kept:
         return known[0]
-    # A loop that crosses below the resonance does not affect the vibration. From a
-    # crossover beyond all reach a descent may not find back to the rows that may not be
-    # eased: then it begins halfway to the slowest one.
+    # A loop that crosses below the resonance does not affect the vibration. From an
+    # unreachable crossover a descent may fail to meet the rows that may not be eased: the
+    # next ones then begin halfway to the slowest crossover.
     slowest = request.arms.resonance
     fastest = max(request.reference, slowest)
     for crossover in dict.fromkeys((fastest, math.sqrt(fastest * slowest))):

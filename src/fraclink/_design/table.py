@@ -4,7 +4,7 @@ given Ĉ (`Outer`).
 Every figure follows from g = ∂ ln Ĉ/∂x of the parameters x of Ĉ: a frequency
 at which |L| crosses one moves by −Re g/Re σ with σ = d ln L/d ln ω, its phase by
 Im g − Re g Im σ/Re σ, a distance from −1 by Re(L g/(1 + L)), noise by Re(g/(1 + L)).
-All are the compiled kernel's (csrc/kernels/figures.c).
+The compiled kernel computes all of them (csrc/kernels/figures.c).
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ Index = NDArray[np.int64]
 _DENSITY = 28
 _NEAR = np.geomspace(1e-4, 0.2, 12)  # on both sides of a sharp resonance
 # Roots of 1 + L up to this distance from the resonance, in ln ω, are vibrations of the
-# link: the second mode of a link with mass lies 4.4 times as high at least, and what is
-# farther away belongs to it, to the motor loop, or to the delay of the gauge.
+# link: the second mode of a link with mass is at least 4.4 times as high, and roots
+# farther away belong to it, to the motor loop, or to the delay of the gauge.
 _REGION = math.log(4.4)
 # Radius in ln ω of the expansions about the axis, in which roots are looked for: with a
 # damping ratio of more than sin 0.6 = 0.56 nothing vibrates. The factors of the loop have
@@ -61,18 +61,18 @@ FIGURES = (
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The loops beside Ĉ of K links, each at its own frequencies.
+    """The loops without Ĉ of K links, each at its own frequencies.
 
-    ``w``, ``rest``, ``slope`` (K, N): frequencies [rad/s], ln of the loop beside Ĉ with
-    its true phase, and that one's slope over ln ω. ``noise_w``, ``weight``,
-    ``noise_rest`` (K, M): the points of the noise integral and the loop beside Ĉ there;
+    ``w``, ``rest``, ``slope`` (K, N): frequencies [rad/s], ln of the loop without Ĉ
+    with its true phase, and the slope of this over ln ω. ``noise_w``, ``weight``,
+    ``noise_rest`` (K, M): the points of the noise integral and the loop without Ĉ there;
     ``voltage`` (K, M) the gain from motor reference to voltage [V/rad].
     ``modes_w``, ``modes_level``, ``modes_number`` (K, R): the higher modes. ``centre``
     (K, J), ``plant``, ``closing`` (K, J·T): places on the axis, in ln ω, and the Taylor
-    coefficients there of the link's denominator D, and of D times the loop beside Ĉ,
+    coefficients there of the link's denominator D, and of D times the loop without Ĉ,
     neither of which has a pole nearby. ``empty``
-    (K,) says whether the gripper is; ``arm`` and ``natural_frequency`` (K,) which link
-    it is; ``mode`` (K,) its resonance, ``highest`` (K,) the highest crossing allowed and
+    (K,) says whether the gripper is empty; ``arm`` and ``natural_frequency`` (K,) identify
+    the link; ``mode`` (K,) its resonance, ``highest`` (K,) the highest crossing allowed and
     ``band`` (K, 2) the frequencies that belong to its second mode [rad/s].
     """
 
@@ -107,7 +107,7 @@ class Table:
 
     @cached_property
     def places(self) -> Index:
-        """The place of every figure of every link among all that a trial has."""
+        """The flat index of every figure of every link among the figures of a trial."""
         count = len(FIGURES) - 1 + self.modes_w.shape[1] // MODE_POINTS
         return np.arange(count * len(self)).reshape(count, len(self))
 
@@ -133,14 +133,14 @@ def tabulated(
     empty: bool = False,
 ) -> Table:
     """Return the table of one arm's loop without Ĉ (`bare`, k = 1 and β = 0) at the
-    links of ω₀ (K,).
+    links with ω₀ (K,).
 
     `highest` is the highest crossing allowed [rad/s], `motor` is (A, B) of A/(s(s + B));
     an `empty` gripper has no noise to judge.
     """
     mode = bare.peak(w0)
     top = bare.highest
-    if bare.exact_gauge:  # |L| falls far above the mode; that of a late gauge may not
+    if bare.exact_gauge:  # |L| falls far above the mode; with a late gauge it may not
         top = min(top, max(40.0 * float(mode.max()), 8.0 / (bare.lag or 0.1)))
     decades = math.log10(top / (0.05 * float(mode.min())))
     shape = np.concatenate(
@@ -192,7 +192,7 @@ def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Comple
     """`centre`, `plant` and `closing` of a table.
 
     The links share the centres, multiples of a quarter of the radius, and both
-    expansions are linear in 1/ω₀²: those of a rigid link and of another give all.
+    expansions are linear in 1/ω₀²: those of a rigid and of one other link suffice.
     """
     spacing = 0.25 * _RADIUS
     first = np.floor((np.log(mode[:, None]) - _REGION) / spacing).astype(int)
@@ -204,9 +204,9 @@ def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Comple
     return np.asarray(spacing * places, np.float64), plant, closing
 
 
-@lru_cache(maxsize=64)  # the same for every payload of an arm, and so all along a drag
+@lru_cache(maxsize=64)  # the same for every payload of an arm, and so throughout a drag
 def _expanded(bare: Loop, spacing: float, start: int, stop: int) -> Complex:
-    """Taylor coefficients of D and of D times the loop beside Ĉ, of a rigid link and of
+    """Taylor coefficients of D and of D times the loop without Ĉ, of a rigid link and of
     one with ω₀ = 1, about some multiples of `spacing`: from values on a circle about
     each.
     """
