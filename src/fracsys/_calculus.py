@@ -36,7 +36,7 @@ def integral(t: Samples, y: Samples, order: IntegralOrder) -> Real:
     Parameters
     ----------
     t
-        Times with one period between them, shape (N,), N >= 4.
+        Equally spaced times, shape (N,), N >= 4.
     y
         The signal, shape (N,).
     order
@@ -74,16 +74,16 @@ def derivative(
     Parameters
     ----------
     t
-        Times with one period T between them, shape (N,), N >= 4.
+        Times with the period T, shape (N,), N >= 4.
     y
         The signal, shape (N,). Noise of standard deviation σ becomes noise of about σ
         T^(−a): filter a measured signal first.
     order
         a, 0 < a <= 2.
     definition
-        "caputo", or "riemann-liouville", which is what s^a does to a signal that rests
-        at zero before its first sample: it has y(0) (t − t[0])^(−a)/Γ(1 − a) besides,
-        and y'(0) (t − t[0])^(1−a)/Γ(2 − a) for a > 1, infinite at the first sample.
+        "caputo", or "riemann-liouville", the effect of s^a on a signal that is zero
+        before its first sample: it adds y(t[0]) (t − t[0])^(−a)/Γ(1 − a) and, for a >
+        1, y'(t[0]) (t − t[0])^(1−a)/Γ(2 − a), which are infinite at the first sample.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
         raise FieldError(
             "t",
             [float(gaps.min()), float(gaps.max())],
-            "not uniform, by its shortest and longest step",
+            "not uniform: the shortest and the longest step differ",
             "one period between all times",
             "interpolate: np.interp(uniform, t, y)",
         )
@@ -149,8 +149,8 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
 def _integrated(pieces: Real, period: float, order: float) -> Real:
     """The integral of order a of Σ_m c_m s^m on every interval, at all samples.
 
-    `pieces` as `scipy.interpolate.PPoly` has them: shape (degree + 1, N − 1), highest
-    power first.
+    `pieces` are the coefficients c of a `scipy.interpolate.PPoly`: shape (degree + 1, N
+    − 1), highest power first.
     """
     count = pieces.shape[1]
     # For an interval that lies n periods in the past: ∫ (n − s)^(a−1) s^m ds, s from 0

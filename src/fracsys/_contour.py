@@ -1,13 +1,13 @@
-"""Step responses at single times: trapezoid on a parabola, with exact correction of its
-poles.
+"""Step responses at single times: the trapezoidal rule on a parabola, with an exact
+correction for poles.
 
     f(t) = 1/(2πi) ∫ G(s)/s e^(st) ds,   s = μ (1 + iu)²,   u = kh
 
 17 nodes give 1e-14 for singularities on the negative axis and at 0 (more nodes for
-strong ones there). A pole p elsewhere enters with the weight 1/(1 - exp(-2πi u_p/h)) of
-its residue, u_p its place in the u-plane: 1 outside the parabola, 0 deep inside, and
-exact in between. Each time has its own parabola, so the result is accurate relative to
-f(t) itself. This is slow; it serves as the reference for the modes.
+strong ones there). Any other pole p enters with its residue times 1/(1 - exp(-2πi
+u_p/h)), where u_p is its place in the u-plane: 1 outside the parabola, 0 deep inside,
+and exact in between. Each time has its own parabola, so the result is accurate relative
+to f(t) itself. This is slow; it serves as the reference for the modes.
 
 Source: Weideman and Trefethen, Math. Comp. 76 (2007) 1341, parabola with h = 3/N, μ =
 πN/(12 t).
@@ -30,14 +30,14 @@ from fracsys.errors import FieldError
 
 _BESIDE_ZERO = 0.02  # |p| t
 _AROUND = np.array([[0.3], [1.0], [3.0]])  # |s| t
-# Of the nodes, in steps: one at u = 0, or one on either side of it. Only these grids
-# are symmetric, so that conjugate poles have conjugate weights.
+# Offsets of the nodes, in steps: a node at u = 0, or one on either side of it. Only
+# these grids are symmetric, so that conjugate poles have conjugate weights.
 GRIDS = np.array([0.0, 0.5])
-_MORE = (3, 4, 5, 6, 7)  # nodes of the finer rules that a value is compared with
+_MORE = (3, 4, 5, 6, 7)  # additional nodes of the rules that a value is compared with
 
 
 def step_values(quotient: Quotient, times: Real, *, more: int = 0) -> Real:
-    """Return the step response at times > 0 [s], with `more` nodes than needed.
+    """Return the step response at times > 0 [s], with `more` additional nodes.
 
     The values are accurate relative to themselves, even if the response begins like
     t^6. As long as |p| t is small for every pole, all poles lie close to 0 relative to
@@ -60,8 +60,8 @@ def step_error(quotient: Quotient, times: Real, values: Real) -> float:
 
     Another number of nodes means another parabola, with other truncation and rounding
     errors, which grow with the nodes: the differences among five rules exceed the error
-    of one. Their poles are shifted by their own uncertainty. The error changes slowly
-    with time, so a selection of the times is enough.
+    of one. The poles are shifted by their uncertainty. The error changes slowly with
+    time, so a selection of the times is enough.
     """
     sample = np.argsort(times)
     even = np.linspace(0, len(times) - 1, min(len(times), 15)).astype(int)
@@ -163,8 +163,8 @@ def pole_weight(u: Complex, offset: Real | float, step: float) -> Complex:
 
 
 def best_offset(places: Complex) -> Real:
-    """Of `GRIDS` that one for each column of `places`, in steps, which keeps a node
-    farthest from all of its poles; NaN stands for no pole.
+    """The offset of `GRIDS`, for each column of `places` (in steps), that keeps the
+    nodes farthest from all poles; NaN stands for no pole.
     """
     gaps = places - GRIDS[:, None, None]
     gaps = np.abs(gaps - np.round(gaps.real))
@@ -208,10 +208,10 @@ def convolve(weights: Real, u: Real) -> Real:
 #     f(t) = e^(σt)/W · [F(σ) + 2 Re Σ_k F(σ + jkω₀) e^(jkω₀t)],   ω₀ = 2π/W,
 #
 # for functions without a sum of modes (delays in the denominator, poles not certified),
-# by one FFT on a window W of four spans, so that e^(-σW) kills what wraps around. The
-# delay-free part of G has an exact response and is taken off first: what is left falls
-# about twice as fast at high frequency, so that the truncated series converges. Its
-# error is estimated by another inversion, another σ and half the frequencies.
+# by one FFT on a window W of four spans, so that e^(-σW) suppresses what wraps around.
+# The delay-free part of G has an exact response and is subtracted first: what is left
+# falls about twice as fast at high frequency, so that the truncated series converges.
+# Its error is estimated by another inversion, with another σ and half the frequencies.
 #
 # Source: Dubner and Abate, J. ACM 15 (1968) 115, with the aliasing controlled as by
 # Crump (1976).
@@ -221,8 +221,8 @@ OVERSAMPLING = 8
 
 
 def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction:
-    """G without the delayed terms of its denominator: its response until the first of
-    them acts.
+    """G without the delayed terms of its denominator, which responds like G until the
+    first of them acts.
     """
     highest = G.denominator[0].order
     late = [

@@ -1,5 +1,5 @@
-"""Conversion of python-control systems to fractional ones, and of these to its
-frequency responses.
+"""Conversion of python-control systems to fractional ones, and of fractional systems to
+its frequency responses.
 
 python-control is only imported by the first call, since that takes seconds.
 """
@@ -30,10 +30,10 @@ def to_control(
     `FrequencyResponseData`.
 
     Its plots and margins accept it, and so do products, sums and feedback with other
-    systems on the same frequencies. Between functions of s these are exact at every
-    frequency: convert their result. Functions that need states (`step_response`, `ss`,
-    `root_locus`) reject it: use `fracsys.step_response`, or `approximate(...)` and its
-    `state_space()`.
+    systems on the same frequencies. The same operations on functions of s are exact at
+    every frequency: do them first and convert the result. Functions that need states
+    (`step_response`, `ss`, `root_locus`) reject it: use `fracsys.step_response`, or
+    `approximate(...)` and its `state_space()`.
 
     Parameters
     ----------

@@ -26,18 +26,17 @@ Band = Annotated[
 ]
 Order = Annotated[int, Between(0, 12, remedy="use order=None to choose")]
 
-# Share of the tolerance that the fit may use on its grid: between the grid points the
-# error is up to 3 % larger.
+# Fraction of the tolerance that the fit may use on its grid: between the grid points
+# the error is up to 3 % larger.
 _WITHIN = 0.97
 # Above the band |H − F| may reach 2 |F| times the score; without this guard the gain
-# there has no bound. Measured on six controllers, the guard costs up to two of eight
-# states.
+# there has no bound. On six controllers the guard costs up to two of eight states.
 _GUARD = 2.0
 
 
 class DiscreteFits:
-    """The discrete rationals whose worst error in a band of frequencies is smallest, by
-    their order: each goes on from those of the orders below, which are kept.
+    """The discrete rationals with the smallest worst error in a frequency band, one for
+    each order; those of lower orders are kept, and higher ones start from them.
 
     The largest of |Re ε|/tolerance and |Im ε|/tolerance over the band is minimised,
     with ε = weight · (H − F)/(offset + F), whose real part is an error in nepers and
@@ -60,15 +59,15 @@ class DiscreteFits:
         The error is judged on offset + H; 1 for a controller C = 1 + Ĉ fitted through
         Ĉ.
     weight
-        Positive weight over frequency.
+        A positive weight as a function of frequency.
     tolerance_db, tolerance_deg
         Tolerances [dB] and [°]; their ratio sets the balance between errors of modulus
         and phase.
     pairs
         Largest number of complex pairs among the poles; 0 for real poles only.
     inside
-        Frequencies of the band [rad/s] that the grid of the fit takes in: where the
-        response changes within a tenth of its frequency.
+        Further frequencies [rad/s] for the grid of the fit, inside the band: where the
+        response changes within a tenth of the frequency.
 
     Raises
     ------
@@ -138,7 +137,7 @@ class DiscreteFits:
             math.tan(0.5 * band[0] * period),
             math.tan(min(0.5 * band[1] * period, 1.55)),
         )
-        # kept, and so every order is found once
+        # kept, so that each order is computed once
         (self._generations,) = tee(grow(self.target, plane, pairs=pairs), 1)
         self._response, self._offset = response, offset
         self._rational = partial(
@@ -149,8 +148,8 @@ class DiscreteFits:
         )
 
     def fit(self, order: int | None = None, highest: int = 8) -> DiscreteRational:
-        """Return the rational of an order; without one, that of the lowest order that
-        meets both tolerances, else the best of those up to `highest`.
+        """Return the rational of `order`; by default the one of lowest order that meets
+        both tolerances, or else the best of those up to `highest`.
         """
         made = self._rational(self._best(order, highest))
         w = _grid(made.band, 400)
@@ -169,7 +168,7 @@ class DiscreteFits:
         if order is not None:
             return finish(next(islice(self, order, None)), self.target)
         for here in islice(self, highest + 1):
-            # The full sequence of norms lowers the error of the quick ones by 10 to 20 %.
+            # The full sequence of norms lowers the error of a quick fit by 10 to 20 %.
             if score(here[0], self.target) <= 1.3:
                 fit = finish(here, self.target)
                 if score(fit, self.target) <= _WITHIN:

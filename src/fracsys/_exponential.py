@@ -12,8 +12,8 @@ from fracsys._precision import ROUNDING
 from fracsys.checks import Complex, Mask, Real
 from fracsys.errors import NotConvergedError
 
-# Zeros in one strip, reached by orders of about 4000 on the principal sheet, and pieces
-# of one path: one that needs more passes through a zero.
+# Largest number of zeros in one strip (orders of about 3500 on the principal sheet),
+# and of pieces of one path: a path that needs more passes through a zero.
 LIMIT = 4096
 
 
@@ -69,7 +69,7 @@ class ExponentialSum:
     @cached_property
     def bounds(self) -> tuple[float, float]:
         """Two real parts between which every zero lies: beyond them one term exceeds
-        twice the others.
+        twice the sum of the others.
         """
         a, nu = self._logs, self.rates
         # Each other term is below 1/(2K) of the dominant one: a sufficient condition

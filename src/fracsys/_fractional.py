@@ -57,7 +57,7 @@ class FractionalTransferFunction:
     denominator divided out, terms sorted by falling order, and the denominator's
     leading coefficient scaled to 1. Equality and hash compare this form, and a constant
     equals its number. A numerator that is a multiple of the denominator is cancelled:
-    the response from rest is the same. `repr` is Python that makes an equal function,
+    the response from rest is the same. `repr` is Python code for an equal function,
     `str` is for reading, and a notebook shows a formula.
 
     `numerator`, `denominator`: terms, a single term, or a number. Raises `FieldError`
@@ -117,8 +117,8 @@ class FractionalTransferFunction:
         """Return G(s) on the principal sheet; `s` [rad/s] is a complex number or an
         array of any shape.
 
-        On the negative real axis the value is the one of arg s = +π. At a pole the
-        value is infinite.
+        On the negative real axis the value is that for arg s = +π. At a pole the value
+        is infinite.
 
         >>> G = 1 / (FractionalTransferFunction.power(0.5) + 1)
         >>> G(4.0)

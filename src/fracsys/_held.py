@@ -24,14 +24,14 @@ _SWING = 6.0  # The error oscillates in ln t, and nine times need not hit its ma
 # Jumps of the input whose errors may add up; the errors of the other jumps alternate in
 # sign.
 _ADDED = 4.0
-# Fraction of the peak: above this the modes cancel, and one contour per lag is used
-# instead.
+# Error relative to the peak above which the modes cancel, and one contour per lag is
+# used instead.
 _ENOUGH = 3e-11
 
 
 @dataclass(frozen=True)
 class Part:
-    """A response, its estimated error, the number of modes (0 without) and the method."""
+    """A response, its estimated error, the number of modes (0 if none) and the method."""
 
     output: Real
     error_estimate: float
@@ -66,15 +66,15 @@ class HeldQuotient:
 
     @property
     def has_modes(self) -> bool:
-        """Whether the response is a sum of modes: not with a singular power in addition
-        to the integrator.
+        """Whether the response is a sum of modes: the rest must be weaker than s^-0.94
+        at low frequency.
         """
         rest = self.rest
         return rest is None or singular_order(rest.top, rest.bottom) < STRONG
 
     def expansion(self, period: float, span: float, tolerance: float) -> Expansion:
-        """Modes of the step response from one period to the span, two periods later for
-        the last hold.
+        """Modes of the step response from one period to the span and two periods
+        beyond, for the last hold.
         """
         if self.rest is None:
             none = np.empty(0)
@@ -106,8 +106,8 @@ class HeldQuotient:
 
         The step of an expansion follows from the error of simple poles; two that
         (nearly) coincide increase it by a factor of up to eleven. If the contour shows
-        a larger error than requested, the tolerance is reduced to half of the
-        sufficient one.
+        a larger error than requested, the expansion is repeated with half the tolerance
+        that should suffice.
         """
         target, parts = tolerance, self.expansion(period, span, tolerance)
         error, peak, _ = self.error(parts, period, span)
@@ -197,7 +197,8 @@ class HeldQuotient:
         self, shortest: float, longest: float, tolerance: float, steps: int
     ) -> tuple[Expansion, float, float] | None:
         """The modes, the error of their step response after so many steps, and its
-        first exact value without the integrator; None where they cancel.
+        first exact value without the integrator; None where there are no modes or they
+        cancel.
         """
         if not self.has_modes:
             return None

@@ -34,8 +34,8 @@ class SampledLoop:
     countless where |L| is small; up to `follow` (ln ω) the phase is followed however
     small |L| is. `ends`: L at ω → 0 and ω → ∞ if it has a known limit, else NaN.
     `system`: the transfer function that L is, `span` ln of its lowest and highest
-    corner or asymptotic gain crossing, and `unstable_poles` those with Re s > 0,
-    conjugates counted; None where they are not known.
+    corner or asymptotic gain crossing, and `unstable_poles` the number of its poles
+    with Re s > 0, conjugates counted; None where it is not known.
     """
 
     response: Callable[[Real], object]
@@ -155,9 +155,9 @@ def _fractional_loop(
     high = min(span[1] + reach, farthest + 1)
     follow = high
     if slowest:
-        # Where its phase is below 0.1 rad the delay changes no margin visibly.
+        # A delay whose phase is below 0.1 rad changes no margin visibly.
         low = min(low, math.log(0.1 / slowest))
-        # the first two crossings of the phase
+        # includes the first two phase crossings
         follow = math.log(4 * math.pi / slowest)
         high = max(high, follow, min(_faint(system), farthest))
     if limit is not None:

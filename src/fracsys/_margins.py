@@ -99,7 +99,7 @@ class Margins:
         hidden = sum(
             max(0, len(c) - _SHOWN) for c in (self.gain_crossings, self.phase_crossings)
         )
-        lines += [f"… and {hidden} crossings more"] if hidden else []
+        lines += [f"… and {hidden} more crossings"] if hidden else []
         lines.append(
             f"nearest to −1   {self.modulus_frequency:12.6g} rad/s  distance     {self.modulus_margin:9.4g}"
         )
@@ -171,15 +171,16 @@ def margins(
     ----------
     loop
         L under unity negative feedback. A callable takes s = jω (complex, shape (n,))
-        and returns L(s) of the same shape; it is looked at from 1e-6 to 1e6 rad/s. A
+        and returns L(s) of the same shape; it is evaluated from 1e-6 to 1e6 rad/s. A
         python-control system is a callable; if it is sampled it is evaluated on the
         unit circle up to its Nyquist frequency.
     limit
-        Highest frequency [rad/s], > 0; the Nyquist frequency of a sampled loop.
+        Highest frequency [rad/s], > 0; by default, for a sampled loop, its Nyquist
+        frequency.
     unstable_poles
         Number of poles of L with Re s > 0, conjugates counted, which a callable cannot
-        tell. With it (or for a transfer function, which knows) the encirclements of −1
-        decide `stable`.
+        tell. With it the encirclements of −1 decide `stable`; of a transfer function
+        the number is known.
 
 
     Raises
@@ -270,7 +271,7 @@ def _followed(
 ) -> Mask:
     """Points near the negative real axis in the range where the phase was followed."""
     # The phase of −L jumps by 2π on the positive real axis; a change of sign there is
-    # no crossing of the negative axis.
+    # no phase crossing.
     near = np.abs(turn) < 0.5 * math.pi
     if quiet:
         near &= (np.abs(values) > quiet) | (x <= loop.follow)

@@ -1,12 +1,12 @@
 """Minimax partial fractions: the poles and residues with the smallest worst error at
 given frequencies.
 
-    R(x) = P(x) [ d + Σ r_i σ_i/(x + σ_i) + Σ Re-symmetric pairs ],      x = jΩ
+    R(x) = P(x) [ d + Σ r_i σ_i/(x + σ_i) + Σ conjugate pairs ],      x = jΩ
 
 The worst error is reached through the p-norm with p = 2, 4, … 128: each is a smooth
-problem solved by Newton's method (csrc/kernels/minimax.c, the exact Hessian of the
-p-norm of a linearised error) from the solution of the previous norm, which ends within
-ln(rows)/128 ≈ 4 % of the minimax error and never leaves the stable half plane.
+problem, solved by Newton's method (csrc/kernels/minimax.c, the exact Hessian of the
+p-norm of a linearised error) from the solution for the previous p. The last one lies
+within ln(rows)/128 ≈ 4 % of the minimax error; no pole leaves the stable half plane.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from fracsys import _kernels
 from fracsys._precision import BLUR
 from fracsys.checks import Complex, Real
 
-# Going from 2 to 128 directly, three of six controllers need more poles, and the best
-# fit of order 8 has twice the error: each norm must start near its minimum. Stopping at
-# 32 costs 3 % of the error.
+# With 2 and 128 alone, three of six controllers need more poles, and the best fit of
+# order 8 has twice the error: each norm must start near its minimum. Stopping at 32
+# raises the error by 3 %.
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is to be met, R(jΩ_k) = F_k, by relative errors whose real and imaginary
-    parts are weighted.
+    """The goal R(jΩ_k) = F_k, with the weights of the real and the imaginary part of
+    the relative errors.
     """
 
     omega: Real  # Ω, the frequency in the x-plane
@@ -48,18 +48,20 @@ class Target:
 
     @cached_property
     def aim(self) -> Real:
-        """The rows that are wanted."""
+        """The wanted values as rows."""
         return self.rows(self.wanted)
 
     @cached_property
     def real_rows(self) -> Real:
-        """What makes a complex R/P real rows, as the kernel takes it."""
+        """The coefficients that turn a complex R/P into real rows, in the kernel's
+        layout.
+        """
         real, imag = self.whole * self.weights
         return np.stack([real.real, -real.imag, imag.imag, imag.real])
 
     def rows(self, errors: Complex) -> Real:
-        """Real parts, then imaginary parts of relative errors, along the last axis:
-        tolerances are 1.
+        """Real parts, then imaginary parts of relative errors, along the last axis, in
+        units of their tolerances.
         """
         parts = np.stack([errors.real, errors.imag], axis=-2) * self.weights
         return parts.reshape(*errors.shape[:-1], -1)
@@ -74,7 +76,7 @@ class PartialFractions:
     """Poles x = −e^θ (real) and −e^(θ ± jψ) (pairs), |ψ| < π/2, with residues; all
     parameters real.
 
-    A pair's term is Re-symmetric: ½ [c q/(x + q) + c̄ q̄/(x + q̄)] with q = e^(θ + jψ).
+    A pair contributes ½ [c q/(x + q) + c̄ q̄/(x + q̄)] with q = e^(θ + jψ).
     """
 
     direct: float
@@ -123,9 +125,8 @@ class PartialFractions:
         )
 
     def figures(self, target: Target) -> tuple[float, float]:
-        """(worst weighted error, of which 1 is the tolerance; cancellation: the largest
-        sum of the moduli of all terms over the largest modulus of their sum, of which 1
-        is ideal).
+        """(worst weighted error, 1 at the tolerance; cancellation: the largest sum of
+        the moduli of all terms over the largest modulus of their sum, ideally 1).
         """
         shapes, c = self.shapes(target.omega), 0.5 * self.pair_gains
         gains = np.concatenate([self.real_gains, c, c.conj()])
@@ -159,7 +160,7 @@ def improve(
 def _best_residues(at: PartialFractions, target: Target) -> Real:
     columns = target.columns(at)
     size = np.linalg.norm(columns, axis=0)
-    # Poles that coincide have columns that are equal to rounding. The cut-off gives
+    # Poles that coincide have columns that are equal up to rounding. The cut-off gives
     # both poles the same residue instead of two huge ones of opposite sign, which no
     # single-precision law could run.
     return np.linalg.lstsq(columns / size, target.aim, rcond=1e-12)[0] / size
@@ -206,7 +207,7 @@ def grow(
     for q in resonances:
         angle = min(abs(cmath.phase(q)) / (0.5 * math.pi), 1 - 1e-9)
         twos.append(_fractions((), math.log(abs(q)), math.atanh(angle)))
-    # the additions to a fraction of one order less, and to one of two less
+    # additions to fractions one order lower (a real pole) and two orders lower (a pair)
     additions = [_fractions(spot) for spot in spots], twos
     columns = [
         np.stack(
@@ -265,8 +266,9 @@ def _joined(one: PartialFractions, more: PartialFractions) -> PartialFractions:
 
 
 def _squares_left(base: PartialFractions, beyond: Real, target: Target) -> Real:
-    """The least sum of squares with the poles of `base` and each addition, by what is
-    left `beyond` the columns of the base: of those of the addition and, last, of the aim.
+    """The least sum of squares with the poles of `base` and those of each addition,
+    from the parts of `beyond` (columns of the addition, then the aim) that are
+    orthogonal to the columns of the base.
     """
     span, _ = np.linalg.qr(target.columns(base))
     beyond = beyond - span @ (span.T @ beyond)
@@ -290,16 +292,16 @@ def _distinct(
 
 # --- Starting poles by pole relocation (vector fitting), reflected into the stable half plane ---------
 #
-# Source: Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; weighted as
-# the target asks.
+# Source: Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052; with the
+# weights of the target.
 
 
 def _relocated(
     band: tuple[float, float], order: int, target: Target
 ) -> PartialFractions:
-    """A fraction (poles only) after twelve rounds, each of which solves a linear
-    problem, from poles spread evenly on a logarithmic scale of Ω: a real one below
-    where the order is odd, pairs at 45° above.
+    """The poles after twelve rounds, each of which solves a linear problem. The starts
+    are spread evenly over ln Ω: for an odd order a real pole at the lowest place, pairs
+    at 45° above it.
 
     R = N/σ with N = d + Σ r φ and σ = 1 + Σ c φ over the present poles: P N − F Σ c φ =
     F is linear, and the zeros of σ are the next poles.
@@ -339,7 +341,7 @@ def _zeros_of_denominator(at: PartialFractions, weights: Real) -> Complex:
 
 def _from_poles(x: Complex, target: Target) -> PartialFractions:
     x = -np.abs(x.real) + 1j * x.imag
-    # A pair that rounding alone parts from the real axis is two real poles.
+    # A pair off the real axis by rounding alone is two real poles.
     real = np.sort(-x.real[np.abs(x.imag) <= BLUR * np.abs(x)])
     q = -x[x.imag < -BLUR * np.abs(x)]
     # A pole three decades outside the band acts as a constant or an integrator there;

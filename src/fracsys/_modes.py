@@ -32,11 +32,11 @@ class DiscreteModes:
 
     `hold` is "zero" (u is constant from sample to sample) or "first" (straight lines
     from sample to sample, the first one from u[-1] = 0; with a delay between samples
-    y[k] then has early·v[k+1] besides). Valid for `span` [s] after a change of the
+    y[k] then also contains early·v[k+1]). Valid for `span` [s] after a change of the
     input; `tolerance` is the error of the step response relative to its peak, as
-    requested. `decays` = exp(`log_decays`): the logarithms hold what a slow mode's
-    decay, near 1, has lost to rounding. An integrator is a real mode with a decay of
-    exactly 1.
+    requested. `decays` = exp(`log_decays`): the logarithms keep the digits that a slow
+    mode's decay, near 1, loses to rounding. An integrator is a real mode with a decay
+    of exactly 1.
     """
 
     period: float
@@ -132,9 +132,9 @@ def split_delay(delay: float, period: float) -> tuple[int, float]:
 #
 # The branch cut gives (1/π) ∫ Im G(r e^{iπ}) e^(-rt) dr/r, by the trapezoid rule in ln
 # r. A pole z_p (in ln s) at a moderate distance from the cut, on this sheet or the
-# next, would spoil the rule; it is made exact by multiplying the residue by κ(z_p) =
-# 1/(1 - exp(-2πi (z_p - iπ - x_0)/h)): 1 far below the cut, 1/2 on it midway between
-# two nodes, 0 far above. So no pole is a special case, not even one on the cut.
+# next, would spoil the rule; the rule is made exact by multiplying the residue by
+# κ(z_p) = 1/(1 - exp(-2πi (z_p - iπ - x_0)/h)): 1 far below the cut, 1/2 on it midway
+# between two nodes, 0 far above. So no pole is a special case, not even one on the cut.
 #
 # The constant is left out: held responses use increments only, which makes the integral
 # converge at r → 0 for every G weaker than 1/s there.
@@ -142,8 +142,8 @@ def split_delay(delay: float, period: float) -> tuple[int, float]:
 # Eight nodes fail test_servo_and_link_a_double_pole_on_the_cut and
 # test_undamped_double_resonance.
 _SEGMENT = 18  # nodes that represent a cluster of poles
-# Chebyshev nodes for all rates below 1/longest: there e^(-rt) equals a polynomial of
-# this degree to 5e-13.
+# Chebyshev nodes for all rates below 1/longest: there the polynomial through them
+# equals e^(-rt) to 5e-13.
 _FOLD = 10
 
 
@@ -364,8 +364,8 @@ def _half_length(damping: float, longest: float) -> float:
     """Half the length of a segment on which 18 nodes resolve e^(δt) e^(-σt) to 1e-13
     for all t.
 
-    Relative to the damping σ the error is (0.3/2)^18; without damping the span limits,
-    (δt/2)^18/18! at δt = 2.5.
+    Relative to the damping σ the error is (0.3/2)^18; without damping it is
+    (δt/2)^18/18!, with δt = 2.5 at the end of the span.
     """
     return max(0.3 * damping, 2.5 / longest)
 

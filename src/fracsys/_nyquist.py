@@ -1,4 +1,4 @@
-"""The distance of a loop to −1, and the Nyquist criterion, on a swept response."""
+"""The distance of a loop from −1, and the Nyquist criterion, on a swept response."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def modulus_margin(loop: SampledLoop, x: Real, values: Complex) -> tuple[float, 
     return smallest, frequency
 
 
-# --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------
+# --- The Nyquist criterion on a swept response, with indentations around poles on the axis ------------
 
 
 def unstable_closed_loop_poles(
@@ -85,7 +85,7 @@ def _arc(value: complex, slope: float) -> float:
     # the change along the arc.
     if abs(value) < 1:
         return cmath.phase(1 + value)
-    # L starts at a multiple of π and turns by slope π/2, which follows more exactly
-    # from the phase itself.
+    # On the positive real axis arg L is a multiple of π: the one nearest to phase −
+    # slope π/2 gives the change more exactly than slope π/2 itself.
     change = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
     return change + cmath.phase(1 + 1 / value)

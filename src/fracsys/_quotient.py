@@ -218,13 +218,13 @@ def _turn(order: float) -> complex:
 
 # --- What a transfer function does at s → 0 -----------------------------------------------------------
 #
-# An integrator is a mode of its own, with a decay of exactly 1, and is taken off before
-# the rest is expanded: G = c/s + rest. A rest that is weaker than s^-0.94 is carried by
-# the branch cut; anything stronger has no modes whose sum stays accurate from one period
-# to the whole span.
+# An integrator is a mode of its own, with a decay of exactly 1, and is split off before
+# the rest is expanded: G = c/s + rest. A rest weaker than s^-0.94 follows from the
+# branch cut; anything stronger has no modes whose sum stays accurate from one period to
+# the whole span.
 
-# The quadrature along the cut runs down to r^(1-a) below rounding, 42/(1-a) e-folds. At
-# 0.94 that is 700, close to the exponent range of a double.
+# The quadrature along the cut begins where r^(1-a) is below rounding, 36/(1-a) e-folds
+# down. At 0.94 these are 600, close to the exponent range of a double.
 STRONG = 0.94
 
 

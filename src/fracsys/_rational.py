@@ -40,7 +40,7 @@ class RationalApproximation:
     gain
         k.
     band
-        Frequencies [rad/s] it was made for.
+        Lowest and highest frequency [rad/s] of the approximation.
     method
         The method of `approximate`.
     error_db, error_deg
@@ -182,8 +182,8 @@ def _fitted(
             "stable poles for method='minimax'",
             "use method='oustaloup'",
         )
-    # Few enough for Newton steps of microseconds, and more than ten per pole at the
-    # highest order.
+    # 160 points: few enough for Newton steps of microseconds, and more than ten for
+    # each pole at the highest order.
     w = np.geomspace(*band, 160)
     near = exact[
         (np.abs(exact) > band[0]) & (np.abs(exact) < band[1]) & (exact.imag > 0)

@@ -156,7 +156,7 @@ def step_response(
         Duration [s], with `period`; or times ≥ 0 [s] in any spacing, shape (N,). At t =
         0 the value is the one after the jump.
     period
-        Distance of the samples [s] where `time` is a duration.
+        Sampling period [s], if `time` is a duration.
 
     Examples
     --------
@@ -176,9 +176,9 @@ def impulse_response(
     """Return the response of G to a unit impulse at t = 0, from rest; arguments as for
     `step_response`.
 
-    A direct feedthrough D gives an impulse D·δ(t) besides, which no sample shows. At t
-    = 0 the value is the limit from the right; it is infinite where the relative degree
-    is below 1.
+    A direct feedthrough D adds an impulse D·δ(t), which no sample shows. At t = 0 the
+    value is the limit from the right; it is infinite where the relative degree is below
+    1.
 
     Examples
     --------
@@ -212,9 +212,9 @@ def discrete_modes(
     span
         Longest time [s] over which the response is remembered, T … 1e15 s.
     tolerance
-        Error of the step response relative to its peak, 1e-14 … 1e-2, kept at nine
-        times of the span; between them it may be up to six times as large. Fewer modes
-        for a larger one.
+        Error of the step response relative to its peak, 1e-14 … 1e-2, checked at nine
+        times of the span; between them it may be up to six times as large. A larger
+        tolerance takes fewer modes.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def discrete_modes(
 
 
 def _instants(time: object, period: float | None) -> Real:
-    """The times given as duration and period, or as times."""
+    """The times, given as a duration and a period or as an array."""
     if isinstance(time, float):
         period = required(
             "period",

@@ -6,11 +6,11 @@ z). The sheets of its Riemann surface lie above each other in strips of the z-pl
 z| ≤ π is the principal one, and the right half plane is |Im z| < π/2. Nothing is
 truncated or made commensurate: 1.92 and √2 cost the same.
 
-The count is the argument principle. Left and right of all zeros one term dominates;
-between, a step of half-length ρ around z is accepted only if ρ|D'(z)| + ρ²/2 |D″(z)| +
-ρ³/6 |D‴(z)| + ρ⁴/24 max |D⁗| is smaller than |D(z)|: the image then lies in a disc that
-does not contain the origin, so that the change of phase is the principal argument of
-the quotient of its ends (up to a stated allowance for rounding).
+The zeros are counted by the argument principle. Left and right of all zeros one term
+dominates; in between, a step of half-length ρ around z is accepted only if ρ|D'(z)| +
+ρ²/2 |D″(z)| + ρ³/6 |D‴(z)| + ρ⁴/24 max |D⁗| is smaller than |D(z)|: the image then lies
+in a disc that does not contain the origin, so that the change of phase is the principal
+argument of the quotient of its ends (up to a stated allowance for rounding).
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
     """Zeros of s^gap + ratio = 0 (ratio ≠ 0, gap > 0) in closed form: gap z =
     ln(−ratio) + 2πjm, 0 ≤ Im z ≤ angle.
 
-    Zeros next to the edge by rounding lie on it.
+    Zeros within rounding of the edge are placed on it.
 
     >>> two_term_zeros(1.0, 2.0, 2.0)
     [1.5707963267948966j]
@@ -186,7 +186,7 @@ def _starts(sum_: ExponentialSum, height: float) -> Complex:
 
 def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
     """Simultaneous Newton iteration with mutual repulsion until `count` points with |Im
-    z| ≤ height rest.
+    z| ≤ height are at rest.
 
     D has infinitely many zeros: those beyond the points repel together like a factor
     e^(cz), and c is the mean rate of the terms. Points that leave the region of the zeros
@@ -228,8 +228,8 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
 
 
 def settle_clusters(sum_: ExponentialSum, points: Complex) -> tuple[Complex, Real]:
-    """The points with those at one multiple zero moved onto it, and how far rounding of
-    D may have moved each.
+    """The points, with those near a multiple zero moved onto it, and how far rounding
+    of D may have moved each.
 
     m points near one m-fold zero are known to ε^(1/m) only, but that zero is a simple
     one of D^(m−1). The multiplicity is accepted if D … D^(m−2) vanish there within
@@ -238,7 +238,7 @@ def settle_clusters(sum_: ExponentialSum, points: Complex) -> tuple[Complex, Rea
     values, moduli = sum_.derivatives(points, len(points) + 1)
     power = np.arange(1, len(points) + 1)[:, None]
     # |D^(k)| r^k / k! = ε Σ|terms|: within r this term of Taylor's series is lost in
-    # the rounding of D, and m zeros that are one lie within that of k = m.
+    # the rounding of D, and the m points of an m-fold zero lie within the r of k = m.
     lost = ROUNDING * np.cumprod(power, axis=0) * moduli[0]
     radius = (lost / np.maximum(np.abs(values[1:]), 1e-300)) ** (1 / power)
     zeros, reach = points.copy(), radius.min(axis=0, initial=math.inf)

@@ -32,14 +32,13 @@ class StabilityVerdict:
     reason
         One sentence.
     unstable_poles
-        Poles with Re s ≥ 0, conjugates included; empty for a delay in the denominator
-        (only counted).
+        Poles with Re s ≥ 0, conjugates included; empty with a delay in the denominator,
+        where they are only counted.
     integrators
         a where s^a divides the denominator, 0 for none.
     winding
         Certified number of poles with Re s > 0 (argument principle), multiplicities
-        counted; −1 where they are infinitely many or come as near to the axis as one
-        likes.
+        counted; −1 where they are infinitely many or arbitrarily close to the axis.
     """
 
     stable: bool
@@ -60,12 +59,13 @@ def poles(system: FractionalTransferFunction) -> Complex:
     """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and
     multiplicities.
 
-    Σ d_k s^(b_k) = 0. Poles that a zero of the numerator cancels are left out. A factor
-    s^n with an integer n of a system of integer orders gives n poles 0; a factor s^a of
-    a fractional system is a branch point and no pole: `is_stable` names it. Poles on
+    Σ d_k s^(b_k) = 0. Poles that a zero of the numerator cancels are left out. In a
+    system of integer orders a factor s^n gives n poles at 0; a factor s^a of a
+    fractional system is a branch point and no pole: `is_stable` names it. Poles on
     other sheets shape the response but have no mode.
 
-    They are sorted by argument [rad/s], each pair together; 1/(s^0.5 + 1) has none.
+    They are in rad/s, sorted by argument, each pair together; 1/(s^0.5 + 1) has no
+    poles.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     The number of poles is certified by the argument principle on the log-plane. With a
     delay in the denominator the poles in Re s > 0 are counted along the imaginary axis.
     A loop of neutral type (its direct path is delayed) is stable only if that path's
-    gain is below 1: otherwise every harmonic of the delay grows, or decays as slowly as
-    one likes.
+    gain is below 1: otherwise the harmonics of the delay grow, or decay arbitrarily
+    slowly.
 
     The verdict is usable as a bool.
 
@@ -165,7 +165,8 @@ def _delayed_zeros(terms: Sequence[Term]) -> int:
         return -1
     late = tuple(t for t in terms if t.delay)
     plain = tuple(t for t in terms if not t.delay)
-    # One octave above, |B/A| is below 1 on the whole arc that closes the contour.
+    # One octave above the largest zero, |B/A| is below 1 on the whole arc that closes
+    # the contour.
     loop = as_loop(FractionalTransferFunction(late, plain), 2.0 * _largest_zero(terms))
     # Poles and zeros on the axis give infinities here, which are not errors.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -28,8 +28,8 @@ _PATIENCE = ((FAINT, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
 def sweep(loop: SampledLoop, turn: float = TURN) -> tuple[Real, Complex, float]:
-    """Return (ln ω, L, quiet): neither ln L, by more than `turn`, nor 1 + L changes much
-    between neighbours where |L| > quiet.
+    """Return (ln ω, L, quiet): between neighbours with |L| > quiet ln L changes by at
+    most `turn`, and 1 + L by at most its own modulus.
 
     `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
     """
@@ -122,8 +122,8 @@ def frequency_grid(
         if sampled.system is None:
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], 300)
-    # The even points cover the range where the phase turns slowly, the others that
-    # where L changes fast.
+    # The even points cover the range where the phase turns slowly, the points of the
+    # sweep that where L changes fast.
     grid = np.union1d(even, x[np.isfinite(values)])
     frequencies: Real = np.exp(
         grid[np.concatenate([[True], np.diff(grid) > COINCIDENT])]
@@ -160,7 +160,7 @@ def bracketed_roots(
     """Return the root of a continuous function in each bracket [low, high], to
     rounding.
 
-    The secant method halves the value at the end that stays (Illinois), which is
+    The secant method with the value at the retained end halved (Illinois) is
     superlinear and cannot stall at one end; a step that would leave its bracket is
     replaced by a bisection.
 
@@ -191,8 +191,8 @@ def bracketed_roots(
             stays = (at_x > 0.0) == (at_b > 0.0)  # b moves on, a stays
             a, at_a = np.where(stays, a, b), np.where(stays, 0.5 * at_a, at_b)
             step = np.abs(x - b)
-            # Where the rounding of the function exceeds that of x, its sign is random,
-            # and the iteration would wander within it.
+            # Where the rounding of the function exceeds that of x, the sign is random,
+            # and the iteration would only wander.
             settled |= (step <= BLUR * size) & (np.abs(at_x) >= np.abs(at_b))
             b, at_b = x, at_x
             if np.all((step <= tolerance) | (at_x == 0.0) | settled):
@@ -261,8 +261,8 @@ def zeros_of(
         return []
     a, b = np.array(brackets).T
     at_a, at_b = tendency(loop, a), tendency(loop, b)
-    # The extreme is at an end of the bracket, or the slope next to a pole on the axis
-    # is not a number.
+    # Without a change of sign the extreme is at an end of the bracket, or the slope
+    # next to a pole on the axis is not a number.
     x = np.where(np.abs(at_a) < np.abs(at_b), a, b)
     changes = at_a * at_b < 0
     x[changes] = bracketed_roots(lambda x: tendency(loop, x), a[changes], b[changes])

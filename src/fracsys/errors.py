@@ -22,7 +22,7 @@ __all__ = [
 
 Value = TypeVar("Value")
 
-# Limits what a message repeats of external input: a cell of 10 MB must not flood a
+# Limits of external text in a message [characters]: a cell of 10 MB must not flood a
 # terminal.
 _VALUE_LIMIT = 80
 _SENTENCE_LIMIT = 400
@@ -45,8 +45,8 @@ def value_text(value: object) -> str:
 def printable(text: str) -> str:
     """Return `text` with all control characters escaped.
 
-    C0, C1 and bidirectional marks: a name that reverses the direction of the line can
-    show another ending.
+    That is C0, C1 and bidirectional marks: a file name that reverses the writing
+    direction can display a false extension.
 
     >>> printable("a\\x1b[31mb\\u202ec")
     'a\\\\x1b[31mb\\\\u202ec'
@@ -63,18 +63,17 @@ def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
     # Text is shown without quotes, as the user wrote it; everything else as Python
     # writes it.
     text = value if isinstance(value, str) else value_text(value)
-    # Cut before escaping: only the part shown of 10 MB is processed. An escape sequence
-    # from a file must not reach the terminal, and a line break must not split a
-    # message.
+    # Cut before escaping, so that only the shown part of 10 MB is processed. An escape
+    # sequence from a file must not reach the terminal, and a line break must not split
+    # a message.
     text = printable(text[: limit + 1])
     return text if len(text) <= limit else text[:limit] + "…"
 
 
 def _sentence(text: str) -> str:
-    """`text` as a sentence; a leading identifier such as ``read_log(...)`` keeps its
-    spelling.
+    """`text` as a sentence; only a leading plain word is capitalised, not
+    ``read_log(...)`` or ``--force``.
     """
-    # Only a plain word is capitalised: read_log(…) and --force keep their spelling.
     if text and text.split(maxsplit=1)[0].rstrip(",;:").isalpha():
         text = text[0].upper() + text[1:]
     return text if text.endswith((".", "?", "!", "…")) else f"{text}."
@@ -117,8 +116,8 @@ class FieldError(FracsysError, ValueError):
         super().__init__(f"{head}; expected {expected.rstrip('.')}.{advice}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        # By its parts and not by its message, since errors cross process borders (file
-        # readers run in a child process that may be killed).
+        # Pickled by its parts and not by its message, since errors cross process
+        # boundaries (file readers run in a child process that may be killed).
         parts = (self.field, self.value, self.problem, self.allowed, self.remedy)
         return type(self), parts
 
@@ -137,8 +136,8 @@ class SizeError(FieldError):
 
 
 class NotConvergedError(FracsysError, RuntimeError):
-    """An iteration stopped before its tolerance; ``reached`` is the value it stopped
-    at.
+    """An iteration stopped before it met its tolerance; ``reached`` is the value it
+    stopped at.
     """
 
     def __init__(
@@ -154,8 +153,7 @@ class NotConvergedError(FracsysError, RuntimeError):
 class MissingExtraError(FracsysError, ImportError):
     """An optional dependency is not installed; the message says how to install it.
 
-    `install` is the requirement for pip where the package is not one that the extra
-    brings.
+    `install` is the requirement for pip, if the extra does not contain the package.
     """
 
     def __init__(self, package: str, extra: str, *, install: str | None = None) -> None:

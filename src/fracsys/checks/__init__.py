@@ -105,10 +105,10 @@ def checked(
 
     Defaults are trusted and not checked. `error` is the class that is raised; `prefix`
     stands before the field's name ("lead."). Put it above `@dataclass(frozen=True)`;
-    the class's own ``__post_init__`` then sees normalised fields, arrays and mappings as
-    read-only copies, and checks only what involves several of them. A dataclass that inherits
-    from a checked one needs its own `@checked`, because `dataclass` writes it a new
-    ``__init__``.
+    the class's own ``__post_init__`` then sees normalised fields, arrays and mappings
+    as read-only copies, and checks only what involves several of them. A dataclass that
+    inherits from a checked one needs its own `@checked`, because `dataclass` generates
+    a new ``__init__`` for it.
 
     >>> from typing import Literal
     >>> @checked
@@ -190,7 +190,7 @@ def _read_only(value: Any) -> Any:
     """An array itself where it is read-only, a read-only copy otherwise; a mapping's
     read-only view.
     """
-    if isinstance(value, dict):  # as the check has copied it
+    if isinstance(value, dict):  # already copied by the check
         return MappingProxyType(value)
     if not isinstance(value, np.ndarray):
         return value

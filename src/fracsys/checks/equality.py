@@ -15,7 +15,7 @@ def compared(kind: Kind) -> Kind:
     """Make instances of a frozen dataclass equal if all their fields are, with arrays
     compared element by element.
 
-    A field that is not compared (``field(compare=False)``) is left out, two NaN are
+    A field that is not compared (``field(compare=False)``) is left out; two NaN are
     equal.
 
     >>> @compared

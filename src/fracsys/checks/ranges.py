@@ -49,8 +49,8 @@ class Refused(Exception):
 
 
 class Form:
-    """The form of values: arguments of a call, or that of a file in a subclass, with
-    functions of its `own` of (rule, value) for kinds that a file cannot express.
+    """The form in which values are given: as arguments of a call or, in a subclass, in
+    a file. `own` holds functions of (rule, value) for kinds that a file cannot express.
     """
 
     own: Mapping[Any, Callable[[Rule, Any], Any]] = MappingProxyType({})
@@ -82,12 +82,13 @@ class Rule:
         returns a value normalised, or raises Refused; its parts are converted by the
         form that is handed to it.
     kind, of
-        what a form may treat otherwise: float, complex, bytes, np.ndarray, Any, or type
-        for the instances of the class `of`; and the element type of an array.
+        what a form may treat differently: float, complex, bytes, np.ndarray, Any, or
+        type for the instances of a class; `of` is that class, or the element type of an
+        array.
     unit
         of numbers.
     named
-        whether a file has to name the class: one of several.
+        whether a file has to name the class, since it is one of several.
     """
 
     expected: str
@@ -173,7 +174,7 @@ class Between:
         return cast(float, number(self).check(name, value))
 
 
-# The same without its lower bound.
+# The same range without its lower end.
 above = partial(Between, low_open=True)
 
 
