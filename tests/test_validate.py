@@ -222,6 +222,9 @@ def test_results_are_equal_where_all_their_fields_are() -> None:
     assert Result(between) == Result(Between(float("nan"))) != Result(Between(1.0))
     assert Result(np.array(["x"])) == Result(np.array(["x"]))
     assert Result({"k": np.ones(2)}) == Result({"k": np.ones(2)})
+    kinds = ({"k": 1}, {"k": math.nan}, {}, (1,), (), [1], 1, None, np.ones(1))
+    for k, one in enumerate(kinds):
+        assert [Result(one) == Result(other) for other in kinds].index(True) == k
     assert (
         Result({"k": np.ones(2)})
         != Result({"k": np.zeros(2)})
