@@ -239,7 +239,7 @@ def test_a_stretch_is_read_and_the_rest_may_have_gaps(tmp_path: Path) -> None:
         write_log(tmp_path / "ends.csv", rows), keep=(1.0, 40.0)
     ).findings
     # the available names, not the requested one
-    assert "from 1 to 3.196 s were read" in finding.message
+    assert "from 1 to 3.196 s was read" in finding.message
     late = [[repr(100.0 + 0.004 * k), *row[1:]] for k, row in enumerate(rows)]
     assert np.array_equal(
         read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output,

@@ -75,7 +75,7 @@ U = TypeVar("U")
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # every zip archive starts with this
-# The keys of a document: its digest covers all others as well.
+# The keys of a document; the digest would cover any other key as well.
 _ENVELOPE = {"fraclink", "format", "tool", "units", "period", "sources"}
 _ENVELOPE |= {"summary", "arrays", "sha256", "content"}
 
@@ -141,9 +141,9 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
 def check_ending(cls: type, place: Path) -> str:
     """Return the container, json, npz or toml, of a value of that class.
 
-    Raises FieldError where the ending of the name promises another one: for work that
-    cannot be repeated, such as the motion of an arm, before the work. A name without an
-    ending, or with a person's own, is taken as it is.
+    Raises FieldError where the ending of the name promises another one; call it before
+    work that cannot be repeated, such as the motion of an arm. A name with no ending, or
+    one that fraclink does not use, is taken as it is.
     """
     file_format = document_of(cls)
     container = file_format.container
@@ -203,7 +203,7 @@ def load(path: Path | str, kind: tuple[type, ...] | None = None) -> Any: ...
 def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> Any:
     """Read back what `save` wrote.
 
-    `kind` is the class that is expected, or several of them; any when it is left out.
+    `kind` is the expected class, or several of them; without it, any is read.
     FileFormatError is raised for every other file: missing, foreign, of another kind
     or format, damaged, edited.
 
@@ -243,8 +243,8 @@ class Saved:
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read what `save` wrote; FileFormatError where the file is another, damaged or
-        edited.
+        """Read what `save` wrote; FileFormatError where the file is of another kind,
+        damaged or edited.
         """
         return load(path, cls)
 
@@ -262,10 +262,10 @@ def _expected(kind: object, wanted: tuple[type, ...], place: Path) -> type:
 
 
 def kind_of(path: Path | str) -> str:
-    """Return the kind in the envelope of a file; an empty text where it is foreign, or
-    not a file.
+    """Return the kind in the envelope of a file; an empty text if it is foreign, or not
+    a file.
 
-    Raises FileFormatError where .json or .npz is damaged: it may be what is looked for.
+    Raises FileFormatError for a damaged .json or .npz, since it may be the wanted file.
     """
     place, what = Path(path), "a file of fraclink"
     if place.suffix == ".toml":
@@ -328,8 +328,8 @@ def _check_digest(
         field, problem = "content", "missing"
     elif data.get("arrays", {}) != digests or digest != expected:
         field = "arrays" if digest == expected else "sha256"
-        problem = f"{place.name} was changed after it was written, and holds nothing that was computed any more"
+        problem = f"{place.name} was changed after it was written: its content is no longer as computed"
     if field:
         remedy = "make the file again; to try another value, give it to the command or the function"
-        value, allowed = data.get(field), f"{expected}, that of its content"
+        value, allowed = data.get(field), f"{expected}, the digest of its content"
         raise FileFormatError(field, value, problem, allowed, remedy)

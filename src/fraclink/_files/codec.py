@@ -11,10 +11,10 @@
     dataclass, NamedTuple   an object with a key for each field
     A | B            the first that fits; of several dataclasses with "type": the class's name
 
-The hints are those that `fracsys.checks` checks arguments by; here they are read with
-the two forms in which a file gives values. What does not fit raises Refused, whatever
-the file held: a reader of files meets every possible value, and a constructor fed with
-them may raise anything.
+The hints are those by which `fracsys.checks` checks arguments; here they serve two
+forms, to write and to read the values of a file. What does not fit raises Refused,
+whatever the file held: a reader of files meets every possible value, for which a
+constructor may raise anything.
 """
 
 from __future__ import annotations
@@ -298,7 +298,7 @@ def plain(
 
 
 def _put_aside(tree: Any, path: str, arrays: Arrays) -> Any:
-    """The tree without its arrays; Refused for values that no file can hold."""
+    """The tree with its arrays moved to `arrays`; Refused for what no file can hold."""
     if isinstance(tree, dict) and all(isinstance(key, str) for key in tree):
         return {
             key: _put_aside(item, f"{path}.{key}" if path else key, arrays)
@@ -327,7 +327,7 @@ def from_plain(
     hex_floats: bool = False,
     arrays: Mapping[str, Any] | None = None,
 ) -> T:
-    """Return the `kind` that plain JSON, and the arrays of an archive, hold.
+    """Return the instance of `kind` in plain JSON and the arrays of an archive.
 
     FileFormatError names the place in the data, below `path`.
     """

@@ -54,7 +54,7 @@ def array_digest(values: NDArray[Any]) -> str:
 def checked_path(field: str, value: object) -> Path:
     """Return `value` as a path; FieldError for anything that names no file.
 
-    An empty text is refused: it would stand for the folder one happens to be in.
+    An empty text is refused: it would denote the current folder.
 
     >>> checked_path("out", "law.fmu").name
     'law.fmu'
@@ -66,8 +66,8 @@ def output_path(path: Path | str, *, force: bool = False) -> Path:
     """Return `path` after checking that it may be written; an existing file needs
     `force`.
 
-    A place in which no file can be made is refused before the work, which would be
-    lost there.
+    A place where no file can be made is refused now, before work whose result would be
+    lost.
     """
     place = checked_path("out", path)
     allowed, remedy = "a place in a folder that can be written", "choose another folder"
@@ -188,8 +188,8 @@ def broken(what: str, place: Path, problem: str, remedy: str) -> FileFormatError
 
 
 def parse_json(text: str, *, source: str = "json") -> Any:
-    """Parse JSON that may be hostile: keys given twice, NaN, infinity, endless digits
-    are FileFormatErrors.
+    """Parse JSON that may be hostile: keys given twice, NaN, infinity and endless
+    digits are FileFormatErrors.
 
     `source`, such as the file's name, is what an error about the text as a whole names.
 
@@ -302,13 +302,13 @@ def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[An
         raise broken(what, place, f"damaged ({error})", "make it again") from error
     header = members.pop(HEADER, np.zeros(0))
     if header.dtype.kind != "U" or header.ndim:
-        raise broken(what, place, "one without a header", f"give {what}")
+        raise broken(what, place, "without a header", f"give {what}")
     for name, values in members.items():
         if values.dtype not in _TYPES:
             raise broken(
                 what,
                 place,
-                f"one with {name} of type {values.dtype}, not float64",
+                f"with {name} of type {values.dtype}, not float64",
                 "make it again",
             )
         values.flags.writeable = False

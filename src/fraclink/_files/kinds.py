@@ -51,7 +51,7 @@ class document:
     ``@dataclass``.
 
     Raise `version` whenever a stored field is renamed, removed or means something else;
-    a new field with a default needs no new one, as a file without it means the default.
+    a new field with a default needs no new version: a file without it has the default.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ class document:
     version
         of the content's format.
     container
-        "json", or "npz" for signals, whose arrays become members of the archive; the
-        name's ending decides between them where it is "either". A class whose file
-        people write ("toml") has methods `save` and `load` of its own.
+        "json", or "npz" for signals, whose arrays become members of the archive; with
+        "either", the file's ending decides between them. A class whose file people write
+        ("toml") has methods `save` and `load` of its own.
     hex_floats
         whether reals are written as 0x1.8p+1, for readers that must not depend on a
         decimal parser.
@@ -73,9 +73,9 @@ class document:
         what a value was made from: name -> SHA-256; by default the file that its
         `source` names.
     summary
-        what people and other programs want to read in the file and what follows from
-        the content, such as a verdict's sentence: under the digest, not read back. By
-        default whether it passed.
+        what follows from the content and helps people and programs that read the file,
+        such as a verdict's sentence: covered by the digest, not read back. By default
+        whether the value passed.
     """
 
     kind: str

@@ -64,8 +64,8 @@ class FileFaults(FieldError):
 @functools.cache
 def keys_of(kind: type) -> dict[str, Parameter]:
     """Return the fields of a dataclass by their keys in a table."""
-    # Only units of the table are written into keys: TOML would have to quote names with
-    # dB or %. Fields that are not properties of an arm are marked ``metadata={"stated":
+    # Only units in `_SUFFIX` are written into keys: TOML would have to quote names with
+    # ° or %. Fields that are not properties of an arm are marked ``metadata={"stated":
     # False}``.
     fields = parameters(kind)
     return {
@@ -122,8 +122,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def table_of(value: Any) -> dict[str, Any]:
-    """Return a dataclass as a table; "no limit" and defaults, except for numbers, are
-    left out, as a person would.
+    """Return a dataclass as a table, as a person would write it: without infinite limits
+    and without defaults that are not numbers.
     """
     table: dict[str, Any] = {}
     kind: type = type(value)
@@ -146,7 +146,7 @@ def table_of(value: Any) -> dict[str, Any]:
 
 def toml_text(table: Mapping[str, Any]) -> str:
     """Return a table with the keys of `keys_of` as TOML that reads back equal, whatever
-    its texts contain: shortest exact numbers.
+    its texts contain; numbers are the shortest exact ones.
     """
     return "\n".join(_lines(table, "")) + "\n"
 
@@ -165,8 +165,8 @@ def _lines(table: Mapping[str, Any], place: str) -> list[str]:
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, text, switch or list as TOML; a text contains nothing that ends
-    its string or line.
+    """Return a number, text, switch or list as TOML; a text is escaped, so that nothing
+    in it ends its string or line.
 
     >>> toml_value('a "b"'), toml_value(True), toml_value([1, 0.5])
     ('"a \\\\"b\\\\""', 'true', '[1, 0.5]')

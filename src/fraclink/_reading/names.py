@@ -73,7 +73,7 @@ _SPELLINGS = {
     **dict.fromkeys(("db", "decibel"), "dB"),
     **dict.fromkeys(("-", "abs", "lin", "linear", "v/v"), "1"),
 }
-# Of the columns of a log.
+# Units of the columns of a log.
 KNOWN = frozenset(unit for units in UNITS_OF.values() for unit in units)
 # Units at the end of a name that no reader converts. If they were not recognised, a
 # time in minutes would be read as seconds.
@@ -110,8 +110,8 @@ def unit_of_name(name: str, known: Collection[str] = KNOWN) -> str:
 
 
 def stated_unit(name: str, known: Collection[str]) -> str:
-    """The unit stated by a name in the spelling of `known`; a unit outside `known` in
-    that of the name.
+    """The unit stated by a name, spelled as in `known`; if it is not in `known`, as in
+    the name.
 
     >>> [stated_unit(name, ("s", "ms")) for name in ("t [ms]", "time_min", "t [kg]", "time_stamp", "time")]
     ['ms', 'min', 'kg', '', '']
@@ -208,7 +208,7 @@ def role_of_name(name: str) -> tuple[str, str]:
 
 
 def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
-    """`role_of_name` of each; with a column theta, theta_d and theta_r are commanded
+    """`role_of_name` of each; beside a column theta, theta_d and theta_r are commanded
     values.
     """
     roles = [role_of_name(name) for name in names]
@@ -223,11 +223,11 @@ def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _by_words(words: Sequence[str], unit: str) -> tuple[str, str]:
-    # What is in degrees is neither a torque nor a voltage.
+    # A column in degrees is neither a torque nor a voltage.
     others = {"torque", "voltage"} if unit in UNITS["angle"] else ()
     roles = {role: hints for role, hints in _ROLES.items() if role not in others}
-    # In this order, as names may hold two words: "motor_torque" and "joint_effort" are
-    # torques, "motor_voltage" is none of the three.
+    # In this order, because a name may hold words of two roles: "joint_effort" is a
+    # torque, not an angle.
     for role, hints in roles.items():
         for hint in hints:
             if len(hint) >= 3 and any(_hits(word, hint) for word in words):

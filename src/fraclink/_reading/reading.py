@@ -113,8 +113,8 @@ def read_log(
     keep
         the stretch to read, (from, until) [s] from the first sample, 0 <= from < until;
         what lies outside need not be uniform. The motor angle before it is kept as far
-        back as it is uniform (`Experiment.earlier_angle`): a link that moves at the cut
-        swings by what the motor did before.
+        back as it is uniform (`Experiment.earlier_angle`): the vibration of a link that
+        moves at the cut depends on it.
     resample
         interpolate onto a uniform grid where the stamps have gaps, repeats or strong
         jitter.
@@ -231,7 +231,7 @@ def _kept(stamps: Real, begin: float, end: float) -> tuple[Mask, Finding]:
     return inside, Finding(
         "W237",
         "info",
-        f"of {float(since.max()):.4g} s, those from {first:.4g} to {last:.4g} s were read",
+        f"of {float(since.max()):.4g} s, the stretch from {first:.4g} to {last:.4g} s was read",
         {"from_s": first, "until_s": last},
         "the rest is neither checked nor fitted; a fit starts its link from the motor angle before the cut, "
         "as far back as the stamps are uniform (of very long logs the last 200 000 samples)",
@@ -327,7 +327,7 @@ class ChannelSummary:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """The channel as people and programs read it."""
+        """The channel as shown to people and programs."""
         return rows_of(
             self,
             Row("name", "channel", _shown(self.name)),

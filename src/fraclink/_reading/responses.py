@@ -1,4 +1,4 @@
-"""Readers of other files than logs of an arm: frequency responses, any two channels,
+"""Readers of files other than logs of an arm: frequency responses, any two channels,
 references.
 """
 
@@ -46,7 +46,7 @@ _CALLED = 'name it as the header does, or by its number: "#1" is the first'
 def read_frequency_response(
     path: Path | str, columns: Mapping[str, str] | None = None
 ) -> FrequencyResponse:
-    """Read a table of a frequency response, one frequency a row.
+    """Read a table of a frequency response, one frequency per row.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ def read_frequency_response(
     Raises
     ------
     LogError
-        a column that is needed is not there, its unit is not stated or not one of its
-        quantity: rad/s, Hz or kHz; rad, deg or mrad; 1 or dB. A unit is never guessed.
+        a needed column is not there, or its unit is not stated or is not one of rad/s,
+        Hz, kHz; rad, deg, mrad; 1, dB. A unit is never guessed.
     FileFormatError, SizeError
         the file is damaged, or too large.
 
@@ -197,10 +197,9 @@ def read_recording(
     input, output
         names of columns; ``"#2"`` is the second one.
     time
-        the column of stamps; by default the one that never decreases and is named as
-        a time.
-        Its unit is the one that its name or the file states: s, ms, us or ns, as in
-        ``time_ms`` or ``t [us]``; s without one.
+        the column of stamps; by default the one that never decreases and is named as a
+        time. Its unit is the one that its name or the file states: s, ms, us or ns, as
+        in ``time_ms`` or ``t [us]``; s without one.
     period
         sampling period [s] instead of stamps.
     input_at_rest
@@ -283,8 +282,8 @@ def read_reference(path: Path) -> Reference:
     Raises
     ------
     FileFormatError
-        another file, a column that is missing, times that are not in equal steps where
-        they have to be.
+        another kind of file, a missing column, or times of a table with velocity and
+        acceleration that are not in equal steps from 0 s on.
 
     Examples
     --------
@@ -325,8 +324,8 @@ def read_reference(path: Path) -> Reference:
         raise FileFormatError(
             "reference",
             path.name,
-            "no whole table",
-            "velocity and acceleration both, at 0 s and in equal steps from there",
+            "not a complete table",
+            "velocity and acceleration, both from 0 s on and in equal steps",
             "leave both out: a spline goes through angles at any times",
         )
     # The step from the whole duration, since that of one row is rounded to the digits

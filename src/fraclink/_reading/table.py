@@ -68,7 +68,7 @@ def too_large(size: str, allowed: str, field: str = "log") -> SizeError:
     """The error for a log, or a line of it, beyond a limit."""
     remedy = (
         "cut the recording to one experiment, or record at a lower rate; in a text write "
-        "one sample a line"
+        "one sample per line"
     )
     return SizeError(field, size, "too large", allowed, remedy)
 
@@ -82,8 +82,7 @@ class CellFaults:
     bad
         how many are neither numbers nor empty.
     first
-        line number and text of the first of these, of the first that is missing where
-        there is none.
+        line number and text of the first of these, or else of the first missing cell.
     """
 
     bad: int
@@ -113,8 +112,8 @@ class LogTable:
     remarks
         what was done to the file's form to read it, in sentences.
     hints
-        names that the file has, but not as many as columns; () where `names` are its
-        own. They suggest and state nothing.
+        names in the file, if they do not match the columns in number; () where `names`
+        are the file's own. They suggest roles, but state nothing.
     """
 
     names: tuple[str, ...]
@@ -149,7 +148,7 @@ class LogTable:
             remedy = "rename one in the log, or give its number: "
             remedy += " or ".join(f'"#{place + 1}"' for place in places[:3])
         elif name in self.hints:
-            problem = "one of names that are not as many as the columns"
+            problem = "one of names that do not match the columns in number"
             remedy = f'state it by its number, "#{self.hints.index(name) + 1}" if the names begin at the first'
         else:
             remedy = suggestion(name, self.names) or remedy
@@ -180,8 +179,8 @@ class LogTable:
         return next(filter(None, units), "")
 
     def clock(self) -> str:
-        """The name of the column that has the name of a time and rises, or of the only
-        one that rises; or "".
+        """The name of the column of stamps: named as a time, or rising as a clock does;
+        or "".
         """
         names = [*map(self.name, range(len(self.names)))]
         # A file may hold several recordings, each with its own clock: take the one with
@@ -287,14 +286,14 @@ class LogTable:
 
     def is_switched(self, place: int) -> bool:
         """Whether a column moves by more than half of its range within one sample, as
-        commands do and nothing that has inertia.
+        commands do, but nothing with inertia.
         """
         values = self.values[place]
         return bool(np.abs(np.diff(values)).max() > 0.5 * np.ptp(values))
 
     def repeats(self, place: int, other: int) -> bool:
-        """Whether two columns hold one signal, maybe in two units; names of two quantities
-        say that they do not.
+        """Whether two columns hold the same signal, perhaps in two units; not if their
+        names denote different quantities.
         """
         roles = {self.roles[place][0], self.roles[other][0]}
         if len(roles) == 2 and all(roles):

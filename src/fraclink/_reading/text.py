@@ -1,8 +1,8 @@
 """Tables of numbers in text files, in the forms that laboratories use.
 
 The plain form is comments, one line of names, and rows of numbers with decimal points.
-Four separators are tried; the one that gives rows of numbers, with the most numeric
-cells, is used. Names stand above the first row, possibly followed by units. Numbers in
+Four separators are tried; the one whose rows have the largest share of numbers is
+used. Names stand above the first row, possibly followed by units. Numbers in
 quotes, decimal commas where no comma separates, times of day and a separator at the
 end of every row are accepted and reported. Ambiguous cells are left
 unchanged and rejected. Rows keep their line numbers, so that an error names the line of
@@ -54,21 +54,21 @@ _MISSING = frozenset(
 _NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
 _SEPARATORS = ("\t", ";", ",", "")  # "": blanks
 
-LINE_LIMIT = 100_000  # bytes of one line: a hundred for each of `COLUMN_LIMIT`
+LINE_LIMIT = 100_000  # bytes of one line: a hundred for each of `COLUMN_LIMIT` columns
 _HEAD = 200  # lines in which a table must begin
 _THOUSANDS = re.compile("[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The beginning of the rows of a text, and the lines above them.
+    """The rows of a text, and what the lines above them state.
 
     Parameters
     ----------
     separator
         of the cells, "" for blanks.
     names, hints, remarks
-        as a `LogTable` has them.
+        as in `LogTable`.
     units
         by the name of a column.
     first_line
@@ -212,8 +212,8 @@ def _first_row(lines: list[str]) -> tuple[str, int]:
 
     A row has at least two numbers, or a number alone, and as many cells as one of the
     next two lines. Of the separators that give such a row, the one with the largest
-    share of numeric cells is chosen, with more than one cell in a row. If no line holds
-    numbers, the row is the second line, whose cells are then rejected.
+    share of numeric cells is chosen; among equals, one with several cells in a row. If
+    no line holds numbers, the row is the second line, whose cells are then rejected.
     """
     best, separator, begin = (0.0, False), "", min(1, len(lines))
     for candidate in _SEPARATORS:
@@ -242,7 +242,7 @@ def _header(
 ) -> Layout:
     """The layout of a table from the lines above its first row."""
     end = len(body.rstrip())
-    # Comments behind the last row; the first row is none.
+    # Comments below the last row are cut off; the first row is not a comment.
     while _is_comment(body[body.rfind(b"\n", 0, end) + 1 : end].decode()):
         end = len(body[: body.rfind(b"\n", 0, end)].rstrip())
     body = body[: body.find(b"\n", end)] if b"\n" in body[end:] else body
@@ -350,7 +350,7 @@ def _plain_body(layout: Layout) -> Layout:
     if quoted:
         remarks.append("numbers in quotes")
     decimals = [cell for row in rows for cell in row if "," in cell] if comma else []
-    # 1,234 may be a decimal or a thousand.
+    # In 1,234 the comma may mark decimals or thousands.
     if not all(_THOUSANDS.fullmatch(cell.strip()) for cell in decimals):
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
         remarks.append("decimal commas")
@@ -428,8 +428,8 @@ def _parsed(layout: Layout) -> Real | None:
     number.
     """
     allowed = np.zeros(256, bool)
-    # A letter other than e, E or a quote: one table lookup per byte decides, without
-    # examining cells, whether the slow path is needed.
+    # Any other byte, such as a letter or a quote, needs the slow path: one table lookup
+    # per byte finds it, without examining cells.
     allowed[list(b"0123456789+-.eE\n " + (layout.separator or "\t").encode())] = True
     if not allowed[np.frombuffer(layout.body, np.uint8)].all():
         return None

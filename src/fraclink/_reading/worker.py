@@ -21,7 +21,7 @@ from fraclink._reading.table import COLUMN_LIMIT, check_size
 from fraclink.errors import SizeError
 from fracsys.checks import Real
 
-# such limits do not exist there; the parent's time limit remains
+# Windows has no such limits; the parent's time limit remains
 if sys.platform != "win32":
     import resource
 
