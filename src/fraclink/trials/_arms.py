@@ -54,8 +54,7 @@ def simulate_part(
     }
     number = np.arange(part * PART_RUNS, part * PART_RUNS + runs, dtype=np.int64)
     # Drawn as an integer of 31 bits, so that a seed draws the same arms for one
-    # reference as for three; stored is the index of the reference that the run
-    # followed.
+    # reference as for three; the index of the reference that the run followed is stored.
     values["shape"] = values["shape"] % len(campaign.references)
     return {"run": number} | values | measured
 

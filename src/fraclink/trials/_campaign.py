@@ -40,7 +40,7 @@ __all__ = [
 
 # runs that are drawn from one stream of random numbers, and simulated by one thread
 PART_RUNS = 1000
-REST = 3.0  # [s] after the longest move: five vibration periods or more
+REST = 3.0  # [s] after the longest move: five periods of the paper's slowest link
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
 DURATION = max(SHAPES) + REST
 # A normal draw is truncated at ±4σ, 6e-5 of the draws, so that no motor has a negative
@@ -78,8 +78,8 @@ class Distribution:
             )
 
     def at(self, uniform: Real) -> Real:
-        """Return the values whose cumulative probability is `uniform`, in [0, 1), in its
-        shape.
+        """Return the values whose cumulative probability is `uniform`, in [0, 1), with
+        the shape of `uniform`.
         """
         if self.kind == "uniform" or self.low == self.high:
             return self.low + uniform * (self.high - self.low)
@@ -159,9 +159,9 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %,
     viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise
     0.5 … 2 ×, gauge offset ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the
-    rig's: one more sample is another design, not a tolerance. The gauge's delay is the identified one; the
-    stiffness follows from ω₀ and payload, eq. (5), and the gauge's gain from that and
-    the log.
+    rig's: one more sample is another design, not a tolerance. The gauge's delay is the
+    identified one; the stiffness follows from ω₀ and payload, eq. (5), and the gauge's
+    gain from that and the log.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
@@ -171,7 +171,7 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     # With λ above 2 a link would generate energy: for a model near 2 the range is
     # reduced on both sides, so that its mean remains the model's.
     reach = min(0.02, 2.0 - model.order)
-    # A torque log shows the product of stiffness and gain only, and its ω₀ the
+    # A torque log only determines the product of stiffness and gain, and by its ω₀ the
     # stiffness alone.
     link = with_payload(model, rig).at_payload(rig.payloads.nominal)
     stiffness = (

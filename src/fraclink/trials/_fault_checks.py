@@ -1,5 +1,5 @@
-"""Checks of the run of a fault: a requirement, a measurement and a limit each, under
-the names used in faults.toml.
+"""Checks of the run of a fault, each with a measurement and its limit, under the names
+used in faults.toml.
 """
 
 from __future__ import annotations
@@ -141,9 +141,9 @@ def flagged(e: Evidence, by: str) -> Check:
 def reacts(
     e: Evidence, mode: str, reason: str, within: float = 0.0, harmless: float = 0.0
 ) -> Check:
-    """The first other mode is `mode`, for one of the reasons, `within` that many
-    periods (0: of the run), and it stays; or the tip error stays within what is
-    `harmless` [rad].
+    """The first mode above run is `mode`, for one of the reasons, `within` that many
+    periods (0: at any time), and it stays; or the peak tip error is at most `harmless`
+    [rad].
     """
     first = e.trial.row + e.reacted - 1
     target = MODES.index(mode)
@@ -169,7 +169,7 @@ def reacts(
 
 def idle(e: Evidence, reason: str = "") -> Check:
     """The law is idle in every marked period, or in all where none is marked."""
-    # For this reason: a law that refuses for another one has not checked its block.
+    # Idle for this reason: with another one, the law has not checked its block.
     wrong = e.faulty.mode != MODES.index("idle")
     if reason:
         wrong |= e.faulty.reason != REASONS.index(reason)
@@ -178,7 +178,7 @@ def idle(e: Evidence, reason: str = "") -> Check:
 
 
 def silent(e: Evidence) -> Check:
-    """Voltage and motor reference of a law that must not have started."""
+    """A law that must not have started outputs no voltage and no motor reference."""
     outputs = np.abs([e.faulty.motor_reference, e.faulty.extras["voltage_asked"]])
     largest = outputs[:, _judged(e)].max()
     return at_most("output of a law that is not started", largest, 0.0)
@@ -226,12 +226,12 @@ def peak(
     """Largest tip error against `limit` [rad], or `ratio` times that of the clean run or
     of a law that knows of the fault at once, whichever is larger.
 
-    What no law can know is allowed in addition: how far the motor is from the clean
-    run's in the first period in which the law can see the fault, as it keeps its last
-    voltage, with a sample of noise in it, until then; and, with sampling instants that
-    are `late` or early [s], two such times at full speed, since the arm follows by
-    samples that are off and is seen at an instant that is off the other way. An arm
-    whose payload is outside the design is bounded by `outside` [rad] alone.
+    Two errors that no law can avoid are allowed in addition: the motor's distance from
+    that of the clean run in the first period in which the law can see the fault, since
+    the motor keeps its last voltage, noise included, until then; and, with sampling
+    instants that are `late` or early [s], twice that time at full speed, since the
+    law's sample and the instant of the judgement may be off in opposite directions. For
+    a payload outside the design, `outside` [rad] replaces `limit` and `ratio`.
     """
     if outside and not e.trial.designed_for:
         ratio, limit = 0.0, outside
@@ -260,8 +260,8 @@ def final(e: Evidence, limit: float) -> Check:
 
 
 def settled(e: Evidence, within: float) -> Check:
-    """The tip is within 0.02 rad of reference or clean run, `within` [s] after the
-    fault.
+    """The tip is within 0.02 rad of reference or clean run from `within` [s] after the
+    fault on.
     """
     # The clean run is included, since the move itself also has an error.
     tip = e.faulty.tip_angle
@@ -383,13 +383,13 @@ CHECKS: dict[str, Callable[..., Check]] = {
 
 
 def shared_checks(e: Evidence, *modes: str) -> tuple[Check, ...]:
-    """Return the global criteria G1–G3 of the faulty run, finite, in limits, slew; and
-    that it stays in the modes that its fault asks for.
+    """Return the global criteria of the faulty run: G1 finite, G2 within limits, G3
+    slew-limited; and that it stays in the modes that its fault allows.
     """
     signals, law = e.faulty, e.trial.law
     limits, volts = law.limits, e.trial.motor_loop.voltage_limit
-    # The limits themselves round to the precision of the block, by 6e-8 of their value
-    # with 24 bits.
+    # The limits themselves are rounded to the precision of the block, by 6e-8 of their
+    # value with 24 bits.
     slack = 1e-6 if law.precision == "single" else 1e-12
     # Both the output of the law and the voltage request of the motor loop: either one
     # may hide a step that the other shows.

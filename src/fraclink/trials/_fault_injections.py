@@ -1,7 +1,7 @@
 """The effect of a fault on a trial, under the names used in faults.toml.
 
-A list of three numbers there has one for each severity; `inject` passes on the one of
-the case.
+A list of three numbers in that file has one for each severity; `inject` passes on the
+one of the case.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def inject(trial: FaultTrial, steps: Sequence[Mapping[str, Any]]) -> None:
 def at_severity(
     row: Mapping[str, Any], case: Case, *, but: Sequence[str]
 ) -> dict[str, Any]:
-    """Return a row of the catalogue at the severity of a case, of which a list holds
-    one value for each; without the names in `but`.
+    """Return a row of the catalogue without the names in `but`, each list replaced by
+    its value at the severity of the case.
     """
     return {
         name: value[case.severity - 1] if isinstance(value, list) else value
@@ -147,7 +147,7 @@ def spikes(trial: FaultTrial, share: float, size: float) -> None:
 
 
 def swap(trial: FaultTrial, seconds: float) -> None:
-    """Exchange the two channels, from the first sample on for ever."""
+    """Exchange the two channels for a time, or from the first sample on for ever."""
     whole = trial.case.phase == "whole"
     trial.set_bits(trial.rows(math.inf if whole else seconds), "channels swapped")
     lasting = whole or math.isinf(seconds)
@@ -159,7 +159,7 @@ def swap(trial: FaultTrial, seconds: float) -> None:
 
 def scale_encoder(trial: FaultTrial, factor: float) -> None:
     """Scale the encoder; the fault counts from the time at which its reading differs
-    from the motor angle by more than a good one may.
+    from the motor angle by more than a good encoder's may.
 
     At zero angle the fault does not show: `residual_angle` is the allowed deviation of
     a motor from its model. The motor is where its reference was a lag of 2/p + 1.5 T
@@ -266,8 +266,8 @@ def asked_for_less(trial: FaultTrial) -> None:
 def flip(trial: FaultTrial, bit_from_top: int, *, of: str = "a mode") -> None:
     """Flip the sign or the highest bit of the exponent of a real of the law's memory."""
     width = trial.real.itemsize
-    # A law with pairs only stores them after the real modes. A mode that the law does
-    # not have is unused memory; flipping it would test nothing.
+    # A law that has only pairs stores them after the real modes. A mode that the law
+    # does not have is unused memory; flipping it would test nothing.
     modes = layout.REAL_MODES + layout.FORWARD_MODES
     own = len(trial.law.correction.poles)
     place = int(trial.chance.integers(own)) if own else modes
@@ -294,7 +294,7 @@ def wipe(trial: FaultTrial, byte: int) -> None:
         if byte >= 0:
             arm.law[:] = byte
         else:
-            # Only the reals: with the words cleared as well, it would be the case of
+            # Only the reals: with the words filled as well, it would be the case of
             # severity 2.
             arm.law[MEMORY_WORDS:].view(trial.real)[:] = math.nan
 
@@ -341,8 +341,8 @@ def arm(
     delay: int = 0,
     counts: int = 0,
 ) -> None:
-    """Run on another arm: factors of payload and friction, periods of delay more,
-    counts of the encoder per turn of the output.
+    """Run on another arm: factors of payload and friction, additional periods of delay,
+    encoder counts per turn of the output.
     """
     twin = trial.twin.with_payload(payload * trial.twin.beam.payload)
     # Sliding friction and, in proportion, stiction: the law compensates the values of
@@ -362,8 +362,8 @@ def change_payload(trial: FaultTrial, factor: float) -> None:
 
 def stand(trial: FaultTrial, away: float) -> None:
     """Start the arm away from its reference [rad]."""
-    # The arm is moved instead of the reference, so that the following move is that of
-    # all other faults.
+    # The arm is moved instead of the reference, so that the following move is the same
+    # as for all other faults.
     trial.start_angle += away
 
 

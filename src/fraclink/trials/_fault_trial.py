@@ -36,15 +36,15 @@ TIMES: dict[Phase, float] = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2
 PHASES = tuple(TIMES)
 MOVES: dict[str, Reference] = {
     "move": MOVE,
-    # Ten seconds after the first move, which a wound-up loop would spoil.
+    # The move back, ten seconds after the first one, would be spoilt by a wound-up loop.
     "there and back": MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2)),
     # The paper's gauge, with a noise of 0.01 N·m, needs 0.24 rad in this time
     # (`Law.wiring_angle`).
     "self-test": smooth_step(0.35, duration=0.12, start=0.1),
 }
 RUN = MODES.index("run")
-# The law's memory (law.h) begins with words, and its reals follow: of the bytes of both
-# precisions, those that do not double are words.
+# The law's memory (law.h) begins with words, followed by reals, whose bytes double with
+# the precision.
 SINGLE, DOUBLE = _kernels.law_sizes(True)[1], _kernels.law_sizes(False)[1]
 MEMORY_WORDS = 2 * SINGLE - DOUBLE
 
@@ -118,11 +118,10 @@ class FaultTrial:
         self.use(bench.law)
         self.twin = bench.twin.with_payload(case.payload)
         self.period = bench.law.period
-        # The fault has its own random numbers, so that the noise is that of the clean
-        # run; they depend on seed and name.
+        # The fault's own random numbers depend on seed and name.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
-        # A separate stream: if a fault drew from this one, the noise after it would
-        # change, and clean and faulty run would differ by more than the fault.
+        # A separate stream: if a fault drew from it, the noise after it would change, and
+        # clean and faulty run would differ by more than the fault.
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(
             self.twin.gauge, reference, self.period, duration, noise
@@ -156,7 +155,7 @@ class FaultTrial:
 
     @property
     def designed_for(self) -> bool:
-        """Whether the arm's payload is one of the design, up to rounding."""
+        """Whether the arm's payload is in the design's range, up to rounding."""
         low, _, high = self.bench.payloads
         payload = self.twin.beam.payload
         return low * (1 - 1e-9) <= payload <= high

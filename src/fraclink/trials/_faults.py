@@ -1,5 +1,5 @@
-"""Forty-four faults of an arm, injected into the law that ships on the twin, each with
-a verdict.
+"""Forty-four faults of an arm, injected while the shipped law runs on the twin, each
+with a verdict.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ GROUPS = ("met", "slower than promised", "trips without need", "unsafe")
 # [rad] between tip and reference: an arm farther away with its drive on is dangerous,
 # whatever requirement it misses. It is the requirement on a flipped bit (F29).
 SAFE = 0.3
-# The mode that a reaction ends in: no other one beside run is a reaction to the fault.
+# The mode that a reaction ends in: beside run, no other one is allowed.
 REACTIONS = {"A": "run", "B": "degraded", "C": "hold", "D": "off", "-": "run"}
 
 
@@ -70,13 +70,13 @@ class Fault:
     """A row of the catalogue, as faults.toml explains it.
 
     reaction: A ride through, B degrade, C hold, D off, "-" for another requirement.
-    inject: the steps that break a trial; require: what its run must have shown, beside
-    what is required of every run; also: modes that are allowed beside run and that of
-    the reaction.
+    inject: the steps that break a trial; require: the checks of its run, in addition to
+    those of every run; also: modes that are allowed beside run and that of the
+    reaction.
     prepare: steps for the faulty and the clean run alike. best: steps after the fault's
-    own that show what a law would do that knows of the fault at once. move: the
+    own that make the law act as one that knows of the fault at once. move: the
     reference's name. duration of the run [s]. cause: why the shipped law misses the
-    requirement on the paper's arm. note: what the campaign cannot show.
+    requirement on the paper's arm. note: a limit of the test.
     """
 
     number: str
@@ -105,7 +105,7 @@ class Fault:
         return trial
 
     def checks(self, evidence: Evidence) -> tuple[Check, ...]:
-        """Return what is required of every run, and of this fault's."""
+        """Return the checks of every run, and those of this fault's."""
         case = evidence.trial.case
         checks = [*shared_checks(evidence, "run", REACTIONS[self.reaction], *self.also)]
         for row in self.require:
@@ -189,8 +189,8 @@ class Outcome:
     def group(self) -> str:
         """What a failure means, one of `GROUPS`.
 
-        "unsafe": outputs that are not finite, in their limits and slew limited, or a
-        tip more than 0.3 rad off with the drive still closed; "trips without need": a
+        "unsafe": an output that is infinite, beyond its limits or its slew limit, or a
+        tip more than 0.3 rad off with the drive still on; "trips without need": a
         mode that the fault does not ask for; "slower than promised": everything else,
         such as a larger peak or a later reaction.
         """
@@ -200,8 +200,8 @@ class Outcome:
         astray = self.peak > SAFE and any(
             not name.startswith("settling") for name in names
         )
-        closed = self.mode in ("run", "degraded")
-        if any(name.startswith("G") for name in names) or (astray and closed):
+        driven = self.mode in ("run", "degraded")
+        if any(name.startswith("G") for name in names) or (astray and driven):
             return "unsafe"
         if OTHER_MODE in names:
             return "trips without need"
@@ -271,8 +271,8 @@ class FaultSummary:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The run that misses its requirement most and why the paper's arm does, and
-        what the campaign does not show.
+        """The run that misses its requirement most and why the paper's arm misses it,
+        and the limits of the test.
         """
         fault, notes = self.fault, []
         if self.worst is not None:
@@ -280,7 +280,7 @@ class FaultSummary:
             cause = f"; on the paper's arm: {fault.cause}" if fault.cause else ""
             notes.append(f"{self.number}: {check} ({run.name}){cause}")
         if fault.note:
-            notes.append(f"{self.number} does not show: {fault.note}")
+            notes.append(f"note on {self.number}: {fault.note}")
         return tuple(notes)
 
 

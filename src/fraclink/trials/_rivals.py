@@ -77,12 +77,12 @@ class Rival:
     impulses: tuple[tuple[float, float], ...] = ()
 
     def shaped(self, reference: Reference) -> Reference:
-        """Return what the arm follows of a reference."""
+        """Return the reference that the arm follows, after the input shaper if any."""
         return Shaped(reference, self.impulses) if self.impulses else reference
 
 
 class Shaped(Reference):
-    """A reference convolved with impulses: exact, angle, velocity and acceleration."""
+    """A reference convolved with impulses, exact in every derivative."""
 
     def __init__(
         self, reference: Reference, impulses: tuple[tuple[float, float], ...]
@@ -238,7 +238,7 @@ def _tuned(
             remedy="no tuning value in the range stabilises the nominal arm",
         )
     good = np.append(peaks <= target, False)
-    index, remark = int(np.argmin(peaks)), " (that Ms is out of reach: the least)"
+    index, remark = int(np.argmin(peaks)), " (that Ms is out of reach: the smallest)"
     if good.any():
         first = int(np.argmax(good))
         index, remark = first + int(np.argmin(good[first:])) - 1, ""
@@ -309,7 +309,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     if delay > 1:
         # the controller has one pole at 0 per period of delay, and law.c only runs
         # simple poles
-        raise InfeasibleError("delay_samples", f"{delay} periods, of which LQG has one")
+        raise InfeasibleError("delay_samples", f"{delay} periods, where LQG allows one")
     # The delay is a queue of held inputs; the oldest one drives the arm.
     n = 4 + delay
     queue = np.block(

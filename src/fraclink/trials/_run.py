@@ -47,7 +47,7 @@ def run_campaign(
             failed += passed.size - int(np.count_nonzero(passed))
             watch(done, failed)
     finally:
-        # What waits is dropped: an interruption waits for the parts in progress alone.
+        # Waiting parts are dropped: an interruption only waits for those in progress.
         pool.shutdown(cancel_futures=True)
     parts = [task.result() for task in tasks]
     columns = {

@@ -83,8 +83,9 @@ def run(
         what `design` is asked for, such as ``gain_crossover`` [rad/s]; the rig
         completes it.
 
-    A step that fails ends the study and is named in its verdict; what was computed
-    before it is kept. Raises FieldError where an argument is out of its range.
+    A step that fails is named in the verdict, and those that need its result are left
+    out; all other results are kept. Raises FieldError where an argument is out of its
+    range.
 
     >>> from fraclink._reading.reading import bundled_log, read_log
     >>> rig = Rig.named("paper-2023-geared")
@@ -97,7 +98,7 @@ def run(
         checked_choice("structure", structure, STRUCTURES)
     begin("examining the log")
     study = examined(rig, log)
-    # Each with the part of the study that is missing where it fails: one that could not
+    # Each with the part of the study that is missing if it fails: a part that could not
     # be run is "not run", and misses no requirement.
     steps: list[tuple[str, str, Callable[[Study], Study]]] = [
         ("identifying", "design", lambda study: identified(study, structure, heldout)),
@@ -120,7 +121,7 @@ def run(
                 and error.field.partition(".")[0].partition("[")[0] in wanted
             ):
                 raise
-            # The nearest request goes into `refused`, which every face words its way.
+            # The nearest request goes into `refused`, worded by each interface.
             why = (
                 f"{error.condition}: {error.explanation}"
                 if isinstance(error, InfeasibleError)
@@ -218,7 +219,8 @@ def designed(study: Study, **wanted: Any) -> Study:
 
 def moved(study: Study) -> Study:
     """Return the study with moves of the model and of the twin: at both ends of the
-    payload range and at the nominal payload, which the law of the twin is also told.
+    payload range and at the nominal payload; the twin's law runs without and with its
+    payload given.
     """
     assert study.design is not None  # noqa: S101
     design, law = study.design, study.law or study.design.law()

@@ -57,13 +57,13 @@ class Refusal:
 @document("study", version=3)
 @dataclass(frozen=True)
 class Study:
-    """What one log led to. Every part may be missing: a folder may hold some of the
-    files only.
+    """The results from one log. Every part may be missing: a folder may hold only some
+    of the files.
 
     rig, experiment, findings (of their examination); comparison of the structures; the
     fit that the design used; design, law and certificate; missing: why a part is not
     there, by its name ("design", "certificate", "arms"); refused: the request and the
-    nearest that can be met, where it was the request that ended the study;
+    nearest that can be met, if the request ended the study;
     runs: simulated moves, one for each payload; twins: the same moves of the twin, under
     the law's own compensation, each without and with its payload told to the law;
     arms: the runs of varied arms; faults: a fault campaign; assumptions:
@@ -132,8 +132,8 @@ class Study:
 
     @property
     def sentence(self) -> str:
-        """What decides, first on every face: what it carries and how fast, in what time
-        it settles, what more delay it stands, and what is tightest.
+        """The decisive figures, first in every interface: payloads and speed, settling
+        time, tolerated additional delay, and the tightest requirement.
         """
         if self.design is None:
             return self.missing.get("design", self.verdict.sentence)
@@ -172,7 +172,7 @@ class Study:
         return tuple(rows)
 
     def overview(self) -> Overview:
-        """The verdict in its scopes, what decides, and the parts that there are."""
+        """The verdict in its scopes, the decisive figures, and the existing parts."""
         verdict = self.verdict
         parts = [
             stage.overview()
@@ -308,8 +308,8 @@ def load_study(folder: Path | str) -> Study:
     """Read a folder that `fraclink run` or its single steps wrote, whatever its files
     are called.
 
-    Raises FileFormatError where the folder holds nothing of fraclink, or a file in it
-    is damaged.
+    Raises FileFormatError where the folder holds no results of fraclink, or a file in
+    it is damaged.
     """
     place = checked_path("folder", folder)
     if not place.is_dir():
@@ -346,8 +346,8 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     runs = sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
     design, certificate = parts["design"], parts["certificate"]
     missing = dict(about.missing)
-    # A certificate that was not passed is kept as a file; in the verdict it is a reason
-    # and not a proof.
+    # A failed certificate is kept as a file; in the verdict it is a reason and not a
+    # proof.
     if certificate is not None and not certificate.passed:
         missing["certificate"], parts["certificate"] = certificate.verdict, None
     # model.json has the shortest name: the fit that the design used.

@@ -228,7 +228,8 @@ def _given(campaign: Campaign) -> str:
 def _metric(
     name: str, values: Real, run: Real, drawn: dict[str, Real]
 ) -> MetricSummary:
-    # The only signed metric; its worst case is the largest deviation on either side.
+    # An error is as bad on either side; the other signed metric, growth, is worst at its
+    # largest value.
     size = np.abs(values) if name == "steady_state_error" else values
     order = np.sort(size)
     worst = np.argsort(size)[::-1][:WORST]

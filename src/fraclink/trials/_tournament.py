@@ -104,8 +104,8 @@ class Tournament:
     def winners(self) -> dict[str, tuple[str, ...]]:
         """Return who is best in every figure, among those that passed.
 
-        Several names stand together where they differ by less than 2 %, or 0.1 mrad, or
-        10 ms. Empty where no rival passes.
+        Names share a figure that exceeds the best by at most 2 % plus 0.1 mrad, 10 ms or
+        0.1 %, depending on its unit. Empty where no rival passes.
         """
         able = [standing for standing in self.standings if standing.passed]
         result: dict[str, tuple[str, ...]] = {}
