@@ -57,7 +57,7 @@ def number(value: float | None, digits: int = 4) -> str:
     text = f"{value + 0.0:.{digits}g}"
     mantissa, _, exponent = text.partition("e")
     # Python uses powers of ten only below 1e-4; 0.0006871 and 0.006871 in one column
-    # are easily misread.
+    # are easily confused.
     if 0 < abs(value) < 1e-3 and not exponent:
         mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     mantissa = mantissa.replace("-", "−")
@@ -148,7 +148,7 @@ class Row:
     value
         a number in SI units and radians, an interval of two, a text, or a verdict.
     unit
-        in which people read it: "ms" is a value in seconds.
+        in which people read it; with "ms", too, `value` is in seconds.
     error
         its standard error, in SI units.
     digits
@@ -231,7 +231,7 @@ def rows_of(result: object, *rows: Row | str | tuple[Any, ...]) -> tuple[Row, ..
 
 @dataclass(frozen=True)
 class Table:
-    """Similar objects, each with the same rows: under `key` for programs, below one
+    """Similar objects, each with the same rows: under `key` for programs, under one
     heading for people.
     """
 
@@ -263,7 +263,8 @@ class Finding:
     Parameters
     ----------
     code
-        ``W101`` and so on: rig W1xx, log W2xx.
+        ``W101`` and so on: rig W1xx, log W2xx, identification W3xx, design W4xx, law
+        and simulation W5xx, twin W6xx.
     severity
         ``info`` (good to know), ``warning`` (results may mislead) or ``error``
         (unusable).
@@ -331,13 +332,13 @@ class Overview:
     Parameters
     ----------
     headline
-        its sentence: what decides.
+        a sentence with what decides.
     state
         the word of its verdict; empty where it has none.
     rows
         its own figures.
     tables
-        of those parts of which there are several.
+        one for each kind of part that occurs several times.
     findings
         what its checks noticed.
     notes
@@ -380,7 +381,7 @@ _MARKS = {
 
 
 def marked(text: str) -> str:
-    """A verdict's word after its sign, which also tells it without colours.
+    """A verdict's word with a sign before it, so that colours are not needed.
 
     >>> marked("passed"), marked("failed"), marked("20 g")
     ('✓ passed', '✗ failed', '20 g')
@@ -400,8 +401,8 @@ def _repr(result: Any) -> str:
 
 
 def _by_view(name: str, otherwise: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A method that `fraclink.view` renders, and `otherwise` in a copy of the core,
-    which lies layers below it and does not have it.
+    """A method that calls `fraclink.view`, or `otherwise` in a copy of the core, which
+    does not include that package.
     """
 
     def rendered(result: Any) -> Any:

@@ -80,8 +80,8 @@ class Judged:
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings with errors before warnings, and these before the others,
-    else in their order.
+    """Return the findings, errors first, then warnings, then the others, each in their
+    order.
     """
     # sorted() is stable: within a severity, findings stay in the order in which a
     # person would check them.
@@ -120,7 +120,7 @@ class Verdict:
     model: simulated moves of the identified model. twin: the arm with distributed mass
     under the law as it ships, varied arms, and faults if they were
     injected. arm: records of what the real one did; "not run" until there is one, which
-    leaves the rest as it is. remarks stand beside the verdict and do not change it.
+    leaves the rest as it is. remarks do not change the verdict.
 
     >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
     'not run'
@@ -186,7 +186,7 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Whether every scope passed that was run, and nothing was left out."""
+        """Whether every scope passed; one of twin and arm need not have been run."""
         return self.state == "passed"
 
     @property

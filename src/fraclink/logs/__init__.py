@@ -1,4 +1,4 @@
-"""Logs without a description: diagnosis, and a first model from matching columns or
+"""Logs without a description: diagnosis, and a first model by matching columns or
 asking.
 """
 

@@ -56,7 +56,7 @@ def dead_end(
     missing: str,
 ) -> LogError:
     """The error for a log without a moving motor, or without torque or deflection of
-    the link; with the command for its actual content.
+    the link; with the command that fits its content.
     """
     table, file = matching.table, shlex.quote(matching.source)
     period = matching.period
@@ -87,7 +87,7 @@ def dead_end(
         columns = " ".join(f'--column "{text}"' for text in statements)
         return _without_model(
             table,
-            "of a motor without a signal of its link's flexion",
+            "of a motor, without a signal of the link's bending",
             f"run fraclink identify {file} --structure motor {columns}",
         )
     # One signal that rings and nothing that moves it; with two it would be unknown
@@ -124,6 +124,8 @@ def dead_end(
 
 
 def _without_model(table: LogTable, problem: str, remedy: str) -> LogError:
-    allowed = "a time, the motor angle, and the link's torque or deflection, each of which moves"
+    allowed = (
+        "a time, and the motor angle and the link's torque or deflection, both moving"
+    )
     names = ", ".join(table.names[:12])
     return LogError("columns", names, problem, allowed, remedy)

@@ -31,8 +31,8 @@ PERIODS = 3.0  # fewer periods do not separate damping from amplitude
 # samples per period: with fewer, the hold between samples matters as much as the
 # damping
 _SAMPLES = 10.0
-# More than half of the variance of an output: a single vibration cannot explain that
-# much of two signals.
+# More than half of the variance of an output: no two different vibrations can each
+# explain that much of it.
 SHOWN = 0.5
 
 
@@ -42,8 +42,8 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> Findings:
 
     Looks at the start (at rest?), the gauge's offset and sign, the delay of the output,
     quantisation, clipping, outliers, excitation of the resonance, number of
-    periods and samples in each. What needs a vibration stands on the fit of one mode
-    Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs), which needs no guess.
+    periods and samples in each. Checks that need a vibration use the fit of one mode
+    Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs), which needs no initial guess.
 
     The findings have codes W202 … W324; ``error`` means that the log cannot be used as
     it is.
@@ -113,7 +113,7 @@ def _labels(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
             "warning",
             "no payload is stated for this log",
             {},
-            "state it (--payload, or # payload_kg: in the log): from a known one a model scales to others",
+            "state it (--payload, or # payload_kg: in the log): with it, a model scales to other payloads",
         )
     # One per cent: the rates that a timer can be set to are farther apart, and its
     # crystal is more accurate.
@@ -326,8 +326,7 @@ def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
     """Offset of the gauge, and whether the link is at rest before the motion begins."""
     # If a link starts and ends at rest, its torque has zero mean over many periods: Γ =
     # mL²θt'' integrates to a change of velocity. The part that the mode does not
-    # explain is noise, offset or another mode, and no motion to compare the offset
-    # with.
+    # explain is noise, offset or another mode: the offset is not compared with it.
     offset, spread = float(log.output.mean()), float(log.output.std())
     moving = spread * math.sqrt(share_of(mode)) or spread
     ratio = abs(offset) / moving

@@ -85,8 +85,8 @@ def match(log: Path | str, *, column: Iterable[str] = ()) -> Match:
     Raises
     ------
     LogError
-        a column that is stated is not there, a cell of one that is needed is no number,
-        or the log has no column that could be the motor angle or the output.
+        a stated column is not there, a cell of a needed one is not a number, or the log
+        has no column that could be the motor angle or the output.
 
     Examples
     --------
@@ -134,8 +134,8 @@ class _Matching:
     interpolate: bool
     guesses: list[Guess] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
-    # The share that a link explains depends on no unit: any period serves until one is
-    # known.
+    # The share that a link explains does not depend on the unit of time: any period
+    # serves until one is known.
     period: float = 0.01
 
     def conclude(
@@ -312,7 +312,7 @@ class _Matching:
             named = self.candidates(role, others, _UNNAMED)
             group = self.pairs.by_vibration(role, named, partners)
             if role == "output" and named and group[0].rest > CLEARLY_LESS:
-                # Its name may say so, but another column may be the link's.
+                # The name may fit, but another column may hold the link's output.
                 rivals = self.candidates(role, {*others} - {*named}, _UNLIKELY)
                 clearer = self.pairs.by_vibration(role, rivals, partners)[:1]
                 if clearer and clearer[0].rest < CLEARLY_LESS * group[0].rest:
@@ -368,7 +368,7 @@ class _Matching:
         if role == "output":
             ranks = {"torque": 0, "deflection": 0, "the tip": 1}
             ranks["motor_angle"] = _UNNAMED
-        # What turns by its whole range within one sample has no inertia: it is a command.
+        # What moves by over half its range in one sample has no inertia: it is a command.
         elif self.table.is_switched(place):
             return _UNLIKELY
         # Never a commanded value, nor a measurement of something else. Names of one
@@ -459,7 +459,7 @@ class _Matching:
             example = f"deflection={channel.column} - K * {name} [{channel.unit}]"
             self.ask("output", "column", text, (name,), example)
             return None
-        why = f"the motor angle less {name} is one vibration ({100 - 100 * rest:.3g} %): the tip in space"
+        why = f"the motor angle minus {name} is one vibration ({100 - 100 * rest:.3g} %): the tip in space"
         self.guesses = [each for each in self.guesses if each.part != "output"]
         self.conclude("output", difference, "likely", why)
         return self.add(difference, channel.unit)
@@ -510,7 +510,7 @@ class _Matching:
         role = self.table.roles[place][0]
         beside = self.statement("motor_angle").unit or ""
         if role == "motor_angle" and beside in UNITS["angle"] and not statement.unit:
-            why = "named as an angle: in the unit of the motor's"
+            why = "named as an angle: in the unit of the motor angle"
             self.conclude(part, f"deflection [{beside}]", "likely", why)
             return "deflection", beside, scale
         if (torque or role == "torque") and statement.unit != "raw":
@@ -557,8 +557,8 @@ class _Matching:
             sign, sure, why = explicit, "stated", "as stated"
         elif mode is None or phase(mode) > LATE:
             sure = "assumed"
-            why = "no vibration that tells" if mode is None else "it answers late"
-            why += ": state a minus, as in torque=-bridge [mNm], where it is turned"
+            why = "no vibration shows it" if mode is None else "it responds late"
+            why += ": state a minus, as in torque=-bridge [mNm], if it is reversed"
         self.conclude("sign of the output", "+" if sign > 0 else "-", sure, why)
         return sign
 
@@ -578,8 +578,7 @@ class _Matching:
         unit = statement.unit or (own if own in UNITS["voltage"] else "")
         if not np.isfinite(raw).all() or not moves(raw):
             return None
-        # A motor usually turns in the direction of its voltage, although a servo brakes
-        # just as often.
+        # A motor mostly turns in the direction of its voltage, but a servo also brakes.
         relation = float(np.corrcoef(raw, np.gradient(angle))[0, 1])
         sign: Literal[1, -1] = statement.sign or (-1 if relation < -SHOWN else 1)
         evidence = f"correlation {relation:.2g} with the motor's speed"

@@ -1,5 +1,5 @@
-"""Which columns of a log share the vibration of one link: its motor angle and its output,
-or the motor angle less it.
+"""Which columns of a log share the vibration of one link: its motor angle, and its
+output or the motor angle minus that.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fracsys.checks import Real
 # early one of the other sign. With unknown sign the limit is a quarter in either
 # direction; half of that is allowed.
 LATE = math.pi / 4
-# What a column may be that is an angle, by its name.
+# The roles, by its name, of a column that may be an angle.
 _ANGLES = ("motor_angle", "the tip", "deflection", "")
 
 
@@ -47,7 +47,7 @@ class Pairs:
     table
         the columns.
     period
-        of the samples [s]; the share that a link explains depends on no unit.
+        sampling period [s]; any value serves to compare the shares that a link explains.
     angle_unit
         of the motor angle where it is stated, or "".
     """
@@ -72,7 +72,7 @@ class Pairs:
             raise LogError(
                 "column of output",
                 name,
-                f"a speed: its integral is a vibration behind the motor ({100 * share_of(whole):.3g} %)",
+                f"a speed: its integral is a vibration driven by the motor ({100 * share_of(whole):.3g} %)",
                 "torque or deflection",
                 "state another column, or integrate this one before it is read",
             )
@@ -93,12 +93,12 @@ class Pairs:
         return sorted(candidates, key=lambda each: each.rest)
 
     def shared(self, angle: int, output: int) -> tuple[float, str]:
-        """The share of the variance of an output, or of the motor angle less it, that no
-        link behind the motor angle explains, and the name of the one of the two.
+        """The share of the variance of an output, or of the motor angle minus it, that
+        no link driven by the motor angle explains, and the name of the signal chosen.
 
-        A deflection δ = θm − θt responds to an acceleration with a positive gain, a tip
-        angle with a negative one, and rings like a deflection of the other sign; but
-        its difference from θm is then a vibration, and a clearer one.
+        A deflection δ = θm − θt responds to an acceleration with a positive gain. A tip
+        angle responds with a negative one and rings like a deflection of the other
+        sign; but then its difference from θm is a vibration, too, and a clearer one.
         """
         turned, values = (self.table.values[place] for place in (angle, output))
         names = [self.table.label(angle), self.table.label(output)]
@@ -140,11 +140,11 @@ class Pairs:
             return False
         angle = self.period * mode.model.natural_frequency
         longest = max(values.size for values in self.table.values)
-        # Three periods, and four samples in each, as `diagnose` demands them.
+        # Three periods, and four samples in each, as `diagnose` requires.
         shown = math.tau * PERIODS / longest < angle < 0.5 * math.pi
         return shown and phase(mode) > -LATE
 
 
 def phase(mode: Fit | None) -> float:
-    """By how much of its vibration [rad] the output of a mode is late."""
+    """The delay of the output of a mode as a phase of its vibration [rad]."""
     return 0.0 if mode is None else mode.delay * mode.model.natural_frequency

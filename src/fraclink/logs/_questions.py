@@ -26,7 +26,7 @@ class Guess:
     part
         what it is about, such as "motor angle" or "sign of the output".
     value
-        what is taken.
+        what it is taken for.
     certainty
         ``"stated"`` by the user or by the log's own names, ``"certain"`` or
         ``"likely"`` from the values, ``"assumed"`` where the log cannot tell.
@@ -42,7 +42,7 @@ class Guess:
 
 @dataclass(frozen=True)
 class Question:
-    """What a log cannot tell; one for each role, and so three at most.
+    """Something that the log cannot tell: at most one question for each of three roles.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Question:
     def statement(
         self, text: str, known: ColumnStatement | None = None
     ) -> ColumnStatement:
-        """Return what an answer states, beside what is known of the column.
+        """Return what an answer states, added to what is known of the column.
 
         Raises FieldError where it is not understood.
 
@@ -101,16 +101,16 @@ class Question:
         units = [*UNITS_OF[role], *(["raw"] * (self.role == "output"))]
         own = unit_of_name(each.column or "")
         if of_column and self.role == "motor_angle" and each.unit is None:
-            # This extends the existing question instead of adding a second one.
+            # The unit in the name, or else an error: there is no second question on it.
             each = replace(each, unit=own if own in units else "")
-        # A unit has a number before it at most: a column there would be lost.
+        # Only a number may stand before a unit: a column there would be lost.
         complete = each.column == "x"
         if of_column:
             complete = any(name in text for name in (*self.choices, *self.others))
         optional = of_column and self.role == "output" and each.unit is None
         if not complete or (each.unit not in units and not optional):
             problem = "not understood" if each.unit else "without a unit"
-            allowed = f"one of {', '.join(units)}, behind a number where it needs one"
+            allowed = f"one of {', '.join(units)}, after a number if it needs one"
             remedy = f"such as {', '.join(self.choices)}"
             if of_column:
                 allowed = f"a column and one of {', '.join(units)}"

@@ -39,7 +39,7 @@ class Start:
     guesses
         every conclusion with its certainty and evidence.
     columns
-        what they amount to: the columns as `read_log` takes them.
+        the guesses as columns that `read_log` takes.
     experiment
         the log in SI units.
     findings
@@ -183,8 +183,8 @@ def start(
         by_role[question.role] = answer
         state = match_table(table, by_role, str(log), interpolate)
     assert state.columns is not None  # without a question  # noqa: S101
-    # The common reader is used: it receives the guesses as statements, and rejects or
-    # converts them as always.
+    # The common reader receives the guesses as statements, and rejects or converts them
+    # as always.
     experiment = read_log(
         place,
         columns=state.columns,
@@ -226,7 +226,7 @@ def _known(
     if payload is not None:
         values["payloads.low"] = (
             payload,
-            "of this log; the lightest that a controller is to be for",
+            "of this log; the lightest that a controller has to carry",
         )
         values["payloads.high"] = (payload, "of this log; the heaviest")
     return values
