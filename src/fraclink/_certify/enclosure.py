@@ -269,7 +269,7 @@ class BoxLoop:
                 for angle, scale in zip(angles, scales, strict=True)
             ]
 
-        # Each is half a square, a fact that the difference preserves only through its
+        # Each is about half a square, which the difference shows only through its
         # slope.
         steps = {"delay": late.r}
         n0, n2 = (
@@ -411,8 +411,9 @@ class BoxLoop:
         The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is
         bounded with the box's own gauge and motor. The others lie at 2jw + ω and (2j +
         2)w − ω for j = 1, 2, …, where |F(s)/s| falls at least like ω^-3. Since t^-3 is
-        convex, the sum over all j but the first is at most half the integral from one
-        step before the second. Where L includes `ALIASES`, these sums begin with j = 3.
+        convex, the sum over all j but the first is at most half the integral from half
+        a step before the second. Where L includes `ALIASES`, these sums begin with j =
+        3.
         """
         w = math.pi / self.period
         ratio = np.minimum(
@@ -495,7 +496,7 @@ class BoxLoop:
         return float(bound * voltage * (1 + 1e-9))
 
     def _low_voltage(self, arc: Disc) -> float:
-        """The factor of the sampled motor loop in it."""
+        """The factor of the sampled motor loop in `low_bound`."""
         first, both = self.controllers(arc)
         box = self.box(*self.root())
         closing = self.closing(

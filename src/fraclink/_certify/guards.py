@@ -35,7 +35,7 @@ def check_guards(statement: Statement) -> None:
             raise FieldError(
                 f"law.{name}",
                 value,
-                "not that of the arm of the claim",
+                "does not fit the arm of the claim",
                 f"{low:.6g} … {high:.6g}",
                 "make the law with Design.law()",
             )

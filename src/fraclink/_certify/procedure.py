@@ -34,10 +34,10 @@ ModulusMargin = Annotated[float, above(0.0, 1.0)]
 # Gap between the distance found by the search and the distance claimed. Half of it
 # takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Limit on the nodes for a claim: where a smaller one is tried next.
+# Limit on the nodes for every claim but the smallest that passes.
 _USUAL = 80_000
-# Limit on the nodes for the smallest claim that passes: half a gigabyte. A second mode
-# with a damping ratio of 0.05 % at ±0.1 % takes half of it, and seven seconds.
+# Limit on the nodes for that one: half a gigabyte. A second mode with a damping ratio
+# of 0.05 % at ±0.1 % takes half of it, and seven seconds.
 _MOST = 1_000_000
 
 
@@ -60,8 +60,8 @@ def certify(
     The box holds the link's order, frequency and damping, the gauge's gain and delay,
     the second mode and the motor. The proof covers the law's exact coefficients, its
     motor loop as it is sampled, the zero-order hold and all aliases, and that no guard
-    stands in the way of the moves it states; tools/check_certificate.py checks it with
-    other arithmetic against the files of `export_c`.
+    acts in the moves that it states; tools/check_certificate.py checks it with other
+    arithmetic against the files of `export_c`.
 
     The certificate says ``passed``, ``verdict``, and where it fails the payload, the
     frequency and what was found there.
@@ -79,8 +79,8 @@ def certify(
         the motor loop; when left out, anything within the last of the motor loop's
         periods of delay.
     modulus_margin
-        m, 0 < m < 1; a hundredth or two below what a search finds when left out, and
-        then not below 0.25: a loop that comes closer does not pass.
+        m, 0 < m <= 1; when left out what can be proved, usually within a hundredth of
+        what a search finds, and not below 0.25: a loop that comes closer does not pass.
     law
         the law to prove, where the design's own is not meant (double precision, another
         order).
@@ -300,6 +300,6 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
             "a law that was made for this link",
             "discretise the controller with this link",
         )
-    # The statement is written with six digits, from which the checker forms the
-    # resonance; the law must use the same rounded value.
+    # Rounded to six digits here: the file states this value, and the checker forms the
+    # resonance from it.
     return float(f"{math.exp(brentq(beyond, *ends, xtol=1e-14, rtol=1e-14)):.6g}")

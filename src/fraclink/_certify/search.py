@@ -122,7 +122,7 @@ def _judge(
         weight = np.where(
             (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], gain, weight
         )
-        # A half plane holds the disc of a limit below one only.
+        # The half planes are valid for limits below one only.
         bounded = (np.isfinite(plain.r) | np.isfinite(inverse.r)) & (limit < 0.99)
         quiet = plain.most() < 1.0 - limit
         proved = quiet | (bounded & (distance > least + (_SLACK - 1.0)))
@@ -196,9 +196,9 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
     """
     rows = np.arange(low.shape[0])
     a, b = low[rows, axis], high[rows, axis]
-    # The loop varies per octave of frequency, and the checker cuts in the same way. It
-    # matters for the first cuts only: with the arithmetic mean four claims take between
-    # 3 % fewer and 2 % more leaves.
+    # The loop varies per octave of frequency, and the checker cuts in the same way. The
+    # mean matters for the first cuts only: with the arithmetic mean four claims take
+    # between 3 % fewer and 2 % more leaves.
     middle = np.where(axis == 0, np.sqrt(a * b), 0.5 * (a + b))
     top, bottom = high.copy(), low.copy()
     top[rows, axis] = bottom[rows, axis] = middle
@@ -216,8 +216,8 @@ def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
     s = loop.statement
     corner = loop.place(np.array([loop.low[name] for name in AXES]))
     if not all(abs(pole) < 1.0 for pole, _ in loop.modes):
-        # The tree proves that the curve keeps away from −1; that no pole lies outside
-        # the unit circle also requires the poles of the law itself to lie inside.
+        # The tree proves that the curve keeps away from −1; for stability the poles of
+        # the law itself must lie inside the unit circle, too.
         return MarginFailure(
             "a pole of the law's correction lies outside the unit circle", corner
         )
@@ -254,7 +254,7 @@ def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
         rest = possible & ~proved
         leaves = np.where(loud, len(AXES) + 1, len(AXES))
         generations.append(np.where(rest, axis, leaves))
-        # After so many cuts of one axis its ends are one double.
+        # After so many cuts of one axis both ends are the same double.
         if rest.any() and (nodes > most or len(generations) > ROUNDS):
             k = int(np.argmax(rest))
             middle = 0.5 * (low[k] + high[k])

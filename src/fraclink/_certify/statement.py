@@ -182,7 +182,7 @@ class Statement:
         )
 
     def overview(self) -> Overview:
-        """What is claimed, and about which arms."""
+        """What is claimed, and for which arms."""
         return Overview(self.sentence, "", (), (self.intervals,))
 
     @property
@@ -256,8 +256,8 @@ class Statement:
 
     @property
     def box(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Lower and upper ends of every parameter; q takes what its
-        product rounds away.
+        """Lower and upper ends of every parameter; q is widened by the rounding of its
+        product.
         """
         motor = "pole" if self.motor_loop == "ideal" else "gain"
         low, high = (
@@ -276,8 +276,8 @@ class Statement:
         return low, high
 
     def words(self) -> str:
-        """Return the statement as one sentence; tools/check_certificate.py writes it
-        once more by itself.
+        """Return the statement as one sentence; tools/check_certificate.py forms it
+        independently.
         """
         figures = {
             k: self.coefficients[k]
@@ -359,7 +359,7 @@ class Certificate(Saved):
         return self.statement.sentence if self.passed else self.verdict
 
     def overview(self) -> Overview:
-        """What was proved, and of which arms; the exact claim is its `verdict`."""
+        """What was proved, and for which arms; the exact claim is its `verdict`."""
         rows = rows_of(
             self,
             "verdict",
@@ -383,7 +383,7 @@ class Certificate(Saved):
 
 
 def _check_law(law: Law, model: LinkModel) -> None:
-    """FieldError if the law's gauge or its limits do not belong to the link of the
+    """FieldError if the law's gauge compliance does not belong to the link of the
     claim.
     """
     c = law.coefficients

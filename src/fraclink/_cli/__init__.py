@@ -31,8 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _accept_any_text() -> None:
-    """Let a pipe in ASCII or an output that is closed take what is printed: the exit
-    code is a verdict on the arm and not on the terminal.
+    """Let an ASCII pipe or a closed stream accept what is printed: the exit code is a
+    verdict on the arm and not on the terminal.
     """
     for name in ("stdin", "stdout", "stderr"):
         stream = getattr(sys, name)

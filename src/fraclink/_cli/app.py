@@ -57,8 +57,8 @@ class _Group(TyperGroup):
         # Only for the program itself: the commands of a group came with its module, and
         # `export c` must not look for a stage of that name.
         if ctx.parent is None and cmd_name not in self.commands:
-            # Of a name that is not there all are loaded, slow, and only on the way to an
-            # error: typer looks for similar names among them ("did you mean").
+            # For an unknown name all are loaded, which is slow but ends in an error
+            # anyway: typer looks for similar names among them ("did you mean").
             for name in [cmd_name] if cmd_name in _COMMANDS else _COMMANDS:
                 app = import_module(f"fraclink._cli.{_COMMANDS[name][0]}").app
                 self.commands.update(typer.main.get_group(app).commands)

@@ -58,7 +58,7 @@ class Assessment:
         return self.design.passed and all(item.passed for item in self.modes)
 
     def overview(self) -> Overview:
-        """The least margin, the budget of the phase, and every kind of loop."""
+        """The least margin, the phase budget, and the margins of every kind of loop."""
         margins = (
             (
                 Row("", "phase margin", curve.kind),
@@ -110,7 +110,7 @@ def assess(
     """
     design = Design.load(design_file)
     low, high = design.payloads
-    # Both ends, and the middle on the scale of ω₀ ∝ 1/√m.
+    # Both ends, and their geometric mean, which is also that of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
     assessment = Assessment(
         design,
@@ -133,7 +133,7 @@ def compare(
     only: Annotated[
         list[str] | None,
         option("TEXT"),
-        "Run rivals whose name contains this",
+        "Run only the rivals whose name contains this",
     ] = None,
 ) -> Answer:
     """Run a design and its rivals on one twin, each tuned by a stated rule.

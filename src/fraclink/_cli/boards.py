@@ -56,7 +56,7 @@ Address = option("ADDRESS")
 def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
 ) -> lab.Serial | lab.Udp:
-    """Return the way to an arm that the options of a command name."""
+    """Return the connection to an arm that the options of a command describe."""
     # From a file and never from the command line, which `ps` and the shell's history
     # reveal. The bytes are used as they are: a line break belongs to the key at both
     # ends.
@@ -234,10 +234,9 @@ def run_realtime(
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a
     safe stop.
 
-    The move is made on the model first: one that trips the law there is refused.
-    Then it measures for half a second how late this machine wakes up, says so, and
-    refuses a period that is not kept: more than 1 % of the wake-ups later than a
-    period.
+    The move is made on the model first: one that trips the law there is refused. Then
+    the command measures for half a second how late this machine wakes up, prints it,
+    and refuses the period if more than 1 % of the wake-ups are later than one period.
 
     The exit code is 1 after a safe stop (the law's guards, a signal, a broken
     connection) or too many overruns; the record is written all the same. Without an
@@ -265,8 +264,8 @@ def run_realtime(
         **options,
     )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
-    # The record was saved elsewhere: the arm has moved, and its data must not be lost
-    # because of a full disk.
+    # The record may have been saved elsewhere: the arm has moved, and its data must not
+    # be lost because of a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
     return Answer(
         run,

@@ -86,9 +86,9 @@ class Writes:
 
 
 class Keywords:
-    """Options of a command that are keywords of another function, or of a TypedDict of
-    them; all of them where none is named. Type, range and default are those of its
-    signature, the help its own or that of the docstring.
+    """Options of a command that are keywords of another function or of a TypedDict; all
+    keywords if none is named. Type, range and default come from its signature, the help
+    from the annotation or the docstring.
     """
 
     def __init__(self, function: Callable[..., Any], *names: str) -> None:
@@ -198,7 +198,8 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
     """
 
     def add(function: Callable[..., Answer]) -> Callable[..., int]:
-        # Stated, as click cuts the first sentence off after some fifty characters.
+        # Given explicitly, since click cuts the first sentence off after some fifty
+        # characters.
         sentence, _, _ = (inspect.getdoc(function) or "").partition("\n\n")
         return app.command(short_help=" ".join(sentence.split()))(_command(function))
 
@@ -222,7 +223,6 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
             given[name] = each.rule.check(name, given[name])
         for name, mark in writes.items():
             if given[name] is not None:
-                # Before the work: a result that cannot be saved is not computed.
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
         for place, result in answer.saved.items():
@@ -266,6 +266,6 @@ def _show_text(answer: Answer) -> None:
         tell(remark)
     for path in answer.files:
         tell(f"written: {path}")
-    # What rests on a doubtful input goes no further.
+    # No next command for a result from doubtful input.
     if answer.following and not answer.doubts:
         tell(f"next: {answer.following}")

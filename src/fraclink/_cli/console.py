@@ -46,7 +46,7 @@ _USAGE: Any = typer.BadParameter.__mro__[2]
 
 
 def clean(text: object) -> str:
-    """Return `text` with everything a terminal would obey written out.
+    """Return `text` with everything a terminal would obey escaped.
 
     >>> clean("a\\x1b[31mb\\u202ec")
     'a\\\\x1b[31mb\\\\u202ec'
@@ -55,7 +55,7 @@ def clean(text: object) -> str:
 
 
 def width() -> int:
-    """Columns of the terminal, or of COLUMNS; 80 where neither says."""
+    """Columns of the terminal, or COLUMNS where it is set; 80 where neither is known."""
     return shutil.get_terminal_size().columns
 
 
@@ -95,7 +95,7 @@ def ask(
     option: str,
 ) -> Answer:
     """Ask on the terminal until the answer is understood: until `understood` raises no
-    ValueError. `option` gives the answer where nobody can be asked: FieldError.
+    ValueError. FieldError, with `option` as its remedy, where nobody can be asked.
     """
     hint = f"[{default}] " if default else ""
     while True:
@@ -123,8 +123,8 @@ def ask(
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[..., None]]:
-    """Yield what names each of `total` parts as it begins, on standard error; given how
-    many are `done`, it moves the bar there. Where that is no terminal nothing is shown.
+    """Yield a function that names each of `total` parts on standard error as it begins,
+    and moves the bar to `done` if that is given. Without a terminal nothing is shown.
     """
     hidden = total == 0 or not sys.stderr.isatty()
     with typer.progressbar(
@@ -230,8 +230,8 @@ def _warnings_as_lines() -> Iterator[None]:
 
 @contextmanager
 def unread_allowed() -> Iterator[None]:
-    """Print what is inside to whoever reads: the exit code is known, and no reader who
-    leaves changes it.
+    """Allow printing to a reader who leaves: the exit code is known, and this does not
+    change it.
     """
     try:
         yield

@@ -47,8 +47,8 @@ from fracsys.checks import Between, Seed
 
 app = group()
 
-# Files that the user may have created before the first run, and the results of a run:
-# these files of a study would be a loss. The moves and the models of other structures
+# Files of a study whose loss would matter: those that the user may have created before
+# the first run, and the results of a run. The moves and the models of other structures
 # (run-*.npz, model-*.json) can be derived from them and are replaced.
 _STUDY = (
     "model.json",
@@ -227,7 +227,7 @@ def simulate(
         arm=Twin.from_rig(subject.rig, payload=mass) if twin else None,
         payload=mass,
         told="estimated" if estimate else told,
-        # On the model 4 s of the usual move, as in a report.
+        # On the model 3.5 s beyond the move: 4 s for the usual move, as in a report.
         duration=None if twin else path.duration + 3.5,
         seed=seed,
     )
@@ -257,7 +257,7 @@ def certify(
     others: Annotated[
         list[Path] | None,
         option("MODEL"),
-        "Model from another log of the same arm, which the proof is to hold for, too; may be repeated",
+        "Model from another log of the same arm, for which the proof must hold, too",
     ] = None,
 ) -> Answer:
     """Prove stability for every payload and delay in range; exit code 1 where the proof

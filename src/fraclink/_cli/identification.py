@@ -137,8 +137,8 @@ def _motor(
 ) -> Answer:
     """K/J, ν/J, Coulomb torque, dead zone and delay of a motor from voltage and angle.
 
-    The link loads the motor: its torque is taken from the log, or made of its
-    deflection by the rig's stiffness. A log of angle and voltage alone is that of a
+    The link loads the motor: its torque is taken from the log, or computed from its
+    deflection with the rig's stiffness. A log of angle and voltage alone is that of a
     motor without a link.
     """
     if not column:
@@ -186,7 +186,7 @@ def _load(log: Experiment, rig: Rig | None) -> Real | None:
             log.source,
             "with a deflection only",
             "the link's torque",
-            "give --rig, whose stiffness makes a torque of the deflection",
+            "give --rig, whose stiffness turns the deflection into a torque",
         )
     return rig.link.stiffness * log.output
 
@@ -203,7 +203,7 @@ def _driven(
     force: bool = False,
     **options: Annotated[Any, BAND],
 ) -> Answer:
-    """Link and motor, of a frequency response from the amplifier's voltage."""
+    """Link and motor, from a frequency response to the amplifier's voltage."""
     rig, place = _rig(rig), output_path(out or "model.json", force=force)
     arm = load_rig(rig)
     # The function itself rejects any other output.
@@ -242,8 +242,8 @@ def _transfer_function(
     force: bool = False,
     **options: Annotated[Any, BAND],
 ) -> Answer:
-    """A transfer function with fractional orders and a delay; of a recording, or of a
-    frequency response where no column is named.
+    """A transfer function with fractional orders and a delay, from a recording, or from
+    a frequency response where no column is named.
     """
     place, band = output_path(out or "structure.json", force=force), options["band"]
     measured: Recording | FrequencyResponse
@@ -287,12 +287,12 @@ def _transfer_function(
 
 
 def _named(texts: list[str] | None) -> dict[str, str] | None:
-    """Name and value of every ROLE=NAME; None where there is none."""
+    """The NAME of every ROLE=NAME by its role; None where there is none."""
     by_role: dict[str, str] = {}
     for text in texts or ():
         role, _, name = (part.strip() for part in text.partition("="))
-        # Of two columns for one role the last one would apply, and a typing error would
-        # change a fit unnoticed.
+        # With two columns for one role the last one would apply, and a typing error
+        # would change a fit unnoticed.
         if not name or role in by_role:
             raise FieldError(
                 "column",
@@ -353,8 +353,7 @@ def identify(
 
 def _kind(data: list[str], structure: str | None) -> str:
     """The kind of fit, a key of `_FITS`."""
-    # Only the text of a transfer function contains a separate s; the names of the links
-    # do not.
+    # Only the text of a transfer function contains a separate s.
     kind = "transfer function" if re.search(r"\bs\b", structure or "") else structure
     if kind not in _FITS:
         return "several links" if len(data) > 1 else "link"

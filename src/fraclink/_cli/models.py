@@ -76,8 +76,8 @@ def validate(
     payload: Payloads = None,
     column: Columns = None,
 ) -> Answer:
-    """Hold a model against other logs of the arm: its error on each, and what each log
-    says of the link by itself.
+    """Test a model on other logs of the arm: its error on each, and the link that each
+    log gives by itself.
 
     $ fraclink validate model.json other.csv --rig rig.toml
     """

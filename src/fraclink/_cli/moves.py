@@ -49,7 +49,9 @@ def shape(
         refuse_beside("--payload", "one payload", payloads=request["payloads"])
         # A range of one payload: the same shaping, without a compromise.
         request["payloads"] = (payload, payload)
-    refuse_beside("--estimate", "its estimate", told=(told and estimate) or None)
+    refuse_beside(
+        "--estimate", "the payload it estimates", told=(told and estimate) or None
+    )
     goal = 1.0 if amplitude is None else amplitude
     subject = load_design(design_file)
     with steps(1) as begin:

@@ -109,10 +109,10 @@ def whole(rig: Rig | RigDraft) -> Rig | None:
 def load_link_model(
     path: Path | None, rig: Rig
 ) -> tuple[LinkModel | None, tuple[Finding, ...]]:
-    """Return the model of a file of `identify` or `design`, None where none is given,
-    and the gates that its fit or its design failed.
+    """Return the model from a file of `identify` or `design` (None where no file is
+    given) and the gates that its fit or its design failed.
 
-    Of a fit it is the one that the loop of `rig` meets (`Fit.loop_model`).
+    From a fit it is the model as the loop of `rig` meets it (`Fit.loop_model`).
     """
     if path is None:
         return None, ()
@@ -126,7 +126,7 @@ def load_link_model(
 
 
 def doubts_of_move(design: Design, *payloads: float | None) -> tuple[Finding, ...]:
-    """What leaves nothing shown by a move: errors of the design, and payloads in
+    """The reasons why a move shows nothing: errors of the design, and payloads in
     another unit.
     """
     # Each once: --payload 30 --told 30 is one mistake.
@@ -186,8 +186,7 @@ def load_log(
     **options: Any,
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
-    # The columns replace those of the rig: --column replaces its [log] table as a
-    # whole.
+    # --column replaces the rig's [log] table as a whole.
     columns = parse_columns(column) if column else rig.log
     return read_log(log_path(name), columns=columns, **options)
 

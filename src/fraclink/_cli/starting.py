@@ -91,7 +91,7 @@ def _ask(question: Question) -> str:
     examples.
     """
     tell(question.text)
-    # Without numbers: 1 before "36.8 deg" would look like one of several choices, and
+    # Choices are not numbered: 1 before "36.8 deg" would look like one of several, and
     # "2" like the column #2.
     choices = ", ".join(question.choices)
     column = question.part == "column"
@@ -102,7 +102,7 @@ def _ask(question: Question) -> str:
     )
 
     def understood(text: str) -> str:
-        # An invalid answer is requested again immediately.
+        # Raises for an invalid answer, and the question is repeated.
         question.statement(text)
         return text
 

@@ -1,4 +1,4 @@
-"""The command `studio`: the page on this machine in which a study is made by hand."""
+"""The command `studio`: a page on this machine for a study by hand."""
 
 from __future__ import annotations
 

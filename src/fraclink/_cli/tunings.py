@@ -185,7 +185,7 @@ def watch(
         raise FieldError(
             "record",
             str(record),
-            "neither",
+            "neither a run nor a log",
             "a run in real time, or a log",
             "record one: `fraclink run-realtime --out realtime.npz`",
         )

@@ -24,9 +24,9 @@ __all__ = ["export_arm_firmware", "export_reference"]
 def export_arm_firmware(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     """Write the arm's end of a serial line for a microcontroller, and return the files.
 
-    `arm_link.c` and `arm_link.h`, ISO C99, hold messages, checksum, number of the run
-    and watchdog; the sketch, named after the folder as its tools want it, has the
-    timer, encoder, gauge and H-bridge. Raises FieldError where one of them is there and
+    `arm_link.c` and `arm_link.h`, ISO C99, hold messages, checksum, run number and
+    watchdog; the sketch, named after the folder as Arduino requires, has the timer,
+    encoder, gauge and H-bridge. Raises FieldError if one of the files exists and
     `force` is not given.
 
     >>> import tempfile

@@ -55,8 +55,8 @@ def identifier(name: str) -> str:
 
 
 def law_source(name: str) -> bytes:
-    """Return the bytes of "law.h", "law.c" or "arm_link.c" as this package was built
-    from.
+    """Return the bytes of a file of csrc, such as "law.h", from which this package was
+    built.
 
     >>> law_source("law.h").startswith(b"/* The control law")
     True

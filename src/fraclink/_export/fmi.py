@@ -187,8 +187,8 @@ def _add_general(
 
 
 def _about(variable: Variable, reference: int) -> dict[str, str]:
-    """Attributes of a variable: of its value the unit and start of a real one, the range
-    of an integer one.
+    """Attributes of a variable: among them unit and start of a real one, range of an
+    integer one.
     """
     about = {
         "name": variable.name,
@@ -255,8 +255,8 @@ def descriptions(law: Law, name: str, token: str) -> dict[str, str]:
     outputs = [variable for variable in variables if variable.causality == "output"]
     for element in ("Output", "InitialUnknown"):
         for variable in outputs:
-            # In a step no output depends on the inputs at its end; its value before the
-            # first step does.
+            # No output depends on the inputs at the end of a step; only initial values
+            # depend on inputs.
             start = variable.start_from if element == "InitialUnknown" else ()
             dependencies = " ".join(places[other] for other in start)
             place = places[variable.name]

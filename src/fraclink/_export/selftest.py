@@ -117,8 +117,8 @@ def selftest_source(law: Law) -> str:
 
 
 def with_tools(source: str, name: str, digest: int) -> str:
-    """Return the source of a self-test with what all of them share, and with the hash
-    that it must find.
+    """Return the source of a self-test, completed by the parts common to all self-tests
+    and by the hash that it must find.
     """
     return (
         source.replace("@TOOLS@", _TOOLS)
