@@ -76,7 +76,7 @@ class ServedArm:
 
     @property
     def passed(self) -> bool:
-        """Whether every controller took its leave: the watchdog never had to act."""
+        """Whether every controller left with a stop: the watchdog never had to act."""
         return self.silences == 0
 
     def overview(self) -> Overview:
@@ -116,7 +116,7 @@ def serve_arm(
 
     In every period the arm takes the newest command, samples encoder and gauge, sends
     the sample and moves on under that command's voltage, so that a voltage acts one
-    period after its sample; a twin with a longer `voltage_delay` waits the rest itself.
+    period after its sample; a twin with a longer `voltage_delay` adds the rest itself.
     One controller is heard at a time. When it has been silent for `watchdog` periods,
     or sends a stop, the voltage is 0, its run is over, and no command of that run is
     obeyed again, however late it comes; the next controller may come. Ends after

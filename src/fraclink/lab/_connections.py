@@ -37,7 +37,7 @@ __all__ = [
 
 _FORMS = "serial:PORT@BAUD or udp:HOST:PORT"
 _SECRET_BYTES = (
-    16  # what nobody guesses: a key at least, a tag (MESSAGE_TAG, realtime.h)
+    16  # too many to guess: of the shortest key, of a tag (MESSAGE_TAG, realtime.h)
 )
 _PTY = "pty"  # a pseudo-terminal on which an arm is served
 
@@ -157,7 +157,7 @@ def parse_connection(
     """Return the connection that the command line names: serial:PORT@BAUD or
     udp:HOST:PORT.
 
-    `unsafe_remote` and `key` are those of `Udp`; a key for another way is refused.
+    `unsafe_remote` and `key` are those of `Udp`; a key for a serial line is refused.
 
     >>> parse_connection("udp:localhost:5005")
     Udp(host='localhost', port=5005, unsafe_remote=False)

@@ -74,7 +74,7 @@ class WakeUps:
     """How late this machine woke a loop that does nothing else: `latency` [s] of every
     wake-up, shape (N,).
 
-    period: which was asked for [s]; scheduling, memory: what the machine granted.
+    period: the requested one [s]; scheduling, memory: what the machine granted.
 
     >>> awake = WakeUps(np.array([5e-5, 9e-5, 3e-3]), 0.004, "SCHED_FIFO 80", "locked")
     >>> print(awake)

@@ -78,9 +78,9 @@ class RealtimeRun:
     time
         of the period's deadline after the first one [s].
     latency
-        from the deadline that was slept for to being awake [s].
+        from the deadline to the wake-up [s].
     work
-        from there to the command being written [s].
+        from the wake-up until the command is written [s].
     reference, reference_acceleration, motor_angle, torque, payload
         the law's inputs: θt* [rad], its acceleration [rad/s²], θm [rad], Γ [N·m],
         payload [kg] (0: not given); NaN where no sample came.
@@ -106,12 +106,12 @@ class RealtimeRun:
     origin
         added to the reference [rad].
     first_difference
-        the first row whose outputs the recorded inputs do not give again; None where
-        all agree bit for bit.
+        the first row whose outputs a replay of the recorded inputs does not reproduce;
+        None where all agree bit for bit.
     allowed_overruns
         up to which the run passes.
     planned
-        periods that the run was to have.
+        planned number of periods.
     estimator
         that gave the law its payload; None where there was none.
     saved
@@ -189,7 +189,7 @@ class RealtimeRun:
 
     @property
     def unfinished(self) -> int:
-        """Planned periods behind the last one that ran, of a run that went to its end."""
+        """Planned periods after the last one that ran, of a run that went to its end."""
         return self.planned - self._last if self.stopped == "finished" else 0
 
     @property

@@ -52,7 +52,7 @@ def tune(
     """Tune an arm: wiring, motor, link, design, proof, law and first moves, within
     limits that are kept.
 
-    Every stage is written to `out` when it is whole. A limit, a wrong sign, a lost link
+    Every stage is written to `out` when it is complete. A limit, a wrong sign, a lost link
     or a signal switches the drive off and ends the tuning; its reason is in the result,
     its record in ``log.npz``.
 
@@ -65,8 +65,8 @@ def tune(
     out
         folder for the results.
     resume
-        move the law that is there, with a payload of its range: the wiring is looked at
-        again, and the first moves are made.
+        try the law in `out` with a payload of its range: the wiring is checked again,
+        and the first moves are made.
     force
         overwrite an earlier tuning.
     moves
@@ -74,14 +74,14 @@ def tune(
     begin
         called with a sentence as each stage begins, and with what it found.
     clock
-        "none" for a `SimulatedArm`, which lives by its calls; or that of a test, as for
-        `run_realtime`.
+        "none" for a `SimulatedArm`, which only advances when called; or that of a test,
+        as for `run_realtime`.
 
     Raises
     ------
     FieldError
-        a value out of its range, an arm that does not answer, files that are there,
-        nothing to resume.
+        a value out of its range, an arm that does not answer, existing files, nothing
+        to resume.
 
     Examples
     --------
@@ -257,8 +257,8 @@ class _Session:
         _, _, link = measured(self.state)
         fit, payload = link.fit, self.plan.payload
         reasons = self._causes() + self._unexplained(0.0)
-        # With the payload that it was measured with, an arm that has changed fails for
-        # that reason, whatever else is visible; a move that was stopped at once shows too
+        # If the arm carries the payload with which it was measured, a change of the arm is
+        # the reason, whatever else is visible; a move that was stopped at once shows too
         # little to tell.
         if fit.model.payload == payload:
             with suppress(FraclinkError):
@@ -316,7 +316,7 @@ class _Session:
         )
 
     def _unexplained(self, least: float) -> tuple[str, ...]:
-        """What the model of the link leaves of its moves, beyond `least` [rad]."""
+        """What the model of the link does not explain, beyond `least` [rad]."""
         wiring, _, link = measured(self.state)
         return unexplained(
             link.residual, link.fit.model, self.guard.record(), wiring, least
@@ -327,7 +327,7 @@ class _Session:
         hints = self._causes()
         move = built.move or (PLANNED * self.plan.limits.angle, 0.0)
         rest = self._unexplained(BAND * move[0])
-        # what is seen in the record explains what the model leaves
+        # causes seen in the record may explain what the model does not
         if built.reasons or rest:
             built = replace(built, reasons=built.reasons + hints + rest)
         else:

@@ -123,7 +123,7 @@ def measured_rig(
     fit, motor = link.fit, link.motor.fit
     if motor.inertia is None:
         raise FraclinkError(
-            "the motion of the motor does not show the link's torque, and so neither its inertia: a shorter "
+            "the motion of the motor does not show the link's torque, and thus not its own inertia: a shorter "
             "period, or limits that allow faster moves, help"
         )
     inertia, model = motor.inertia, fit.model
@@ -316,10 +316,10 @@ def planned_move(
     best, least, reason = None, math.inf, ""
     amplitude, longer = PLANNED * _LONGEST * limits.angle, 1.0 / PLANNED
     twins = twins_of(design, motor)
-    # A vibration larger than the model's by as much as a promise may be wrong must not
-    # change when the move has settled.
+    # Narrower by the tolerance of a promise: a vibration larger than the model's by as
+    # much must not change when the move has settled.
     band = (1.0 - _AGREEMENT) * settling_band(amplitude, design)
-    # The reference alone takes four fifths of the planned speed of the first one.
+    # The first reference takes four fifths of the planned speed.
     shortest = 1.875 * amplitude / (0.8 * PLANNED * limits.speed)
     for duration in (shortest * 1.15 ** np.arange(20)).tolist():
         runs = _simulated(law, design, twins, amplitude, duration)
@@ -333,8 +333,8 @@ def planned_move(
         reason = _objection(runs, far, limits, law.period)
         if not reason and settling < least:
             best, least = (amplitude, duration), settling
-        # A slower move may settle sooner, as one that takes the motor to its voltage
-        # leaves a vibration behind; but not sooner than its reference.
+        # A slower move may settle sooner, as one that takes the motor to its voltage limit
+        # leaves a vibration behind; but not before its reference ends.
         if duration >= least:
             break
     if best is None:
@@ -400,7 +400,7 @@ def _objection(
         return f"it takes more than {100 * PLANNED:g} % of the limits"
     # The first and the last twin with the same payload.
     if not all(map(agree, times[-3:], times[:3])):
-        return f"its settling time would be another {_UNSEEN_LINK}"
+        return f"its settling time would differ {_UNSEEN_LINK}"
     return ""
 
 
@@ -427,7 +427,7 @@ def twins_of(made: Design, measured: MotorResult) -> tuple[Twin, ...]:
         made.rig.motor,
         coulomb_torque=measured.friction * made.rig.motor.torque_constant,
     )
-    # Friction that the record does not show is as large as that of other arms.
+    # Stiction that the record does not show is assumed to be the usual one.
     stiction = max(measured.breakaway / max(measured.friction, 1e-12), Twin.stiction)
     return tuple(
         replace(

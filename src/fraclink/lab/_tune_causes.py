@@ -84,8 +84,8 @@ def _slow_loop(
     if prompt is not None and finer is not None and prompt > finer:
         sentences.append(
             f"the voltage acts {1e3 * motor.fit.delay:.2g} ms late, {motor.loop.delay_samples} periods: the "
-            f"motor loop is held at {finer:g} rad/s instead of {prompt:g}; a faster amplifier, or less way "
-            "from the sample to the voltage, helps"
+            f"motor loop is held at {finer:g} rad/s instead of {prompt:g}; a faster amplifier, or a shorter "
+            "path from the sample to the voltage, helps"
         )
     return tuple(sentences)
 
@@ -174,7 +174,7 @@ def sensor_noise(
     and the step of the gauge, and the count of the encoder, to which the link responds
     as to a motion of the motor and which it amplifies at its resonances.
     """
-    # At rest, the reading of a coarse gauge does not change.
+    # From the readings in motion: at rest, those of a coarse gauge do not change.
     step = float(np.min(np.diff(np.unique(torque)), initial=math.inf))
     # At the second sample: the first one is the motor's angle at rest, and no motion.
     pulse = np.zeros(torque.size)

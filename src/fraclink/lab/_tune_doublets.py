@@ -64,7 +64,7 @@ def motor_of_doublets(
         ways = shape[:, steps]
         # Σ(motion − A · way − swing/J)² over all doublets, from sums of squares.
         own = begins.size * np.einsum("ij,ij->i", ways, ways)
-        # Of a dead gauge there are none.
+        # A dead gauge shows no swing.
         other = float(np.sum(swings**2)) or 1.0
         both = ways @ np.sum(swings, axis=0)
         seen, pulled = ways @ np.sum(motions, axis=0), float(np.sum(swings * motions))

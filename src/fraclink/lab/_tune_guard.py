@@ -28,7 +28,7 @@ __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 # drive off.
 PLANNED = 0.6
 # a voltage takes effect one or two periods later, and measured speeds are some periods
-# old: from the first share of the speed limit on, no voltage drives the motor further
+# old: from the first share of the speed limit on, no voltage accelerates the motor
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
 RECOVERY = 5.0  # [s] at most until a swing has decayed, and the arm is at rest
 SLOW_PERIOD = 0.6  # [s]: a vibration period of a slow arm
@@ -76,9 +76,8 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Readings and the voltage sent next, one value per period, shape (N,): motor angle
-    [rad] and torque [N·m], both relative to the start, and the voltage [V] sent in
-    response.
+    """One value per period, shape (N,): motor angle [rad] and torque [N·m], both relative
+    to the start, and the voltage [V] sent in response.
     """
 
     period: float

@@ -1,5 +1,5 @@
-"""When a move has settled, by what the sensors of an arm read: the same for a promise
-and for the arm.
+"""When a move has settled, judged by the sensors' readings: in the same way for a
+promise and for the arm.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def judged(
     smooth, motor = (
         np.convolve(x, np.full(width, 1 / width), "valid") for x in (tip, angle)
     )
-    # About its final position and not the reference, since friction of the motor leaves
-    # a small offset; over a vibration, whose mean it is.
+    # About its final position (a mean over a vibration) and not the reference, since
+    # friction of the motor leaves a small offset.
     final = float(np.mean(tip[-round(SLOW_PERIOD / period) :]))
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     middle = width // 2

@@ -48,8 +48,8 @@ _SHORTEST, _LONGEST = 4.0, 16.0
 # quarter of the speed limit is small.
 _BIT, _BURST, _PUSH = 0.012, 2.0, 0.25
 _HALF, _SECOND = 2.8, 25.0
-# A clamped beam has its second mode at √6.27 times its first, at least on either side of
-# their geometric mean; a mass at its tip moves them farther apart.
+# A clamped beam has its second mode at 6.27 times its first, either at √6.27 from their
+# geometric mean; a mass at its tip moves them farther apart.
 _BETWEEN = math.sqrt(6.27)
 _STEEL = 5e-4  # damping ratio of steel alone, half its loss factor: no link has less
 # largest number of fits to a record corrected for effects outside the structure
@@ -365,8 +365,8 @@ def motor_again(
 
 
 def _first_model(guard: Guard, wiring: Wiring) -> LinkModel:
-    """The link as all that was recorded shows it, or as the last moves alone do, or the
-    wiring check's guess.
+    """The link fitted to the whole record or to the last moves alone, or the wiring
+    check's guess.
 
     The doublets of the wiring show the second mode of a slow link, and smooth moves its
     first: a model of the wrong mode fails to predict what it was not fitted to.

@@ -237,7 +237,7 @@ def random_moves(
     """
     random = np.random.default_rng(seed)
     at, parts, total = start, [], 0.0
-    # The fit of the motor uses stretches of 61 samples in one direction.
+    # The fit of the motor uses stretches of 30 samples or more in one direction.
     least = _STRETCH * period
     while total < max(duration, 4.0 * least):
         # To the other side each time: only reversals of the motor separate friction

@@ -1,5 +1,5 @@
-"""The motor: identified in a slow loop that is safe for the results of the wiring
-check, then closed for good.
+"""The motor: identified in a loop that is slow enough for the errors of the wiring
+check, and then its final loop.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ __all__ = [
     "unlimited_pole",
 ]
 
-# The first guess of K/J is accurate to a quarter; at low frequencies the link adds up
-# to the inertia of the arm.
+# The first guess of K/J is accurate to a quarter; at low frequencies the inertia of the
+# arm is added to that of the motor.
 _UNSURE, _ROBUST = (0.4, 0.7, 1.0, 1.5), 0.35
 # A fit is accurate to a few per cent; the rest is the dependence of gear and amplifier
 # on position.
@@ -217,9 +217,9 @@ def breakaway_voltage(
     """The largest voltage, with the torque of the link, that left the encoder of steps
     `count` [rad] where it was [V]: the friction that a motor at rest overcomes.
 
-    The median over so many periods that a tenth of the sliding friction more would have
-    moved the motor by a count, ½ΔV·A·t²: a voltage that jumps in the last of them has
-    moved nothing yet, however large it is.
+    Each is the median over so many periods that a tenth more of the sliding friction
+    would have moved the motor by a count, ½ΔV·A·t²: a voltage that jumps in the last of
+    them has moved nothing yet, however large it is.
     """
     fit, period = motor.fit, record.period
     excess = 0.1 * motor.friction * fit.gain

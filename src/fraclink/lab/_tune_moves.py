@@ -118,7 +118,7 @@ def first_moves(
 ) -> tuple[FirstMove, ...]:
     """Transfer control from the motor loop to the law, move at a tenth of the speed,
     then back and forth at full speed: `move` is its amplitude [rad] and duration [s].
-    Of the two full moves the one counts that differs more from the promise.
+    Of the two full moves, the one that differs more from the promise counts.
     """
     period, model = guard.period, design.model
     amplitude, duration = move

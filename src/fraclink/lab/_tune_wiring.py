@@ -119,7 +119,7 @@ def check_wiring(
     `stated` is the user's description of the arm: scales are compared with its motor
     and stiffness. `tell` as in `tune_motor`.
     """
-    # Samples of a mean: half of a doublet's half, which leaves its motion.
+    # Samples of a mean: half of a doublet's half, short enough to keep its motion.
     width = max(1, round(0.5 * PULSE / guard.period))
     for _ in range(math.ceil(RECOVERY / _REST)):
         start = guard.count
@@ -160,8 +160,8 @@ def _checked(
     stated: Rig | None,
     size: float,
 ) -> Wiring:
-    """The wiring as doublets show it that are `size` times as large; `noise` of the gauge
-    [N·m]; the period `start` is that of the last rest.
+    """The wiring, from doublets that are `size` times as large; `noise` of the gauge
+    [N·m]; the last rest began in period `start`.
     """
     doublets = smallest()
     goal, largest = max(size * _ANSWER, doublets.clear), size * MOST / _LARGER
@@ -204,7 +204,8 @@ class _Doublets:
     ) -> None:
         self._guard, self._strongest, self._width = guard, strongest, width
         self._start, self._first = guard.count, float(np.mean(still.angle))
-        # An answer must exceed the noise of a mean over `width` less one over twice that.
+        # An answer must exceed the noise of the difference of two means, one over `width`,
+        # the other over twice that.
         self.shake, self.clear = shake, SURE * shake * math.sqrt(1.5 / width)
         self._swing = float(np.var(still.torque))
         self._longest = max(2, round(PULSE / guard.period))
@@ -229,7 +230,7 @@ class _Doublets:
 
     def grow(self, goal: float) -> bool:
         """Enlarge the doublets until one moves the encoder by `goal` [rad], if the
-        voltage suffices; whether there is room for more of them.
+        voltage suffices; return whether there is room for more of them.
         """
         while self._enlarged():
             record = self.once()
@@ -257,8 +258,8 @@ class _Doublets:
             )
             raise WiringFault(
                 f"neither encoder nor gauge answers {self.voltage:.3g} V: drive not enabled, voltage not "
-                "connected, brake on, both sensors dead, or the encoder, beside a noisy "
-                f"gauge{beyond}"
+                "connected, brake on, both sensors dead, or the encoder dead and the gauge "
+                f"noisy{beyond}"
             )
         raise WiringFault(
             "encoder dead, or its channel is the gauge's: it shows no motion while the other channel answers "
@@ -336,8 +337,8 @@ def _concluded(
         record, doublets.half, 0.0 if link is None else max(link[3], 0.0)
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
-    # fit a link either, and would be blamed. Two measured values each, here gain and
-    # friction, then stiffness and gain: wrong units are off by ten.
+    # fit a link either, and would be blamed. FAR is allowed for each of two measured values
+    # (here gain and friction, then stiffness and gain); wrong units are off by ten.
     if (
         stated is not None
         and abs(gain) > SURE * error
@@ -350,7 +351,7 @@ def _concluded(
     if link is None or abs(link[0]) < SURE * link[1]:
         share = "nothing" if link is None else f"{100 * (1 - link[4]):.0f} %"
         raise _Unsure(
-            f"gauge dead: of its signal the motor's motion of {degrees} explains {share}; its noise is "
+            f"gauge dead: the motor's motion of {degrees} explains {share} of its signal; its noise is "
             f"{noise:.2g} N·m"
         )
     stiffness, spread, frequency, gauge_delay, nmse = link
@@ -481,10 +482,10 @@ def _link(
     # A fit without standard errors, for example with its gain at a bound, gets one from
     # its residual.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
-    # Of the two channels either may be sampled first, but none shows a motion before it
-    # happens: a vibration that leads is one of the opposite sign, later by half of its
-    # period, as the second mode shows it behind a late gauge. Of a slow first mode that
-    # is later than any gauge, and its lead an error of the fit.
+    # Either channel may be sampled first, but neither shows a motion before it happens: a
+    # vibration that leads is one of the opposite sign, later by half of its period, as
+    # that of the second mode behind a late gauge. For a slow first mode, half a period is
+    # later than any gauge, and the lead is an error of the fit.
     gain, delay, opposite = (
         fit.gain,
         fit.delay,

@@ -35,23 +35,23 @@ _JUMP = 0.02
 @checked
 @dataclass(frozen=True)
 class TuningPlan:
-    """What is asked of a tuning: the limits, the payload that the arm carries, and the
-    range it shall carry.
+    """The request for a tuning: the limits, the payload that the arm carries, and the
+    range that it is to carry.
 
     Parameters
     ----------
     limits
         of angle, speed, torque and voltage.
     payload
-        at the tip during the tuning [kg]: no motion shows it.
+        at the tip during the tuning [kg], which no motion shows.
     payloads
         (lightest, heaviest) that the law is for [kg]; default: from three quarters of
         the payload to a third more.
     period
         of the arm [s]; None for an arm that states its own.
     rig
-        what is known of the arm: scales are compared with its motor and link,
-        tolerances and the wish for the design come from it.
+        what is known of the arm: scales are compared with its motor and link; the
+        gauge's range and the requests for the design come from it.
 
     Examples
     --------
@@ -158,7 +158,7 @@ class Tuning:
     stopped
         why the tuning ended early; empty where it did not.
     arm_time, computing
-        how long the arm was moved, and how long was computed [s].
+        how long the arm was moved, and how long the computations took [s].
     folder
         where the files are.
     rig
@@ -252,7 +252,7 @@ class Tuning:
         return bool(self.certified) and self.design_passed
 
     def overview(self) -> Overview:
-        """What was measured with how sure it is, the first moves, and the scopes."""
+        """The measured values with their errors, the first moves, and the scopes."""
         verdict = self.verdict
         time = f"{self.arm_time:.0f} s of the arm, {self.computing:.1f} s of computing"
         moves = Table.of("moves", self.moves)

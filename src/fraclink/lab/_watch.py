@@ -64,7 +64,7 @@ class Change:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What people and programs read of it."""
+        """The change as shown to people and programs."""
         return rows_of(
             self,
             "name",
