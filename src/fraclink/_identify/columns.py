@@ -19,9 +19,9 @@ COPIED_LEAST = 0.98
 # 0.6 %, 13 % by 8 %.
 STOPPED_MOST = 0.1
 # Share of the samples at an extreme from which on it counts as a limit: half a per cent
-# changes the gain by a twentieth of one.
+# of them changes the gain by 0.05 %.
 _HELD = 0.005
-# Ratio of the number of samples at the extreme value to that at the level beside it; at
+# Ratio of the number of samples at the extreme value to that at the adjacent level; at
 # the crest of a sine in a coarse converter it is 2.4.
 _PILE = 4.0
 
@@ -150,8 +150,8 @@ def _is_ramp(values: Real) -> bool:
 
 
 def rails(output: Real) -> Iterator[tuple[float, int]]:
-    """The extreme values at which an amplifier has stopped, each with its number of
-    samples: far more than at the level beside it.
+    """The extreme values at which an amplifier has saturated, each with its number of
+    samples: far more than at the adjacent level.
     """
     low, high = output.min(), output.max()
     for end in (low, high):

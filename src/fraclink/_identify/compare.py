@@ -35,8 +35,8 @@ from fracsys.checks.equality import compared
 
 # By chance alone one superfluous parameter lowers the AIC by 8 in one log of six
 # hundred (by 4 in one of seventy). Of 510 random logs, two thirds of them with coloured
-# noise, a limit of 4 preferred a wrong structure in 13 and a limit of 8 in 3, which
-# left one log in five undecided instead of one in seven (benchmarks/bench_gates.py).
+# noise, a limit of 4 preferred a wrong structure in 13 and left one log in seven
+# undecided, a limit of 8 in 3 and one in five (benchmarks/bench_gates.py).
 _DECISIVE = 8.0
 Criteria = Mapping[str, tuple[float, float]]
 
@@ -79,8 +79,8 @@ class Comparison:
 
     @property
     def table(self) -> Table:
-        """The fits beside one another: what one sees of the link, parameters with their
-        errors, then criteria.
+        """The fits side by side: the resonance, the parameters with their errors, then
+        the criteria.
         """
         rates = {
             name: abs(fit.model.pole.imag) if fit.model.oscillates else None
@@ -100,7 +100,7 @@ class Comparison:
         )
 
     def overview(self) -> Overview:
-        """The fits beside one another, and which of them is to be used."""
+        """The fits side by side, and which of them to use."""
         rows = rows_of(self, "preferred", "verdict", "fits")
         findings = dict.fromkeys(f for fit in self.fits.values() for f in fit.findings)
         return Overview(
@@ -129,7 +129,7 @@ def identify(
     hold: Hold = "auto",
     details: bool = True,
 ) -> Fit:
-    """Fit a link structure to a log; gain, offset and gauge delay are fitted along, no
+    """Fit a link structure to a log; gain, offset and gauge delay are fitted, too; no
     guess is needed.
 
         minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ω₀²) Θm
@@ -152,7 +152,7 @@ def identify(
         values of "gain", "offset", "delay" [s], "order", "damping_order" that are not
         to be fitted.
     guess
-        a start to try beside the scan over all frequencies of the log.
+        a start to try in addition to the scan over all frequencies of the log.
     hold
         what the motor angle does between samples: "first" (a measured motion), "zero"
         (a held command) or "auto" (zero only for angles that jump and rest).
@@ -246,7 +246,7 @@ def compare_structures(
     hold: Hold = "auto",
     details: bool = True,
 ) -> Comparison:
-    """Fit every structure to a log and say what it tells apart.
+    """Fit every structure to a log and say which of them it distinguishes.
 
     Parameters
     ----------

@@ -47,8 +47,8 @@ _STRUCTURES = {
 # Factor by which a peak may lie outside the band, since its slope extends into it.
 _BEYOND = 3.0
 _LEAST_OCTAVES = 2  # anti-resonance and peak, with lines on either side of them
-# Lines required on either side of a feature that the response is said to show: one for
-# its place, its height and its width.
+# Lines required on either side of a feature for the response to show it: one each for its
+# place, its height and its width.
 _AROUND = 3
 
 
@@ -71,7 +71,7 @@ class DrivenLinkFit(StructureFit):
     output
         "motor_angle" or "torque".
     peak
-        where the magnitude of the fitted response is largest behind the anti-resonance
+        where the magnitude of the fitted response is largest above the anti-resonance
         [rad/s]; None where it only falls.
     findings
         those of the fit, and W315 where the band misses the anti-resonance or the
@@ -192,8 +192,8 @@ def identify_driven_link(
     output
         what was measured, "motor_angle" or "torque".
     band
-        lines to fit, from and until [rad/s]; default: the widest band of whole octaves
-        off either end in which the fit passes, said by W349 where it is not all lines.
+        lines to fit, from and until [rad/s]; default: all lines or, if that fit fails,
+        the widest band, shortened by octaves at either end, in which it passes (W349).
     weighting
         of the errors: "relative" to each line, by "coherence" (the default where there
         is one), or "absolute".

@@ -94,8 +94,8 @@ class _Leaves:
 
 
 def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
-    """The value of a tree; FieldError names the piece that has none, or that no
-    transfer function consists of.
+    """The value of a tree; FieldError names the piece that has none, or that belongs
+    to no transfer function.
     """
     if depth > _DEEPEST:
         raise _refused(
@@ -119,7 +119,7 @@ def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
     values = [_value(operand, leaves, depth + 1) for operand in _operands(node)]
     try:
         result = operation(*values)
-        # Of a negative base Python, unlike numpy, returns a complex power.
+        # Python, unlike numpy, returns a complex power of a negative base.
         if type(result) is complex:
             raise ArithmeticError
     except (ArithmeticError, FieldError, TypeError) as error:
@@ -217,8 +217,8 @@ def parse_expression(text: str) -> Expression:
         )
     expression = Expression(text, _roles(tree), tree)
     # At values of which no two are equal and no sum is zero: a piece without a value
-    # there is none of a transfer function. An array's power is its principal value,
-    # which is not s^(ab) for (s^a)^b with an order a above 2.
+    # there belongs to no transfer function. The power of an array is its principal
+    # value, which differs from s^(ab) for (s^a)^b with an order a above 2.
     first = {"order": 2.1, "delay": 0.1, "coefficient": 0.1}
     values = {
         name: first[role] + 0.0137 * k
@@ -240,7 +240,7 @@ def _operands(node: ast.expr) -> list[ast.expr]:
 
 
 def _names(tree: ast.expr) -> list[str]:
-    """Names in the order of the text, without that of the function."""
+    """Names in the order of the text, except exp."""
     nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
     ordered = sorted(nodes, key=lambda node: (node.lineno, node.col_offset))
     return list(dict.fromkeys(node.id for node in ordered if node.id != "exp"))

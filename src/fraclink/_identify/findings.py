@@ -106,7 +106,7 @@ def _signal_of(fit: Fit) -> float:
 
 def _inflation(fit: Fit) -> float:
     """The factor by which the residual's colour makes samples count less: under slow
-    noise a thousand are a hundred independent ones, and chance has a larger effect.
+    noise a thousand are worth a hundred independent ones, and chance has more effect.
     """
     return max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
 
@@ -225,8 +225,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
     for name in fit.at_bound:
         value = fit.delay if name == "delay" else getattr(fit.model, name)
-        # A rough angle cannot show a negative delay, a held one none between its
-        # samples.
+        # A rough angle cannot show a negative delay, and a held one no delay between
+        # its samples.
         if name != "delay" or (value != 0 and fit.hold != "zero"):
             yield Finding(
                 "W301",
@@ -301,9 +301,9 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
         yield Finding(
             "W306",
             "info",
-            "the output is behind the motor angle: a sensor delay was fitted along",
+            "the output is behind the motor angle: a sensor delay was fitted, too",
             {"delay": fit.delay, "standard_error": error},
-            "check the filter of the strain amplifier; a design must count this delay",
+            "check the filter of the strain amplifier; a design must include this delay",
         )
     if fit.delay < -max(CERTAIN * error, fit.period):
         yield Finding(
@@ -316,7 +316,7 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
 
 
 def _of_the_sign(fit: Fit, cycle: float) -> Iterator[Finding]:
-    """Sign and delay together: of a vibration, half a `cycle` more is the other sign."""
+    """Sign and delay together: half a `cycle` more delay reverses a vibration's sign."""
     # Beyond an eighth of a cycle, a phase of half a turn may be delay and sign as well
     # as sign alone.
     late = abs(fit.delay) > cycle / 8
@@ -359,7 +359,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             {"p_value": fit.tests.whiteness},
             "nothing, or look at the residual for a second mode or friction",
         )
-    # Not at one in twenty: every real arm has friction, and every log would be reported.
+    # Not at a level of 5 %: every real arm has friction, and every log would be reported.
     if fit.tests.input_independence < LEVEL:
         yield Finding(
             "W310",

@@ -75,7 +75,7 @@ class Fit(Judged, Saved):
     structure
         the structure that was fitted, a key of the table in `fraclink._arm.link`.
     model
-        the link with everything else that the log showed of it: gauge delay, gauge
+        the link with everything else that the log showed about it: gauge delay, gauge
         gain, second mode and the 95 % intervals. For a torque log its stiffness is
         |gain|.
     gain
@@ -104,20 +104,20 @@ class Fit(Judged, Saved):
         parameters.
     heldout_mse, heldout_nmse
         the same over the samples held out, up to the last one at which the model
-        predicts more than the noise (mse): a ring-down that has sunk into it tells
-        nothing. None where that leaves none.
+        predicts more than the noise (mse): a ring-down below the noise says nothing.
+        None where no samples remain.
     standard_errors
-        of the free parameters inside their limits, in their units; with the details
+        of the free parameters inside their limits, in their units; with `details`
         they allow for the residual's colour by the sandwich estimate.
     intervals
         95 % profile-likelihood intervals of the link's parameters and the delay.
     at_bound
         parameters that ended on a limit of their range; they have no error.
     effective_parameters
-        fitted parameters (nuisances included) as the residual's colour counts them,
-        Takeuchi's tr(H⁻¹J); equal to their number where the residual is white.
+        effective number of fitted parameters (nuisances included) under the residual's
+        colour, Takeuchi's tr(H⁻¹J); their actual number where the residual is white.
     tests
-        of the residual, None where details were not asked for.
+        of the residual, None without `details`.
     converged
         whether the optimiser met its tolerance.
     predicted, residual
@@ -252,8 +252,8 @@ class Fit(Judged, Saved):
         return in_loop(model, rig)
 
     def validate(self, *logs: Experiment) -> Validation:
-        """Hold the fit against other logs of the same arm: error and bias of its
-        prediction, over frequency too, and what each log says of the link by itself.
+        """Compare the fit with other logs of the same arm: error and bias of its
+        prediction, also over frequency, and the link that each log shows by itself.
 
         Parameters
         ----------

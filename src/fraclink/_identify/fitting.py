@@ -60,7 +60,7 @@ SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 _HELDOUT = 0.4
 # share of the motor's motion (mean square speed) that a held-out part must contain
 _MOVES = 0.05
-# Parts of a log in which its motion is measured: a border lies within a hundredth of it.
+# Parts of a log in which its motion is measured: they place a border to one per cent.
 _BLOCKS = 120
 
 
@@ -76,8 +76,8 @@ def simulated_torque(
     """Return the torque [N·m] of a link whose motor angle [rad] is linear or held
     between its samples.
 
-    The link is at rest at first. It is what `identify` compares a log with;
-    `fracsys.time_response` is the independent way.
+    The link is at rest at first. `identify` compares a log with this torque;
+    `fracsys.time_response` computes it independently.
     """
     window = Window(
         motor_angle, np.zeros_like(motor_angle), period, chosen_hold(motor_angle, hold)
@@ -176,7 +176,7 @@ def _activity(signal: Real) -> Real:
 
 
 def _activities(angle: Real, output: Real) -> tuple[Real, Real]:
-    """Those of the motor's motion and of the output's vibration."""
+    """The activity of the motor's motion and that of the output's vibration."""
     # Steps of the angle instead of the angle: a motor that rests away from zero does
     # not move.
     return _activity(np.diff(angle)), _activity(output - np.median(output))
@@ -229,7 +229,7 @@ def fitted_samples(angle: Real, output: Real, heldout: float | None) -> int:
     return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
 
 
-# --- the fit and how sure it is ----------------------------------------------------------------------------
+# --- the fit and its uncertainty ---------------------------------------------------------------------------
 
 
 def predicted_output(search: Search, solution: Solution, log: Experiment) -> Real:

@@ -43,9 +43,9 @@ _LIMITS = {
 def weight_of(search: Search, solution: Solution) -> float:
     """1/(σ² k): a coloured residual counts as k times fewer samples.
 
-    What a log says of a link it says at the resonance: the scores of its parameters are
-    of that frequency, and the noise there over its mean over all frequencies is k. What
-    is fitted more closely than 16 bits resolve has the white noise of their rounding.
+    A log determines a link by its resonance: the scores of the parameters are of that
+    frequency, and k is the noise there relative to its mean over all frequencies. A fit
+    closer than 16 bits resolve is given the white noise of their rounding.
     """
     raw = columns_of(search.kernel, solution.shape)[0]
     residual = search.window.output - solution.gain * raw - solution.offset
@@ -151,7 +151,7 @@ class JointProblem(Problem):
 
     @cached_property
     def reach(self) -> Real:
-        """See `Problem`: Ω is already well known."""
+        """See `Problem`: only that of ln μ, as Ω is already well known."""
         return self._of_each(
             [1.0 if column == 2 else math.inf for column in self.columns]
         )

@@ -82,13 +82,13 @@ class LinkProblem(Problem):
 
     @classmethod
     def of(cls, search: Search, solution: Solution, *, inside: bool) -> LinkProblem:
-        """With all coordinates that are free in the structure, or those `inside` their
-        limits only, of which the edge ω₀ = 0 is one.
+        """With all coordinates that are free in the structure, or only those `inside`
+        their limits, one of which is the edge ω₀ = 0.
         """
         stuck = set(solution.at_bound) if inside else set()
         turned = {2, 3} <= set(solution.free) - stuck
         # α itself if it is inside: with a coloured residual the covariance is widened
-        # per coordinate (see `sandwich`).
+        # per coordinate (see `_sandwich` of uncertainty.py).
         turned = turned and (not inside or solution.on_edge)
         if inside and turned:
             stuck.add(3)

@@ -148,17 +148,17 @@ def identify_motor(
     period
         sampling period [s].
     torque
-        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known,
-        gives J itself, in the torque's units. Of a gauge that reads curvature, on a
-        link of order λ, J is too small by ω^(2−λ) at the vibration: the moment on the
-        hub is so much larger than the reading.
+        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, if
+        known, gives J itself, in the torque's units. With a gauge that reads curvature,
+        on a link of order λ, J is too small by ω^(2−λ) at the vibration, the factor by
+        which the moment on the hub exceeds the reading.
     inertia
         J where it is known and no torque was recorded, for the Coulomb torque [kg·m²].
     delay, dead_zone
         where they are known [s], [V]; searched for otherwise.
     starts
-        samples at which another recording begins, in one that was put together: no bump
-        lies across one.
+        samples at which the later parts of a joined recording begin: no bump extends
+        across one.
     spring
         whether a spring may pull the motor to some angle, k (θm − θ₀) on the right: a
         cable, or an arm whose plane is tilted.
@@ -401,7 +401,7 @@ def _result(
 ) -> MotorFit:
     matrix, values, error = bumps.solved(u, delay, zone)
     # A motor without friction in its log makes a column small, not wrong; with the
-    # pseudo-inverse this shows in its error.
+    # pseudo-inverse this shows in its standard error.
     inverse = np.linalg.pinv(matrix.T @ matrix)
     # the bumps overlap eightfold
     meat = long_run_covariance((matrix * error[:, None]).T, min(16, error.size // 4))

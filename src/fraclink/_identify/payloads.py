@@ -33,7 +33,7 @@ Length = Annotated[float, above(0.0, 1e3, "m")]
 
 @dataclass(frozen=True)
 class LikelihoodRatio:
-    """Test of the common parameters against own ones for every payload.
+    """Test of the common parameters against separate ones for every payload.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ class JointFit:
     mse
         for each log.
     alone_mse
-        of the fits of each log for itself.
+        of the separate fits of the logs.
     standard_errors
-        of the common parameters (and of "resonance 1" … for the own ones).
+        of the common parameters, and of each log's own ones ("resonance 1" …).
     stiffness
         c [N·m/rad] where ω₀ was tied by eq. (5) and the length was given, else None.
     stiffness_over_square
@@ -158,11 +158,11 @@ def identify_payloads(
         support.
     common
         of "order", "damping", "damping_order", "delay"; all of the structure's own by
-        default. A common "damping" is the paper's common μ; of one material
+        default. A common "damping" is the paper's common μ; for one material
         μ/ω₀² is common instead (`LinkModel.at_payload`).
     tied
-        several logs: ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of
-        an own ω₀ for each.
+        whether one stiffness gives every ω₀_i = sqrt(c/(m_i L²)), eq. (5), instead of a
+        separate ω₀ for each log.
     length
         L [m], only to report c from c/L² where tied.
     stiffness
@@ -383,7 +383,7 @@ def _verdict(
     common: Sequence[str], tied: bool, logs: int, test: LikelihoodRatio
 ) -> str:
     if test.degrees == 0:
-        return "Nothing is common: every log was fitted for itself."
+        return "Nothing is common: every log was fitted separately."
     symbols = [SYMBOLS.get(name, ("the delay",))[0] for name in common]
     if tied:
         symbols.append("the stiffness of eq. (5)")

@@ -24,13 +24,13 @@ from scipy.special import ndtri
 from fracsys._precision import BLUR, EPSILON, ROUNDS
 from fracsys.checks import Mask, Real
 
-# Chance below which something counts as shown, and the standard errors beyond which noise
-# gets with it, to either side; and those of a 95 % interval.
+# Chance below which something counts as shown, the standard errors that noise exceeds
+# with this chance (two-sided), and those of a 95 % interval.
 LEVEL = 1e-3
 CERTAIN, QUANTILE = (float(-ndtri(chance / 2)) for chance in (LEVEL, 0.05))
 # Share of a power that is clearly less than the whole: half of the amplitude, 6 dB. A law
-# that cancels with a model which leaves more than that of an unseen motion leaves half of
-# the vibration.
+# whose model leaves more than this of an unseen motion cannot cancel more than half of the
+# vibration.
 CLEARLY_LESS = 0.25
 # Half-width of an order's interval beyond which the data do not determine it: the
 # difference between two structures that people would distinguish.
@@ -80,7 +80,7 @@ class Problem(ABC):
 
     @cached_property
     def power(self) -> float:
-        """The sum of their squares."""
+        """The sum of the squared measured values."""
         return float(self.measured @ self.measured)
 
     @property

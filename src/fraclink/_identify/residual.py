@@ -17,7 +17,7 @@ from fraclink._identify.shape import Window, columns_of, mask_of
 from fracsys._precision import ROUNDS
 from fracsys.checks import Real
 
-_LAGS = 25  # lags of the portmanteau tests: the usual number of residual analyses
+_LAGS = 25  # lags of the portmanteau tests: the usual number in residual analysis
 # Order of the residual's autoregression: a few resonances, mains hum and slow drift
 # together.
 _AR_MOST = 30
@@ -147,9 +147,9 @@ def _without_slow_root(coefficients: Real) -> Real:
 
 
 def _with_slow_root(series: Real, fast: Real, start: int) -> tuple[float, Real, Real]:
-    """How likely it is that the noise is an autoregression `fast` with one more root ρ,
-    whatever that is; and the ρ (K,) that are likely, with the variance of the innovations
-    of each times its probability.
+    """Logarithm of the likelihood, averaged over ρ, of noise that is an autoregression
+    `fast` with one more root ρ; the ρ (K,) that are likely, and for each the variance
+    of the innovations times its probability.
 
     `series` (p + 1, n) are an orthonormal basis of the regressors and the residual,
     scaled likewise; the samples from `start` on count. For ρ = sin φ, the restricted
@@ -213,7 +213,7 @@ def correlated_lags(series: Real) -> int:
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """What the residual still holds, over the samples of the fit.
+    """What the residual still contains, over the samples of the fit.
 
     A real arm's residual is never white in a thousand samples (second mode, friction,
     quantisation): a small `whiteness` says that standard errors must allow for colour,
@@ -338,8 +338,8 @@ def find_second_mode(
         optimum = kernel.solve(
             begin, mask_of((1, 2)), lower, upper, math.nan, math.nan, ROUNDS
         )[1]
-        # Hardly any damping is what a mode of steel has; at the other ends lies a misfit
-        # of the first mode, noise, or a filter.
+        # The lower limit of the damping is no objection, as a mode of steel has hardly
+        # any; at the others lies a misfit of the first mode, noise, or a filter.
         at_limit = optimum[1] - lower[1] < 1e-6 or np.any(
             upper[1:3] - optimum[1:3] < 1e-6
         )
@@ -350,8 +350,8 @@ def find_second_mode(
         certain = not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error
         if certain and _shows_again(window, optimum, gain, motor_angle, whole):
             return SecondMode(math.exp(optimum[1]), share, float(optimum[2])), None
-    # Of high frequency, since a slow misfit does not mask a fast mode; the variance of
-    # the second difference of white noise is 1² + 2² + 1² times its own.
+    # Noise of high frequency, since a slow misfit does not mask a fast mode; the variance
+    # of the second difference of white noise is 1² + 2² + 1² times its own.
     noise = float(np.std(np.diff(residual, 2))) / math.sqrt(6.0)
     highest = None
     for log_frequency in grid:
@@ -367,7 +367,7 @@ def find_second_mode(
 def _shows_again(
     window: Window, place: Real, gain: float, motor_angle: Real, whole: Real
 ) -> bool:
-    """Whether the held-out part agrees, where a single mode is tested."""
+    """Whether the held-out part shows the same mode."""
     if whole.size - window.samples < 100:
         return True
     log = Window(motor_angle, whole, window.period, window.hold)

@@ -135,8 +135,8 @@ class Search:
         return window.kernel(lowest, longest_delay=min(longest, span), digits=digits)
 
     def averages(self, width: int) -> tuple[FitProblem, float]:
-        """The kernel on averages of `width` samples, a power of two, and the power of
-        these.
+        """The kernel on averages of `width` samples, a power of two, and the power of the
+        averaged output about its mean.
         """
         if width not in self.kernels:
             coarse = self.window
@@ -149,8 +149,8 @@ class Search:
         return self.kernels[width]
 
     def _shares(self, links: Real) -> Real:
-        """Shares (K,) of the power that links leave, each of averages that show its
-        resonance.
+        """Shares (K,) of the power that links leave unexplained, each on averages that
+        still show its resonance.
         """
         shares, widths = np.empty(len(links)), self.window.widths(np.exp(links[:, 1]))
         for width in {*widths.tolist()}:
@@ -234,7 +234,7 @@ class Search:
             columns = np.stack([response, state.real, state.imag, np.ones(time.size)])
             basis = np.linalg.qr(columns.T)[0]
             costs.append(own.output @ own.output - np.sum((own.output @ basis) ** 2))
-        # Where the best one leaves clearly less, there is no such vibration in this log.
+        # A frequency that leaves clearly more than the best one is no vibration of this log.
         worth = CLEARLY_LESS * np.array(costs) <= min(costs)
         return frequencies[worth], spacing
 
@@ -246,7 +246,7 @@ class Search:
         return tuple(sorted(COORDINATE[parameter] for parameter in own))
 
     def _delays(self, row: Real) -> tuple[float, float]:
-        """Range of the delay about a row [s]."""
+        """Range of the delay for a row [s]."""
         shortest, longest = (x * 2 * math.pi * math.exp(-row[1]) for x in _DELAY_LIMITS)
         span = self.window.samples * self.window.period
         return max(shortest, -0.9 * span), min(longest, 0.97 * span)
@@ -282,7 +282,7 @@ class Search:
             first += self._valleys(
                 [self._descended(name, row, first=True) for row in rows]
             )
-        # On averages that show them all, where their costs compare.
+        # On averages that show all of them, so that their costs are comparable.
         shapes = np.array([end.shape for end in first])
         width = int(self.window.widths(np.exp(shapes[:, 1])).min())
         kernel = self.averages(width)[0]
@@ -322,9 +322,9 @@ class Search:
         *,
         first: bool = False,
     ) -> Solution:
-        """The end of the kernel's descent from a row, with the delay in a range, or
-        after its `first` steps, on averages of samples; with infinite cost if there is
-        no response.
+        """The end of the kernel's descent from a row, with the delay in a range; if
+        `first`, after its first steps only, on averages of samples. The cost is
+        infinite if there is no response.
         """
         # Room for a descent to twice the resonance that it begins at.
         width = int(self.window.widths(2 * np.exp(row[1]))) if first else 1
@@ -400,12 +400,12 @@ class Search:
         return best
 
     def _special(self, name: str) -> Iterator[Real]:
-        """The fits of a structure's special cases: a step never raises the cost, so
-        that its own fit is never worse.
+        """The fits of a structure's special cases as starts: a step never raises the
+        cost, so that the structure's own fit is never worse.
 
-        Where a vibration outlasts the log, the undamped link of integer order is among
-        them: its search, which takes longest, tries every valley that phases over the
-        whole log have.
+        The undamped link of integer order is among them only where a vibration outlasts
+        the log: its search takes longest, as it tries every valley of the phase over
+        the whole log.
         """
         if {"order", "damping_order"} & {*self.fixed}:
             return

@@ -80,8 +80,8 @@ def special_cases(name: str) -> list[str]:
 def embedded(shape: Real, name: str) -> Real:
     """The shape of a special case in the coordinates of the structure `name`.
 
-    The link with fractional damping that is the undamped one of order λ is that one with
-    its inertia divided by s^α: ω₀ = 0, μ is the old ω₀² and α = 2 − λ.
+    The undamped link of order λ is a link with fractional damping, ω₀ = 0: times s^α with
+    α = 2 − λ its denominator s^λ + ω₀² is s² + μ s^α, where μ is the old ω₀².
     """
     order, place, *_, delay = shape.tolist()
     if order >= 2 or "order" in STRUCTURES[name].free:
@@ -211,8 +211,8 @@ def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:
         return hold
     steps = np.abs(np.ediff1d(motor_angle, to_begin=0.0, to_end=0.0))
     calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
-    # A jump is a twentieth of the whole range; an encoder that counts rarely is also at
-    # rest on both sides.
+    # A jump exceeds a twentieth of the whole range: a step of an encoder that counts
+    # rarely also has rest on both sides.
     jumps = calm & (steps[1:-1] > 0.05 * np.ptp(motor_angle))
     return "zero" if steps[1:-1][jumps].sum() > 0.5 * steps.sum() > 0 else "first"
 
@@ -221,7 +221,7 @@ def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:
 class Window:
     """A stretch of a log from its start, in the kernel's terms.
 
-    Of `input` (H + N,) the last N samples are those of `output` (N,). The H samples
+    The last N samples of `input` (H + N,) belong to those of `output` (N,). The H samples
     before them move the link, but are not compared: without them a log cut in
     mid-motion begins with a vibration that no link at rest has, and the fit takes it
     for delay and damping (8 ms on the bundled log, see
@@ -270,8 +270,8 @@ class Window:
 
     @cached_property
     def halved(self) -> Window:
-        """Averages of pairs of samples: that of the output is the response to that of the
-        input, since the link is linear, and is linear between samples.
+        """Averages of pairs of samples: the averaged output is the response of the linear
+        link to the averaged input, which is taken as linear between samples.
         """
         earlier, count = self.input.size - self.samples, self.samples // 2 * 2
         angle = self.input[earlier % 2 : earlier + count]
@@ -285,7 +285,7 @@ class Window:
         self, resonance: float, *, longest_delay: float, digits: float = DIGITS
     ) -> FitProblem:
         """The kernel with a grid of rates for resonances from `resonance` [rad/s]
-        upwards, whose sum has so many `digits` of the response.
+        upwards, whose sum gives the response to so many `digits`.
         """
         exponent = digits * math.log(10)
         # The error of the trapezoidal rule in ln(rate) is exp(−π²/step), and a rate of

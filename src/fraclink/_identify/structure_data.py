@@ -59,7 +59,7 @@ class Lines:
 
     @cached_property
     def constant(self) -> Real:
-        """None: an offset is not a line of a response."""
+        """Zero: a frequency response has no offset."""
         return np.zeros(self.measured.size)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
@@ -80,13 +80,13 @@ class Signals(Window):
 
     @classmethod
     def of(cls, record: Recording, hold: Hold, count: int, whole: Real) -> Signals:
-        """The first `count` samples; the input is relative to rest, at the beginning of
-        the `whole` of it, which may begin before the recording.
+        """The first `count` samples; the input is relative to its rest at the beginning
+        of the `whole` input, which may begin before the recording.
         """
         earlier = whole.size - record.input.size
-        # Not from the beginning of a longer history: the input would jump from there to
-        # here, which no motor did. From here on the output differs at most by a
-        # constant, and `offset` refers to a rest here.
+        # Not the beginning of a longer history: the input would jump from that value to
+        # the first one here, which no motor did. The output then differs at most by a
+        # constant, which `offset` contains.
         rest = float(whole[0]) if earlier else record.input_at_rest
         # A constant input is a step at the first sample, which the next samples do not
         # distinguish from a straight line.
@@ -201,8 +201,8 @@ class Blocks:
 
 
 def _held(samples: Complex, x: Complex, hold: str, first: float) -> Complex:
-    """Transform of a held signal at x = s Ts, over Ts, from Σ x_k e^(−kx): steps, or
-    straight lines.
+    """Transform of a held signal at x = s Ts, divided by Ts, from Σ x_k e^(−kx): steps,
+    or straight lines.
     """
     if hold == "zero":
         # expm1: at the lowest lines x is 1e-5, where 1 − e^(−x) would lose five digits.

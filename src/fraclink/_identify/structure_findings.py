@@ -44,11 +44,11 @@ def structure_findings(
 def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
     for name in fit.at_bound:
         low, high = fit.limits[name]
-        # At zero no delay is seen.
+        # A delay that ends at zero is merely not visible.
         yield Finding(
             "W301",
             "warning" if low == 0.0 and fit.parameters[name] < 1e-6 * high else "error",
-            f"{name} ended at a bound, which is no estimate; other intervals hold with it there only",
+            f"{name} ended at a bound, which is no estimate; the other intervals only hold with it there",
             {"value": fit.parameters[name], "low": low, "high": high},
             "leave the term out if it vanished; else widen bounds, or check the sign of a channel",
         )

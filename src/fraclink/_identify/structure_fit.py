@@ -47,7 +47,7 @@ class StructureFit(Judged, Saved):
         parameter that ended at a limit, or that the data do not tell from others, has
         none.
     standard_errors
-        of the parameters with an interval; colour of the residual is allowed for.
+        of the parameters with an interval; they allow for the residual's colour.
     at_bound
         parameters that ended at a limit of their range.
     undetermined
@@ -64,7 +64,7 @@ class StructureFit(Judged, Saved):
         frequency response.
     heldout_nmse
         the same over the samples held out, or of every line as predicted from all
-        others; None where none were.
+        others; None where none were held out.
     place
         time [s] of the samples, or frequency [rad/s] of the lines, shape (N,).
     measured, predicted

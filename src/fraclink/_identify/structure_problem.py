@@ -24,7 +24,7 @@ Values = Mapping[str, float]
 ORDER_LIMITS = (0.02, 4.0)
 POSITIVE_LIMITS = _LEAST, _MOST = (1e-12, 1e12)
 COEFFICIENT_LIMITS = (-_MOST, _MOST)
-# Step of one-sided differences: the responses are accurate to that square.
+# Step of one-sided differences: the responses are accurate to its square.
 _STEP = math.sqrt(RESOLUTION)
 
 
@@ -141,7 +141,7 @@ class StructureProblem(Problem):
         rest = self.measured - self.output(values)
         return float(rest @ constant / (constant @ constant))
 
-    # --- as of `Problem`
+    # --- the members of `Problem`
 
     @cached_property
     def box(self) -> tuple[Real, Real]:
@@ -170,11 +170,11 @@ class StructureProblem(Problem):
 
     @cached_property
     def _aim(self) -> Real:
-        """What was measured, without an offset that is known."""
+        """What was measured, without the known offset, if any."""
         return self.measured - np.nan_to_num(self.offset) * self.data.constant
 
     def _centred(self, rows: Real) -> Real:
-        """Rows (..., R) without what a free offset takes of them."""
+        """Rows (..., R) with a free offset projected out."""
         if not math.isnan(self.offset):
             return rows
         unit = self.data.constant / np.linalg.norm(self.data.constant)

@@ -28,10 +28,10 @@ from fraclink._identify.structure_problem import StructureProblem
 from fraclink.errors import NotConvergedError
 from fracsys.checks import Real
 
-# Of the draws, and of the descents after a few steps, so many are continued: on the
-# screen each stage takes about as long as the one before.
+# Number of draws, of the descents that begin from the best of them, and of those that
+# are continued after a few steps: on the screen each stage takes about equally long.
 _DRAWS, _DESCENTS, _FOLLOWED = 1000, 64, 16
-# of a screen: orders, corners and delays show in its lowest 250 lines
+# blocks of a screen: orders, corners and delays show in its lowest 250 lines
 _BLOCKS = 500
 _NEARLY = 1.05  # costs on the samples within 5 % are followed
 _TRIED = 4  # number of descents on the samples

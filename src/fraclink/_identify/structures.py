@@ -97,7 +97,7 @@ def identify_structure(
     ------
     FieldError
         an unknown piece in the expression, a name that does not occur in it, too few
-        data, an option that does not apply to these data (`heldout` beside a frequency
+        data, an option that does not apply to these data (`heldout` with a frequency
         response).
     NotConvergedError
         no candidate has a response.
@@ -194,8 +194,8 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
     """Lines in ascending order, with their weights."""
     order = np.argsort(measured.frequency, kind="stable")
     h, coherence = measured.response, measured.coherence
-    # A relative weight of such a line would be infinite, and with any other its phase
-    # is still meaningless.
+    # A line of zero would have an infinite relative weight, and with any other weight a
+    # meaningless phase.
     if not np.all(np.abs(h) > 0):
         raise FieldError(
             "response",
@@ -368,6 +368,6 @@ def _lines_held(problem: StructureProblem, best: Place) -> float:
     """
     rows, residual = problem.linearised(problem.place_of(best.values))
     leverage = np.sum(np.linalg.qr(rows.T)[0] ** 2, axis=1)
-    # What only one number determines is predicted by none.
+    # A number with a leverage of one is predicted by no other.
     error = residual / np.maximum(1.0 - leverage, BLUR)
     return float(error @ error / problem.power)

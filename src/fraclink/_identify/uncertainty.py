@@ -34,9 +34,9 @@ from fracsys.checks import Real
 class Covariance:
     """Covariances (p, p) of parameters.
 
-    `inverse` is that of the normal matrix; times the residual's `variance` it is `white`,
-    which holds for independent residuals. `wide` holds for residuals of any (short)
-    correlation, and equals `white` if the colour was not requested. `effective` is the
+    `inverse` is that of the normal matrix; times the residual's `variance` it is the
+    covariance for independent residuals. `wide` holds for residuals of any (short)
+    correlation, and equals the former if the colour was not requested. `effective` is the
     effective number of fitted parameters with the residual's colour (Takeuchi's trace),
     `unseen` (p, k) are the directions that the data leave undetermined.
     """
@@ -127,7 +127,7 @@ def link_covariance(
     """Covariance of a link's parameters, gain and offset at a solution, and the relative
     standard error of the resonance Ω; cached in the search.
 
-    That is NaN if Ω ended at a limit; unlike ω₀ it is not correlated with α and λ.
+    The error is NaN if Ω ended at a limit; unlike ω₀, Ω is not correlated with α and λ.
     """
     key = (solution, coloured)
     if key in search.covariances:
@@ -151,7 +151,7 @@ def link_covariance(
 
 def _sandwich(inverse: Real, noise: Real, products: Real) -> Real:
     """Covariance under coloured `noise`, at least as wide as the `products` of
-    regressors and residual say.
+    regressors and residual imply.
 
     `inverse` is that of the normal matrix of the regressors.
     """

@@ -45,7 +45,7 @@ class Value(NamedTuple):
 @compared
 @dataclass(frozen=True, eq=False)
 class LogValidation:
-    """One log beside the prediction of a fit that was made without it.
+    """One log and the prediction of a fit that was made without it.
 
     Parameters
     ----------
@@ -100,17 +100,17 @@ _UNITS = {
 @compared
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Judged):
-    """A fit held against logs that it has not seen.
+    """A fit compared with logs that it has not seen.
 
     Parameters
     ----------
     fit
-        what was held against them.
+        the fit.
     logs
         one `LogValidation` for each.
     findings
-        W318 (error) where it does not predict a log, W362 (warning) where a log's own
-        fit lies beyond the intervals of both.
+        W318 (error) where it does not predict a log, W362 (warning) where its intervals
+        and those of a log's own fit do not overlap.
 
     Examples
     --------
@@ -134,7 +134,7 @@ class Validation(Judged):
 
     @property
     def models(self) -> tuple[LinkModel, ...]:
-        """The link as each log alone shows it: `others` of `ParameterBox.of`."""
+        """The link as each log alone shows it, for `others` of `ParameterBox.of`."""
         return tuple(each.fit.model for each in self.logs)
 
     @property
@@ -155,12 +155,12 @@ class Validation(Judged):
         return _figures(self.fit, self.fit.model)
 
     def figures_of(self, each: LogValidation) -> Mapping[str, Value]:
-        """The same of a log's own fit, at the payload of this fit where both are known."""
+        """The same for a log's own fit, at the payload of this fit where both are known."""
         return _figures(each.fit, _at_payload(each.fit.model, self.fit.model.payload))
 
     @property
     def verdict(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         error = f"error {100 * self.nmse:.3g} % (NMSE)"
         if not self.passed:
             return f"the model does not predict the other log: {error}"
@@ -172,7 +172,7 @@ class Validation(Judged):
         return f"the model predicts {which}: {error}{rest}"
 
     def overview(self) -> Overview:
-        """The error on each log, and what each says of the link by itself."""
+        """The error on each log, and the link that each shows by itself."""
         names = [source_name(each.log.source) for each in self.logs]
         errors = (
             rows_of(
@@ -285,7 +285,7 @@ def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
             "logs",
             0,
             "none given",
-            "one at least",
+            "at least one",
             "give a log that the fit was not made from",
         )
     validation = Validation(
