@@ -161,11 +161,12 @@ def margins(
     """Return every gain crossing, phase crossing and the modulus margin of an open loop
     L.
 
-    |L(jω)| = 1 gives the gain crossings, arg L(jω) = −π the phase crossings, min |1 + L(jω)| the modulus
-    margin. There is no grid to choose: the response is followed until neither ln L nor 1 + L moves far
-    between neighbours, and every crossing is polished to rounding. A delay makes countless phase crossings:
-    with one (and for a callable, which may hide one) those below −60 dB are left out, or, where the loop
-    rolls off too slowly for that, those below −6 dB at worst.
+    |L(jω)| = 1 gives the gain crossings, arg L(jω) = −π the phase crossings, min |1 +
+    L(jω)| the modulus margin. There is no grid to choose: it is refined until neither
+    ln L nor 1 + L changes much between neighbours, and every crossing is polished to
+    rounding. A delay makes countless phase crossings: with a delay (and for a callable,
+    which may hide one) those below −60 dB are left out, or, where the loop rolls off
+    too slowly for that, those below −6 dB at worst.
 
     Parameters
     ----------

@@ -191,8 +191,8 @@ def grow(
     resonances: Sequence[complex] = (),
     pairs: float = math.inf,
 ) -> Iterator[list[PartialFractions]]:
-    """Yield the best few fractions of order 0, 1, …, the best first; `finish` makes one
-    of them.
+    """Yield the best few fractions of order 0, 1, …, the best first; `finish` selects
+    one of them.
 
     `band` is the range of Ω to spread poles over, `resonances` are q (poles −q, −q̄)
     that are tried as they are, `pairs` is the largest number of pairs.

@@ -172,8 +172,8 @@ class Disc:
         )
 
     def placed(self, where: Mask) -> Disc:
-        """The discs in sequence at the places where the flag is set, zero at all
-        others.
+        """The discs, in their order, at the places where the flag is set, and zero at
+        all others.
         """
         centre, radius = np.zeros(where.shape, complex), np.zeros(where.shape)
         centre[where], radius[where] = self.c, self.r

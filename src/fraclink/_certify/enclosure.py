@@ -14,8 +14,9 @@ affine in 1/A. H is the tip angle as the law computes it, θm − κΓ, over θm
 torque ``E = κ c g e^{-jωτ_g}``, and the second mode R. η = μ/ω₀² is of the link's
 material, the same for every payload; q is not.
 
-Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L,
-nearly affine in q. One form alone needs a thousand times as many boxes.
+Where |L| is small, L is enclosed, by means of V = 1/S, which is affine in 1/q; where it
+is large, 1/L is enclosed, which is nearly affine in q. One form alone needs a thousand
+times as many boxes.
 
 An alias is L at ω + 2πn/Ts in place of ω, except in the periodic factors. Near the
 Nyquist frequency the nearest few, `ALIASES`, are enclosed in the same way as L; for the
@@ -55,8 +56,8 @@ _MAIN: Shifts = (0,)
 
 @dataclass(frozen=True)
 class FrequencyWindow:
-    """Over frequencies: F of each shift without delay and motor, the common factor of
-    the aliases, x, and y (Cm1 + Cm2).
+    """Functions of the frequency alone: F of each shift without delay and motor, the
+    common factor of the aliases, x, and y (Cm1 + Cm2).
     """
 
     fronts: tuple[Disc, ...]

@@ -63,8 +63,8 @@ def certify(
     acts in the moves that it states; tools/check_certificate.py checks it with other
     arithmetic against the files of `export_c`.
 
-    The certificate says ``passed``, ``verdict``, and where it fails the payload, the
-    frequency and what was found there.
+    The certificate contains ``passed`` and ``verdict`` and, where the proof fails, the
+    payload, the frequency and the distance found there.
 
     Parameters
     ----------
@@ -82,15 +82,13 @@ def certify(
         m, 0 < m <= 1; when left out what can be proved, usually within a hundredth of
         what a search finds, and not below 0.25: a loop that comes closer does not pass.
     law
-        the law to prove, where the design's own is not meant (double precision, another
-        order).
+        the law to prove, if not the design's own (double precision, another order).
     box
-        what the arm may be; when left out the box that the design was made for, else
+        the arms to cover; when left out the box that the design was made for, else
         ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's
         tolerances. ``ParameterBox.at(model)`` is the model itself.
     others
-        models of the same arm from other logs: the box is widened until it holds them,
-        too.
+        models of the same arm from other logs: the box is widened to include them, too.
 
     Raises
     ------

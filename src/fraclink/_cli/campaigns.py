@@ -128,7 +128,7 @@ def faults(
     1 where one fails.
 
     Every fault at three severities, three payloads and several phases of a move of 1
-    rad. Of a single run all signals and a figure are kept.
+    rad. If only one run is selected, all its signals and a figure are kept.
 
     $ fraclink campaign faults --design design.json --only F07 --out faults
     """

@@ -49,7 +49,7 @@ class Answer:
 
     `text` takes the place of the overview. `values` are added to the JSON of the
     result, or are the whole JSON where there is no result. `doubts` are errors of the
-    input: whatever the result, it shows nothing. `remarks` go to standard error
+    input, with which even a good result shows nothing. `remarks` go to standard error
     and are left out with --json. `saved` are results by the file that each is saved to,
     `written` the files that the command wrote itself, `following` the command that a
     user would give next.

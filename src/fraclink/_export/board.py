@@ -78,13 +78,13 @@ static const law_real {name}_acceleration[{guard}_LENGTH] = {{
 def export_reference(
     reference: Reference, path: Path, *, period: Period, force: bool = False
 ) -> Path:
-    """Write a reference as a table with a row each `period` [s], up to its rest, and
-    return the file.
+    """Write a reference as a table with one row for each `period` [s], up to its rest,
+    and return the file.
 
     A name that ends in .csv gets the columns time_s, angle_rad, velocity_rad_per_s and
-    acceleration_rad_per_s2, which `read_reference` reads back bit for bit; one in .h
-    the angles and accelerations as constant arrays in C99, named after the file, for a
-    program that runs the exported law.
+    acceleration_rad_per_s2, which `read_reference` reads back bit for bit; a name in .h
+    gets the angles and accelerations as constant arrays in C99, named after the file,
+    for a program that runs the exported law.
 
     Raises
     ------

@@ -59,7 +59,7 @@ def export_c(
     folder
         Made where it is missing; an existing one that is not empty needs `force`.
     precision
-        The law's own where it is left out.
+        Arithmetic of the law, by default its own.
     prove
         Prove what can be proved about these very files with the provers that are
         installed (Debian's frama-c-base, z3 or cvc5, gappa; python-flint): README.md
@@ -67,12 +67,12 @@ def export_c(
         (`Proof.load`), proof/ holds the logs. Half a minute on a desktop. Needs the
         package fraclink-prove (folder prove/ of the repository).
     certificate
-        Of the loop that the exported law closes, from `certify`; with `prove` it
-        becomes a claim.
+        From `certify`, for the loop of the exported law; with `prove` it becomes a
+        claim.
     estimator
-        From `Design.estimator`: payload_estimator.c and .h, its tables and a self-test
-        of its own stand beside the law, in its precision, and README.md says how to
-        call it. It is tested, not proved.
+        From `Design.estimator`: adds payload_estimator.c and .h, its tables and its own
+        self-test, in the precision of the law, and README.md says how to call it. It is
+        tested, not proved.
     force
         Overwrite the files in an existing folder.
 

@@ -37,9 +37,9 @@ class Claim:
         why it is not proved: the alarm, the counterexample, the missing tool with its
         Debian package.
     tools
-        who decided it, with versions.
+        the tools that decided it, with versions.
     logs
-        files below the folder that show it, and their SHA-256.
+        files in the folder that document the decision, and their SHA-256.
     """
 
     name: str

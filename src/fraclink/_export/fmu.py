@@ -46,7 +46,7 @@ def export_fmu(
     tip_estimate [rad], mode, reason, flags. One communication step is one period [s];
     another step size is an error. The outputs of a step answer the inputs at its
     beginning, so the co-simulation adds the one period of delay that the design counts
-    on. In every period they are, to the bit, those of `simulate`.
+    on. In every period they equal those of `simulate` bit for bit.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def export_fmu(
         The file; its stem is the model's name and must be a C identifier. An existing
         one needs `force`.
     precision
-        Arithmetic of the law, its own where it is left out; the FMU's variables are in
-        double precision.
+        Arithmetic of the law, by default its own; the FMU's variables are in double
+        precision.
     compilers
         Each adds a library for the platform it compiles for: ``("cc",
         "x86_64-w64-mingw32-gcc")`` makes an FMU for Linux and Windows. Sources are

@@ -23,7 +23,7 @@ PERIODS = 1000
 
 
 def noise() -> Iterator[int]:
-    """Yield −2048 … 2047 at random, as noise() of the generated C."""
+    """Yield −2048 … 2047 at random, as noise() of the generated C does."""
     seed = 1
     while True:
         # The linear congruential generator of Numerical Recipes: one line of C without
@@ -35,8 +35,9 @@ def noise() -> Iterator[int]:
 
 
 def periods() -> Iterator[tuple[int, int, int]]:
-    """Yield number, tick and a triangle of 0 … 256 of each period, as the generated C:
-    three periods are missed and one is called twice, which must be bridged and flagged.
+    """Yield (number, tick, triangle of 0 … 256) for each period, as the generated C
+    does: three periods are missed and one is called twice, which must be bridged and
+    flagged.
     """
     tick = 0
     for k in range(PERIODS):

@@ -187,8 +187,8 @@ _REST = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def _read_only(value: Any) -> Any:
-    """An array itself where it is read-only, a read-only copy otherwise; a mapping's
-    read-only view.
+    """A read-only array itself, a read-only copy of any other, and a read-only view of
+    a mapping.
     """
     if isinstance(value, dict):  # already copied by the check
         return MappingProxyType(value)
