@@ -48,7 +48,7 @@ TESTS = {
     "payload_estimator": "test_estimator test_export_readme test_export_firmware",
     "figures": "test_solver test_shape test_design",
     "fit": FIT, "fit_pass": FIT, "fit_weights": FIT, "normal": FIT + " test_simulate",
-    "weights": LOOP, "batch": "test_simulated_links test_simulate",
+    "weights": LOOP,
     "loop": LOOP, "minimax": "test_rational_approximation",
     "modes": "test_response_kernel test_response", "twin": TWIN, "twin_law": TWIN,
     "fmi3": "test_export_fmu_sources test_export_fmu_calls test_export_fmu",
