@@ -209,7 +209,7 @@ _STIFFNESS = np.array(
 
 
 def mass_matrix(beam: Beam) -> Real:
-    """Mass matrix [kg] of the clamped beam; slopes times element length."""
+    """Mass matrix [kg] of the clamped beam; its slopes are times the element length."""
     mass = _unloaded(beam.with_payload(1.0))[0].copy()
     mass[-2, -2] += beam.payload
     return mass

@@ -90,8 +90,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class ParameterBox:
-    """An interval of every parameter of an arm that a proof or a design has to cope
-    with.
+    """An interval for every parameter of an arm that a proof or a design has to cover.
 
     Attributes
     ----------
@@ -237,7 +236,7 @@ def _around(model: LinkModel, rig: Rig) -> ParameterBox:
         return _hull((value * (1 - part), value * (1 + part)), model.interval(name))
 
     # The wider of two uncertainties at each end: an interval is what one log leaves
-    # open, a tolerance what a laboratory does not measure at all.
+    # open, a tolerance covers what a laboratory does not measure at all.
     order = _hull(
         (model.order - tolerances.order, model.order + tolerances.order),
         model.interval("order"),

@@ -31,7 +31,8 @@ __all__ = [
 ]
 
 
-# Samples of one reference: 2 h at 4 ms; angle, velocity and acceleration take 48 MB.
+# Samples of one reference: 2 h at 4 ms; angle, velocity and acceleration take 48 MB, and
+# twice as much while they are computed.
 LONGEST = 2_000_000
 # A quintic divides by the fifth power of its duration; beyond these limits the
 # quotients overflow.
@@ -144,8 +145,8 @@ class Path(Reference):
             np.pad(p.coefficients, ((0, 0), (0, width - p.coefficients.shape[1])))
             for p in (self, later)
         )
-        # A second path that starts later follows the rest of this one; one that starts
-        # at 0 replaces it.
+        # The last piece of this path, at rest, is kept until the second path starts, and
+        # dropped if that starts at 0.
         keep = (
             self.breaks <= self.duration
             if later.breaks[0] > 0

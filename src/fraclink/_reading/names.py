@@ -1,8 +1,8 @@
 """The meaning of column names: the usual quantity of such a name, and the unit at its
 end.
 
-Names are hints. `inspect_log` prints what they suggest, `start` asks where they are
-ambiguous; only names such as ``motor_angle_rad`` count as stated.
+Names are hints: `start` uses them and asks where they are ambiguous. `read_log` takes
+only names such as ``motor_angle_rad`` as stated.
 """
 
 from __future__ import annotations
