@@ -28,9 +28,9 @@ LAG = (1 / (0.4 * s**1.5 + 1)).delayed(0.05)
         (
             1 / (s - 1),
             {},
-            "plant: unstable: it has a pole with Re s >= 0 beside the origin",
+            "plant: unstable: it has a pole with Re s >= 0 other than at the origin",
         ),
-        (-1 / (s + 1), {}, "plant: of negative gain at rest"),
+        (-1 / (s + 1), {}, "plant: of negative gain at low frequency"),
         ((s + 2) / (s + 1), {}, r"plant: not strictly proper"),
         (
             LAG,

@@ -64,8 +64,8 @@ def tune_pid(
     ----------
     plant
         P(s): a function of `fracsys.s`, the result of `identify_structure`, or a
-        python-control system with one input and one output; of positive gain at rest,
-        without poles in Re s > 0.
+        python-control system with one input and one output; of positive gain at low
+        frequency, without poles in Re s > 0.
     phase_margin
         φ_m [rad], met at ω_c and kept at every other crossing.
     gain_crossover
@@ -218,7 +218,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
 
 def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, ...]:
     """The steady-state error after a step, if neither controller nor plant integrates."""
-    # An integral of any order λ > 0 has infinite gain at rest: the error then vanishes,
+    # An integral of any order λ > 0 has infinite gain at ω = 0: the error then vanishes,
     # although only like t^(−λ).
     if controller.integral or problem.integrators > 0.0:
         return ()
@@ -281,18 +281,18 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
         raise FieldError(
             "plant",
             str(own),
-            "unstable: it has a pole with Re s >= 0 beside the origin",
+            "unstable: it has a pole with Re s >= 0 other than at the origin",
             "a stable plant, or one with integrators",
             "stabilise it first, and tune for the closed loop",
         )
-    # The sign of the gain at rest: with gains of C >= 0, a plant of negative gain gives
+    # The sign of the gain at low frequency: with gains of C >= 0, a plant of negative gain gives
     # positive feedback.
     lowest = own.numerator[-1].coefficient / own.denominator[-1].coefficient
     if lowest < 0.0:
         raise FieldError(
             "plant",
             str(own),
-            "of negative gain at rest",
+            "of negative gain at low frequency",
             "> 0",
             "tune for -plant, and negate the controller's output",
         )
@@ -333,7 +333,7 @@ def _problem(
         raise FieldError(
             "flat_phase",
             True,
-            f"asked of a {form} whose order is given: nothing is left to make the phase flat with",
+            f"asked of a {form} whose order is given: no parameter is left to make the phase flat",
             "False",
             "give flat_phase=False (--no-flat-phase), or leave the order free",
         )

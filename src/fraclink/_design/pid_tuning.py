@@ -205,7 +205,7 @@ class PidTuning(Saved):
         notes = [] if self.stable else ["the closed loop is not stable"]
         if self.delay:
             notes.append(
-                f"{quantity(self.delay, 'ms')} of the delay in the loop are those of the sampling"
+                f"{quantity(self.delay, 'ms')} of the delay in the loop are due to the sampling"
             )
         # This verdict must not be mistaken for a certificate of an arm.
         notes.append(

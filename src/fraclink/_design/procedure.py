@@ -33,8 +33,8 @@ __all__ = ["design", "link_of", "request_of", "sketched"]
 
 Goal = Literal["noise", "settling", "margin"]
 
-# In each round, what the sampled law costs a row is added to its reserve; the cost is
-# nearly the same every time.
+# In each round, the sampled law's cost to a row is added to the row's reserve; the cost
+# is nearly the same every time.
 _ROUNDS = 4
 # Share of the fastest crossover or of the largest margin: the last tenth costs most,
 # since the fastest loop has no filter at all. (The published procedure also leaves a
@@ -395,14 +395,14 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
             continue
         request = replace(
             request.asking(**values),
-            # what passes with a phase-stabilised mode needs no search with a
+            # a request that passes with a phase-stabilised mode needs no search with a
             # gain-stabilised one
             loud=solution.search.request.loud,
         )
         trial, ended = _best(request, goal, law=True)
         if not trial.missed:
             return values
-        # more may be in the way than what the first search eased
+        # other rows than those that the first search eased may be in the way
         solution = solution if ended.kept else ended
     return {}
 

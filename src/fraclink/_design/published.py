@@ -149,7 +149,7 @@ def published(
         gain_crossover_upper=solution.upper,
         findings=(
             *doubts_of(rig, model, request.payloads),
-            *_not_looked_at(request, controller),
+            *_ignored_rows(request, controller),
         ),
     )
 
@@ -159,7 +159,7 @@ def _links(request: Request) -> Real:
     return np.geomspace(*request.natural_frequencies, PAYLOADS)
 
 
-def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding]:
+def _ignored_rows(request: Request, controller: Controller) -> Iterator[Finding]:
     """W405: the rows that the procedure does not cover and that its loop misses."""
     search = Search(request, request.first_links, controller.filter_order)
     outer = Outer.of(controller, request.reference)

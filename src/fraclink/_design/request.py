@@ -174,7 +174,7 @@ class Request:
     box: ParameterBox | None
     soft: frozenset[str]
     loud: bool = False
-    # a row with an unreachable goal, of which the search achieves as much as possible
+    # a row with an unreachable goal, which the search approaches as closely as possible
     aim: tuple[str, float] | None = None
 
     @staticmethod
@@ -194,7 +194,7 @@ class Request:
         return replace(self, spec={**self.spec, **wanted}, aim=None)
 
     def aiming(self, key: str, value: float) -> Request:
-        """Return the request for as much of one row as possible, up to a value."""
+        """Return the request for one row as close to a value as possible."""
         return replace(self, aim=(key, value), soft=frozenset({key}))
 
     def check(self) -> None:
@@ -378,7 +378,7 @@ class Request:
         )
         # a notch above the mode turns its phase away from -1
         low = mode if self.loud else mode / apart
-        # a mode below the resonance is that of a log with another payload
+        # a mode below the resonance comes from a log with another payload
         return (
             (None, (low, min(mode * apart, top)))
             if self.arms.resonance < mode < top

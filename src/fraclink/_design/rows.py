@@ -50,7 +50,7 @@ _STABLE = math.radians(2.0)  # phase margin where only stability is required
 class Row:
     """One requirement of the table.
 
-    ``figure`` is the logarithm of what is judged unless ``signed``. ``empty`` says
+    ``figure`` is the logarithm of the judged value unless ``signed``. ``empty`` says
     whether it applies to the empty gripper instead of the payloads. ``bound`` replaces
     the figure in a search: values that must not be negative. ``absent`` counts as
     achieved where a loop has no such figure, for example no crossing. A row that is

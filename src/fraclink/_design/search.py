@@ -435,7 +435,7 @@ class Solution:
 
     @cached_property
     def measured(self) -> tuple[tuple[Row, Requirement], ...]:
-        """Every row, and what is achieved where it is worst."""
+        """Every row with its worst achieved value."""
         request = self.search.request
         return tuple(
             (row, item)

@@ -128,7 +128,7 @@ def _value(node: ast.expr, leaves: _Leaves, depth: int = 0) -> Any:
 
 
 def _operation(node: ast.expr, leaves: _Leaves) -> Callable[..., Any] | None:
-    """What a node does with its operands; None if no transfer function does that."""
+    """The operation of a node on its operands; None if no transfer function has it."""
     if isinstance(node, ast.Call):
         known = ast.unparse(node.func) == "exp" and len(node.args) == 1
         return leaves.exponential if known and not node.keywords else None

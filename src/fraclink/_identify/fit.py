@@ -179,7 +179,7 @@ class Fit(Judged, Saved):
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What was found, each with its standard error."""
+        """The identified figures, each with its standard error."""
         errors, unit = self.standard_errors, OUTPUT_UNITS[self.output_kind]
         link = (
             Row(

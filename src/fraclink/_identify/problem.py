@@ -183,13 +183,13 @@ def descend(
 def descend_within_samples(
     problem: Problem, place: Real, k: int, period: float
 ) -> Descent:
-    """Descents with coordinate k, a delay, held within the sampling intervals before
-    and after it.
+    """Descents with coordinate k, a delay, held within its sampling interval, and
+    within the one before.
 
     A held input jumps, and the response to a jump may begin with a vertical tangent: as
     a function of the delay the cost has a cusp wherever a sample passes a jump, and is
-    smooth only from a sample (included) back to the one before. A delay on a sample, to
-    1e-9 of the period, belongs to one interval, any other to the two beside it.
+    smooth only from a sample (included) back to the one before. For a delay on a
+    sample, to 1e-9 of the period, the interval that ends there suffices.
     """
     delay = place[k] / period
     whole = np.unique([math.floor(delay + 1e-9), math.ceil(delay - 1e-9)])

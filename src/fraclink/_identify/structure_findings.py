@@ -128,7 +128,7 @@ def _of_the_residual(fit: StructureFit, data: Signals | Lines) -> Iterator[Findi
         yield Finding(
             "W310",
             "error",
-            "what the structure leaves is smooth, not noise: the structure misses part of what was measured",
+            "the residual is smooth, not noise: the structure misses part of what was measured",
             evidence,
             "take another structure, or give bounds that admit what is missing",
         )

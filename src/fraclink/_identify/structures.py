@@ -71,10 +71,10 @@ def identify_structure(
         channels as a `Recording`, or a `FrequencyResponse`.
     expression
         numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur
-        several times; what stands in an exponent of s is an order, in ``exp`` a delay,
-        elsewhere a coefficient.
+        several times; one in an exponent of s is an order, one in ``exp`` a delay, any
+        other a coefficient.
     start
-        values of all free parameters to begin at, besides those that are tried anyway.
+        values of all free parameters to begin at, in addition to the starts tried anyway.
     fixed
         values of parameters that are known; ``"offset"`` is the output's constant part.
     bounds

@@ -277,7 +277,7 @@ COULOMB_SPEED = 0.02
 
 @dataclass(frozen=True)
 class DiscreteMotorLoop:
-    """The motor loop and what it needs to know of the motor; without it a law gives a
+    """The motor loop and what it needs to know about the motor; without it a law gives a
     motor reference only.
     """
 

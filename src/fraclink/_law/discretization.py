@@ -67,7 +67,7 @@ STATES = (
     6  # most states for the sake of the margin; more only where C itself needs them
 )
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
-# Fits of Ĉ with a zero at z = 1, as it is 0 at rest, until 1 + Ĉ meets the tolerance.
+# Fits of Ĉ with a zero at z = 1, as its DC gain is 0, until 1 + Ĉ meets the tolerance.
 correction_fits = partial(
     DiscreteFits,
     zeros_at_one=1,

@@ -5,7 +5,7 @@ law.c computes θm* = θt* + Ĉ(z) (θt* − θte) and u = P(z) (θm* − θm). 
 gauge has θte = θm, so that u = P(z) (1 + Ĉ(z)) (θt* − θm): with the measurement y in
 place of θm and the reference r in place of θt* this is a controller of the error r − y.
 P = k_P + k_I T (z + 1)/(2 (z − 1)) provides the integral action, exactly and with the
-anti-windup of law.c. The rest of C is 1 + Ĉ = C/P, which is 1 at rest: s^(−λ) becomes
+anti-windup of law.c. The rest of C is 1 + Ĉ = C/P, which is 1 at ω = 0: s^(−λ) becomes
 s^(−1) s^(1−λ), and the second factor is a filter like that of every other law.
 """
 
@@ -145,7 +145,7 @@ def _fitted(
     def rest(frequency: Real) -> Complex:
         return controller.response(frequency) / _response(base, frequency) - 1.0
 
-    # 1 + Ĉ = C/P is 1 at rest only if P has the entire integral of C: Ĉ has a zero at z
+    # 1 + Ĉ = C/P is 1 at ω = 0 only if P has the entire integral of C: Ĉ has a zero at z
     # = 1, and a lasting error only reaches the integer integral.
     fit = correction_fits(rest, period=period, band=band).fit(order)
     return modes_from("order", fit, REAL_MODES, PAIR_MODES), (

@@ -77,12 +77,12 @@ class Requirement:
 
     @property
     def shown(self) -> tuple[str, str]:
-        """What is wanted and what is achieved as text."""
+        """The wanted and the achieved value as text."""
         return quantity(self.wanted, self.unit), quantity(self.achieved, self.unit)
 
     @property
     def spare(self) -> float:
-        """The slack as a share of what is wanted; of what is achieved where that is 0."""
+        """The slack relative to the wanted value, or to the achieved one if that is 0."""
         return self.slack / (abs(self.wanted) or abs(self.achieved) or 1.0)
 
     @property
@@ -136,8 +136,8 @@ def law_rows(design: Design) -> tuple[Requirement, Requirement]:
     over the box.
 
     The required margin is the requested one less the law's tolerance; the required
-    distance is half of 2 sin(φ_m/2), the largest that a margin φ_m allows, and no more
-    than a proof requires. A design for the paper's ideal loop has no request for the
+    distance is half of 2 sin(φ_m/2), the largest that a margin φ_m allows, and at most
+    `LEAST_MODULUS`. A design for the paper's ideal loop has no request for the
     real loop: there only stability counts.
     """
     # One law for every payload and arm, as shipped: the fit does not know the payload.
@@ -178,7 +178,7 @@ def no_law_rows(design: Design) -> tuple[Requirement, Requirement]:
 def _rows_of_law(
     design: Design, margin: tuple[float, float], modulus: tuple[float, float]
 ) -> tuple[Requirement, Requirement]:
-    """The two requirements, from what is achieved and the payload [kg] of each."""
+    """The two requirements, from (achieved value, payload [kg]) of each."""
     goal = least = 0.0
     if design.margins_kind != "ideal":
         goal = design.phase_margin - math.radians(TOLERANCE_DEG)
@@ -249,7 +249,7 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
 
 def least_modulus(phase_margin: float) -> float:
     """Return the |1 + L| that the law that ships has to keep: half of the largest
-    distance that a margin allows, and no more than a proof requires.
+    distance that a margin allows, and at most `LEAST_MODULUS`.
     """
     return min(LEAST_MODULUS, math.sin(0.5 * phase_margin))
 

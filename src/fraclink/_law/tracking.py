@@ -183,7 +183,7 @@ def held_reference(reach: float, back: Complex) -> Complex:
 
 
 def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
-    """The best model with two real poles; its gain at rest is 1 by its form.
+    """The best model with two real poles; its DC gain is 1 by its form.
 
     The poles are searched on a grid, which cannot leave the stable ones: a free fit of
     the paper's motor loop with its delay ends at a pole of 1.3.
