@@ -146,7 +146,7 @@ class KelvinVoigt:
 
     @property
     def label(self) -> str:
-        """One word and the parameters, for headers of logs."""
+        """Name and parameters, for headers of logs."""
         return f"viscous, D = 1 + {self.time:g} s"
 
 
@@ -176,7 +176,7 @@ class FractionalKelvinVoigt:
 
     @property
     def label(self) -> str:
-        """One word and the parameters, for headers of logs."""
+        """Name and parameters, for headers of logs."""
         return f"fractional, D = 1 + {self.coefficient:g} s^{self.order:g}"
 
 
@@ -222,7 +222,7 @@ class PowerLaw:
 
     @property
     def label(self) -> str:
-        """One word and the parameters, for headers of logs."""
+        """Name and parameters, for headers of logs."""
         return f"power law, D = s^{2.0 - self.order:.6g} (lambda = {self.order:g})"
 
 

@@ -100,7 +100,7 @@ def estimator_for(
         raise FieldError(
             "told",
             told,
-            "of a law alone, which does not state its payloads",
+            "not possible with a law alone, which does not state its payloads",
             "a design, or an estimator",
             "give the design in place of its law, or "
             "told=fraclink.extend.payload_estimator(model, rig, law, payloads)",
@@ -126,7 +126,7 @@ def estimate_findings(
             Finding(
                 "W604",
                 "warning",
-                f"the estimated payload ({share} at the end) left the {1e3 * low:g} to {1e3 * high:g} g that "
+                f"the estimated payload ({share} the last time) left the {1e3 * low:g} to {1e3 * high:g} g that "
                 f"the design covers, in {np.count_nonzero(outside)} of {outside.size} periods",
                 {
                     "low": float(estimates.low[last]),

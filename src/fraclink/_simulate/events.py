@@ -209,7 +209,7 @@ def _check_span(time: float, until: float) -> None:
         )
 
 
-# --- what comes from outside in every period ------------------------------------------
+# --- the inputs of every period -------------------------------------------------------
 
 
 def healthy_inputs(

@@ -290,8 +290,8 @@ class ArmState:
         """Advance by the rows of `inputs` under a law's block; returns the kernel's
         record.
 
-        With an `estimator` in the law's precision, the law gets its payload instead of
-        that in the rows.
+        With an `estimator` in the law's precision, the law gets the estimated payload
+        instead of that in the rows.
         """
         if estimator is not None and self.estimate.size == 0:
             self.estimate = np.frombuffer(

@@ -162,8 +162,9 @@ def unexplained(
     if left <= bound or wiring.gauge_noise == 0.0:
         return ()
     return (
-        f"a linear link leaves a bend of {math.degrees(left):.2g}°, where {math.degrees(bound):.2g}° is noise or "
-        "within the band of the move, as with play in the gear, a loose clamp or a cable that pulls; less of it helps",
+        f"a linear link leaves a bend of {math.degrees(left):.2g}° unexplained, more than the "
+        f"{math.degrees(bound):.2g}° of noise or of the band of the move: play in the gear, a loose clamp or a cable "
+        "that pulls; less of it helps",
     )
 
 

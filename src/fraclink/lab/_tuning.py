@@ -117,7 +117,7 @@ class TuningPlan:
                 domain(self.period),
                 "1 wiring: short pulses that grow until the motor turns by 1°, over "
                 f"{math.degrees(2.0 * MOST):.2g}° at most and within the speed limit, also with dead sensors if the "
-                f"motor accelerates by no more than {STRONGEST:g} rad/s²; nothing is closed; 8 s",
+                f"motor accelerates by no more than {STRONGEST:g} rad/s²; no loop is closed; 8 s",
                 f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
                 f"growing to {part} % of the limits where that is needed; 5 to 15 s",
                 f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "

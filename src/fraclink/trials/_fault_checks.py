@@ -275,8 +275,8 @@ def settled(e: Evidence, within: float) -> Check:
 
 def settling(e: Evidence, ratio: float) -> Check:
     """Settling time of the last motion over that of the clean run, or of a law that
-    knows of the fault: a motor at its limit joins a reference that comes back at full
-    speed, and this shock excites the link whatever the state of the law.
+    knows of the fault: whatever the law, a motor at its limit joins a reference that
+    comes back at full speed, and this shock excites the link.
     """
     wanted = e.trial.wanted
     moving = np.flatnonzero(np.diff(wanted))

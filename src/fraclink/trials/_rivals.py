@@ -139,7 +139,7 @@ def builders(design: Design) -> dict[str, Builder]:
     return {
         FRACLINK: lambda: _by_law(request, design.controller, design),
         "motor PID alone": lambda: Rival(
-            "the motor follows the reference, and nothing looks at the tip",
+            "the motor follows the reference, without feedback of the tip",
             f"pole {design.rig.motor_loop.pole:.4g} rad/s",
             1.0,
             bare,
