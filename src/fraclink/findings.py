@@ -120,7 +120,7 @@ class Verdict:
     model: simulated moves of the identified model. twin: the arm with distributed mass
     under the law as it ships, varied arms, and faults if they were
     injected. arm: records of what the real one did; "not run" until there is one, which
-    leaves the rest as it is. remarks do not change the verdict.
+    does not lower the whole. remarks do not change the verdict.
 
     >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
     'not run'

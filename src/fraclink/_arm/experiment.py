@@ -110,7 +110,7 @@ class Experiment:
                 raise LogError(
                     name,
                     values.size,
-                    f"another number of samples than motor_angle has ({count})",
+                    f"not as long as motor_angle ({count} samples)",
                     f"{count} samples",
                     "cut the channels to their common span of time",
                 )

@@ -305,11 +305,11 @@ class LogTable:
         return bool(np.corrcoef(*pair)[0, 1] ** 2 > 1 - 1e-6)
 
     def bad_cells(self) -> list[str]:
-        """A sentence for each column with cells that are no numbers, with the first of
-        them.
+        """A sentence for each column with cells that are not numbers, with the first
+        of them.
         """
         return [
-            f"{self.names[place]}: {each.bad} of its cells are no numbers, the first in line "
+            f"{self.names[place]}: {each.bad} of its cells are not numbers, the first in line "
             f"{each.first[0]}, {each.first[1]!r}: {cell_remedy(each.first[1])}"
             for place, each in sorted(self.faults.items())
             if each.bad

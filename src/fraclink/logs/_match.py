@@ -493,8 +493,8 @@ class _Matching:
             odd = gain and not degree < calibrated**2 < 1 / degree
             if odd and not statement.unit:
                 text = (
-                    f"{name} is in {own} by its name, but {calibrated:.3g} times what the "
-                    "motor turns: in which unit? (Or state motor_angle=NAME * 1/N, if "
+                    f"{name} is in {own} by its name, but {calibrated:.3g} times the "
+                    "motor angle: in which unit? (Or state motor_angle=NAME * 1/N, if "
                     "that angle is measured before a gear.)"
                 )
                 example = f"deflection={name} [deg]"
