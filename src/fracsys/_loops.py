@@ -141,7 +141,7 @@ def _fractional_loop(
 ) -> SampledLoop:
     """A transfer function as a loop, with the frequencies at which to evaluate it."""
     terms = (*system.numerator, *system.denominator)
-    span, reach = _marks(system)
+    span, reach = _corner_span(system)
     slowest = max(t.delay for t in terms)
     steepest = max(
         abs(system.numerator[i].order - system.denominator[i].order) for i in (0, -1)
@@ -241,7 +241,9 @@ def around(zero: complex) -> Real:
     return zero.real + np.concatenate([-steps, steps])
 
 
-def _marks(system: FractionalTransferFunction) -> tuple[tuple[float, float], float]:
+def _corner_span(
+    system: FractionalTransferFunction,
+) -> tuple[tuple[float, float], float]:
     """ln of the outermost corner frequencies, and the distance beyond them at which the
     response has reached its asymptote.
     """

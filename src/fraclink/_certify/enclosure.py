@@ -188,7 +188,7 @@ class BoxLoop:
             first, both = self.controllers(x)
             factor = factor * y * first
             alias = alias * size * first.most()
-        fronts = [factor * self._open((w + n * self.turn) * 1j) for n in shifts]
+        fronts = [factor * self._aperiodic((w + n * self.turn) * 1j) for n in shifts]
         if np.any(frequency.low < frequency.high):
             middle = self._window(Span(frequency.middle, frequency.middle), shifts)
             steps = {"frequency": w.r}
@@ -197,7 +197,7 @@ class BoxLoop:
             ]
         return FrequencyWindow(tuple(fronts), alias, x, both)
 
-    def _open(self, s: Disc) -> Disc:
+    def _aperiodic(self, s: Disc) -> Disc:
         """The part of F that is not periodic, without the delay and the ideal motor loop; with
         the PID it includes the motor.
         """

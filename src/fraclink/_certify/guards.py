@@ -30,7 +30,7 @@ def check_guards(statement: Statement) -> None:
     outside the loop does not belong to the arm of the claim.
     """
     link = statement.link
-    for name, value, low, high in _parts(statement, link):
+    for name, value, low, high in _bounded_parts(statement, link):
         if not low <= value <= high:
             raise FieldError(
                 f"law.{name}",
@@ -39,7 +39,7 @@ def check_guards(statement: Statement) -> None:
                 f"{low:.6g} … {high:.6g}",
                 "make the law with Design.law()",
             )
-    for name, least in _least(statement, link):
+    for name, least in _least_limits(statement, link):
         value = float(statement.coefficients[name])
         # Negated, so that NaN is rejected.
         if not value >= least * (1 - 1e-5):
@@ -52,7 +52,7 @@ def check_guards(statement: Statement) -> None:
             )
 
 
-def _least(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
+def _least_limits(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
     """(field, least value) of every guard, as derived for the moves of the claim."""
     c, loop = s.coefficients, _followed(s)
     period = float(c["period"])
@@ -105,7 +105,9 @@ def _followed(s: Statement) -> Following:
     return Following.of(model, follows, period)
 
 
-def _parts(s: Statement, link: LinkModel) -> Iterator[tuple[str, float, float, float]]:
+def _bounded_parts(
+    s: Statement, link: LinkModel
+) -> Iterator[tuple[str, float, float, float]]:
     """(field, value, least, largest) of the filters and compensations outside the loop."""
     c = s.coefficients
     period, resonance = float(c["period"]), link.resonance

@@ -110,7 +110,7 @@ def assess(
     """
     design = Design.load(design_file)
     low, high = design.payloads
-    # Both ends, and their geometric mean, which is also that of ω₀ ∝ 1/√m.
+    # Both ends and their geometric mean, which is that of ω₀ ∝ 1/√m as well.
     payloads = (high, math.sqrt(low * high), low)
     assessment = Assessment(
         design,

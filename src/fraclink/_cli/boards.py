@@ -76,8 +76,8 @@ def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
 
 
 def _law(design: Design, *, motor: bool) -> Law:
-    # Without the motor loop the robot uses its own servo, which no pole placement
-    # affects.
+    # Without the motor loop the robot uses its own servo, which the pole placement does
+    # not affect.
     return design.law() if motor else discretize(design.controller, design.rig.period)
 
 

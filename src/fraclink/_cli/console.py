@@ -237,10 +237,10 @@ def unread_allowed() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except BrokenPipeError:
-        _let_go()
+        _discard_unread()
 
 
-def _let_go() -> None:
+def _discard_unread() -> None:
     """Discard output that a departed reader did not take, since the interpreter flushes
     it again at exit.
     """
@@ -264,7 +264,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         # The reader of a pipe left (`| head`): this is no error, but stdout must not be
         # flushed again. It is no verdict either: a verdict already reached stands,
         # otherwise there is none.
-        _let_go()
+        _discard_unread()
         return verdict
     except (Exception, KeyboardInterrupt) as error:
         (code, line), parts = _answer(error), _describe(error)

@@ -103,7 +103,7 @@ does not prove; about the rounding of the integral.
 
 def claims_text(law: Law, proof: Proof | None) -> str:
     """Return the sections "Claimed" and "Not claimed" of README.md."""
-    open_ = NOT_CLAIMED if law.has_gauge else NOT_CLAIMED_OF_PID
+    not_claimed = NOT_CLAIMED if law.has_gauge else NOT_CLAIMED_OF_PID
     preamble = "For this `law.c`, compiled as ISO C99 without fast-math and with contraction off:"
     if proof is None:
         voltage = (
@@ -121,7 +121,7 @@ def claims_text(law: Law, proof: Proof | None) -> str:
         stability = (
             "Stability of the loop is the design's matter.\n" if law.has_gauge else ""
         )
-        return f"## Claimed\n{claimed}\n## Not claimed\n{open_}{stability}"
+        return f"## Claimed\n{claimed}\n## Not claimed\n{not_claimed}{stability}"
     proved = [claim for claim in proof.claims if claim.status == "proved"]
     rest = [claim for claim in proof.claims if claim.status != "proved"]
     # Hashes are cut to 12 digits, 48 bits, enough to tell two logs apart; proof.json
@@ -130,9 +130,9 @@ def claims_text(law: Law, proof: Proof | None) -> str:
         f"## Proved\n{preamble}\n\n" + "\n".join(map(_proved, proved)) if proved else ""
     )
     if rest:
-        text += "\n\n## Not proved\n" + "\n".join(_open(claim) for claim in rest)
+        text += "\n\n## Not proved\n" + "\n".join(_unproved(claim) for claim in rest)
     closing = "`proof.json` lists the tools and the hashes of all files named here."
-    return f"{text.strip()}\n\n{closing}\n\n## Not claimed\n{open_}"
+    return f"{text.strip()}\n\n{closing}\n\n## Not claimed\n{not_claimed}"
 
 
 def _proved(claim: Claim) -> str:
@@ -140,7 +140,7 @@ def _proved(claim: Claim) -> str:
     return _item(f"{claim.statement}. ({', '.join(claim.tools)}: {logs})")
 
 
-def _open(claim: Claim) -> str:
+def _unproved(claim: Claim) -> str:
     word = "does not hold" if claim.status == "failed" else "not proved"
     return _item(f"{claim.statement}: {word}. {claim.reason}.")
 

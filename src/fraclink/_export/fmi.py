@@ -186,11 +186,11 @@ def _add_general(
     ET.SubElement(root, "DefaultExperiment", times)
 
 
-def _about(variable: Variable, reference: int) -> dict[str, str]:
+def _attributes(variable: Variable, reference: int) -> dict[str, str]:
     """Attributes of a variable: among them unit and start of a real one, range of an
     integer one.
     """
-    about = {
+    attributes = {
         "name": variable.name,
         "valueReference": str(reference),
         "causality": variable.causality,
@@ -200,11 +200,11 @@ def _about(variable: Variable, reference: int) -> dict[str, str]:
         "description": variable.description,
     }
     if not variable.unit:
-        return about | {"min": "0", "max": str(variable.largest)}
+        return attributes | {"min": "0", "max": str(variable.largest)}
     # Inputs have a start value; that of an output is calculated from the inputs that
     # `start_from` names.
     start = {"start": "0"} if variable.causality == "input" else {}
-    return about | {"unit": variable.unit} | start
+    return attributes | {"unit": variable.unit} | start
 
 
 def _connected(law: Law) -> str:
@@ -249,7 +249,7 @@ def descriptions(law: Law, name: str, token: str) -> dict[str, str]:
     places = {}
     for reference, variable in enumerate(variables):
         kind = "Float64" if variable.unit else "UInt32"
-        ET.SubElement(listed, kind, _about(variable, reference))
+        ET.SubElement(listed, kind, _attributes(variable, reference))
         places[variable.name] = str(reference)
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [variable for variable in variables if variable.causality == "output"]
