@@ -113,7 +113,7 @@ def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, Link
 class ArmSet:
     """A law and the arms that it moves: each of `links` with each of `payloads` [kg].
 
-    given: what the law is told of the payload of each arm, see `simulate`. on: whether
+    given: the payload that the law is told with each arm, see `simulate`. on: whether
     the arms are twins of the rig, or massless links as identified.
     """
 

@@ -119,7 +119,7 @@ def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
     last.
 
     The response of a mode to x^j is proportional to φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx.
-    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the
+    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; digits cancel for small |z|, where the
     series j! Σ zⁿ/(n + j + 1)! is used.
     """
     # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and the series ends

@@ -283,7 +283,7 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     if not loopback and not connection.unsafe_remote:
         raise _error(
             connection,
-            "not this machine: what is sent can be read and held up"
+            "not this machine: messages can be read and held up"
             if connection.key is not None
             else "not this machine: commands carry no password: any host that can send there moves the arm",
             "127.0.0.1, ::1 or localhost",

@@ -219,7 +219,7 @@ class RealtimeRun:
         return Spread.of(self.work)
 
     def overview(self) -> Overview:
-        """How many periods ran, how late, and whether the record is that of the law."""
+        """How many periods ran, how late, and whether the record replays."""
         spreads = (
             ("latency_s", "wake-up latency", self.latencies),
             ("work_s", "computing time", self.works),

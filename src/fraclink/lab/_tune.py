@@ -72,7 +72,7 @@ def tune(
     moves
         whether to make the first moves under the new law.
     begin
-        called with a sentence as each stage begins, and with what it found.
+        called with a sentence as each stage begins, and with its results.
     clock
         "none" for a `SimulatedArm`, which only advances when called; or that of a test,
         as for `run_realtime`.
@@ -409,5 +409,5 @@ def _lateness(guard: Guard) -> str:
         return ""
     return (
         f" (of {guard.count} samples {guard.lost} did not come in time: this machine, or the link, is too "
-        f"busy for a period of {1e3 * guard.period:.3g} ms, and what was measured suffers)"
+        f"busy for a period of {1e3 * guard.period:.3g} ms, which spoils the measurements)"
     )

@@ -214,8 +214,7 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
                     yield result
             if any(result.passed for result in results):
                 return
-    # The link may have no mass or that much: what is infeasible for one is not tried for
-    # the other.
+    # The link may have either mass: if one is infeasible, the other is not tried.
     except InfeasibleError as error:
         reason = f"requirements over the box: {error}"
         results.append(Built(rig, None, None, None, (reason,)))

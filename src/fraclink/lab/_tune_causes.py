@@ -158,7 +158,7 @@ def unexplained(
     power = float(np.mean(np.square(residual)))
     left = math.sqrt(max(power - noise**2, 0.0)) / model.stiffness
     bound = max(least, noise / model.stiffness)
-    # Without any noise the reading is simulated, and the residual is that of the fit.
+    # A gauge without any noise is simulated: the residual is an error of the fit.
     if left <= bound or wiring.gauge_noise == 0.0:
         return ()
     return (

@@ -251,8 +251,8 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
 def _louder_mode(
     link: LinkModel, cleaned: Experiment, fixed: dict[str, float]
 ) -> SecondMode:
-    """The second mode in what the link leaves of a record in which it has more energy
-    than the link.
+    """The second mode, from the residual of the link in a record in which the mode has
+    more energy than the link.
     """
     own = simulated_torque(
         link,

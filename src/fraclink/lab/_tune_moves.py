@@ -67,7 +67,7 @@ class FirstMove:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """What was promised beside what was measured."""
+        """The promised and the measured figures."""
         return rows_of(
             self,
             ("payload", "payload", "g"),

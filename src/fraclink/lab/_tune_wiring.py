@@ -106,7 +106,7 @@ class Wiring:
 
     @property
     def count(self) -> float:
-        """Step of an encoder with the same noise [rad]: that of a step s is s/√12."""
+        """Step of the encoder [rad], or if larger, the step s with its noise, s/√12."""
         return max(self.encoder_step, math.sqrt(12.0) * self.encoder_noise)
 
 

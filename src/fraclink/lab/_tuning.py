@@ -141,7 +141,7 @@ class Tuning:
     Parameters
     ----------
     limits, payload, payloads, period
-        what was asked for [kg], [s].
+        as requested [kg], [s].
     wiring, motor, link
         what was measured.
     certified

@@ -56,7 +56,7 @@ Steps = tuple[Mapping[str, Any], ...]
 # in ascending order of severity
 GROUPS = ("met", "slower than promised", "trips without need", "unsafe")
 # [rad] between tip and reference: an arm farther away with its drive on is dangerous,
-# whatever requirement it misses. It is the requirement on a flipped bit (F29).
+# whatever requirement it misses. F29 requires the same of a flipped bit.
 SAFE = 0.3
 # The mode that a reaction ends in: beside run, no other one is allowed.
 REACTIONS = {"A": "run", "B": "degraded", "C": "hold", "D": "off", "-": "run"}

@@ -290,7 +290,7 @@ def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
     # Without noise of the gauge the filter would have infinite gain; a tenth of a
     # millinewton-metre is below the step of every converter.
     noise = max(rig.gauge.noise, 1e-4) / link.stiffness
-    # The link's pole as that of the nearest model of integer order.
+    # A model of order 2 with the link's pole.
     w, ratio = link.resonance, link.damping_ratio
     # Motor reference to tip angle: M(s) and the mode of the link, states θm, θ̇m, θt,
     # θ̇t, and the reference, which is held for a period.

@@ -45,8 +45,8 @@ _FILES = {
 
 @dataclass(frozen=True)
 class Refusal:
-    """A request that no controller meets, and what the nearest feasible one has
-    instead, as arguments of `design`.
+    """A request that no controller meets, and the nearest feasible one, both as
+    arguments of `design`.
     """
 
     asked: Mapping[str, Any]

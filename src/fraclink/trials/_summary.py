@@ -131,8 +131,8 @@ class Failure:
 @dataclass(frozen=True)
 class Summary:
     """The runs of a campaign in figures: failures, tripped runs by (mode, reason), every
-    metric, and what the law was given of the payloads, in words; empty where it was
-    given nothing.
+    metric, and the payloads that the law was given, in words; empty where it was given
+    none.
     """
 
     failure: Failure
