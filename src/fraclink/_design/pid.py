@@ -56,7 +56,7 @@ def tune_pid(
     fractional.
 
     |L| = 1 with the phase margin φ_m at ω_c, and d arg L/d ln ω = 0 there (flat phase: the margin then
-    outlasts a change of the plant's gain), are three linear equations in the gains for each (λ, μ). Of all
+    withstands a change of the plant's gain), are three linear equations in the gains for each (λ, μ). Of all
     pairs of orders, and of all ω_c if none is given, the result has the least ITAE = ∫ t |e| dt with no negative
     gain, a stable loop, and `gain_margin` and `max_sensitivity` kept.
 
@@ -168,7 +168,7 @@ def tune_pid(
 
 
 def _of_law(made: PidTuning) -> tuple[Finding, ...]:
-    """The loss of phase margin in the law that ships, with the plant and its hold."""
+    """The findings on the phase margin that the shipped law keeps with the sampled plant."""
     if any(term.delay for term in made.plant.denominator):
         return (
             Finding(
@@ -217,7 +217,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
 
 
 def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, ...]:
-    """The steady-state error after a step, if neither controller nor plant integrates."""
+    """W421: the steady-state error if neither controller nor plant integrates."""
     # An integral of any order λ > 0 has infinite gain at ω = 0: the error then vanishes,
     # although only like t^(−λ).
     if controller.integral or problem.integrators > 0.0:

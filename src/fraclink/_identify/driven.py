@@ -133,7 +133,7 @@ class DrivenLinkFit(StructureFit):
         to torque it cannot be told from the amplifier's: it is left at 0.
 
         Raises FieldError where a gate of the fit failed: a link model has no findings,
-        and a design of it would pass.
+        and a design with it would pass.
         """
         if not self.passed:
             gates = "; ".join(
@@ -292,8 +292,8 @@ def _fitted(
 
 
 def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float | None:
-    """The highest local maximum of |H|, for a motor angle above the anti-resonance
-    [rad/s].
+    """Frequency [rad/s] of the highest local maximum of |H|; for a motor angle only
+    above the anti-resonance.
     """
     # Below its anti-resonance the response of a motor angle falls like an integrator: a
     # maximum there is not a resonance.

@@ -201,7 +201,7 @@ def fitted_samples(angle: Real, output: Real, heldout: float | None) -> int:
     fitted and the held-out part contain motion.
 
     The last 40 % are held out if the motor moves enough on both sides. Otherwise the
-    border moves to the rest before the last moves that contain a quarter of the motion;
+    border moves to the last rest that is followed by a quarter of the motion or more;
     a log of one move is cut within its ring-down, with a quarter of the vibration still
     to come.
     """

@@ -56,7 +56,7 @@ def weight_of(search: Search, solution: Solution) -> float:
     coefficients, innovation = autoregression(residual)
     turn = np.exp(1j * solution.resonance * search.window.period)
     power = innovation / float(np.abs(np.polyval(coefficients, turn))) ** 2
-    # A residual without colour at the resonance counts whole.
+    # With less noise at the resonance than on average, every sample counts in full.
     return 1 / max(variance, power)
 
 

@@ -160,8 +160,8 @@ def identify_motor(
         samples at which the later parts of a joined recording begin: no bump extends
         across one.
     spring
-        whether a spring may pull the motor to some angle, k (θm − θ₀) on the right: a
-        cable, or an arm whose plane is tilted.
+        whether a spring may pull the motor to some angle, −(k/J)(θm − θ₀) on the
+        right: a cable, or an arm whose plane is tilted.
 
     Raises
     ------

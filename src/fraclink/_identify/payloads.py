@@ -53,8 +53,8 @@ class LikelihoodRatio:
     @property
     def common(self) -> bool:
         """Whether the logs let the parameters be common (p ≥ 0.05)."""
-        # Of logs with truly common parameters one in twenty is rejected: the usual
-        # error of the first kind.
+        # Of logs with truly common parameters one in twenty is rejected, the usual
+        # type I error.
         return self.p_value >= 0.05
 
 
@@ -387,7 +387,7 @@ def _verdict(
     symbols = [SYMBOLS.get(name, ("the delay",))[0] for name in common]
     if tied:
         symbols.append("the stiffness of eq. (5)")
-    # Below 1e-9 the tail of a normal distribution means nothing for a real log.
+    # Below 1e-9 the tail of the χ² distribution means nothing for a real log.
     chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
     may = "may" if test.common else "cannot"
     return f"{' and '.join(symbols)} {may} be common to these {logs} logs ({chance})."

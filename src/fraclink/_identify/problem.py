@@ -209,7 +209,7 @@ def _damped_steps(
 ) -> tuple[Real, Real]:
     """Damped steps (M, p) between `low` and `high`, and the gain of undamped ones (M,).
 
-    A coordinate that would go beyond is held at its end, and the others follow from the
+    A coordinate that would go beyond is held at its limit, and the others follow from the
     quadratic model given its step: cut off alone, it would lead them out of the valley.
     """
     held = (low >= 0) & (slope < 0) | (high <= 0) & (slope > 0)

@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 _SCAN_ORDER = 1.85  # of the links of the scan: ζ = 0.13
 # Range of the delay as fractions of the vibration period.
 _DELAY_LIMITS = (-0.12, 0.35)
-_VALLEYS = 2  # valleys of a broad resonance: the lowest need not belong to a narrow one
+_VALLEYS = (
+    2  # valleys of the broad scan: the lowest need not be that of a narrow resonance
+)
 # ζ, each a third of the previous one, for the vibration that continues from before a
 # cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
 # of the resonance's width.

@@ -85,7 +85,7 @@ class Signals(Window):
         """
         earlier = whole.size - record.input.size
         # Not the beginning of a longer history: the input would jump from that value to
-        # the first one here, which no motor did. The output then differs at most by a
+        # the first one here, as no motor does. The output then differs at most by a
         # constant, which `offset` contains.
         rest = float(whole[0]) if earlier else record.input_at_rest
         # A constant input is a step at the first sample, which the next samples do not

@@ -30,7 +30,7 @@ from fracsys.checks.equality import compared
 @checked
 @dataclass(frozen=True, eq=False, repr=False)
 class StructureFit(Judged, Saved):
-    """A structure of one's own, fitted to a recording or to a frequency response.
+    """A user-defined structure, fitted to a recording or to a frequency response.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ class StructureFit(Judged, Saved):
     converged
         whether the descent met its tolerance.
     findings
-        codes W35x; one of severity "error" means that the parameters are not to be
-        believed.
+        codes W35x; one of severity "error" means that the parameters must not be
+        trusted.
     source, sha256
         of the data.
 

@@ -67,7 +67,7 @@ class Covariance:
 
     def of_lines(self, regressors: Real, residual: Real) -> Covariance:
         """For the lines of a response, which are measured one by one: their errors are
-        independent, and stronger at some lines than at others (White, Econometrica 48
+        independent, and larger at some lines than at others (White, Econometrica 48
         (1980) 817).
         """
         scores = self.inverse @ (regressors * residual)

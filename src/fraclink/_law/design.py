@@ -58,7 +58,7 @@ __all__ = ["Design", "Requirement", "Specification", "deg"]
 
 
 def deg(angle: float) -> float:
-    """Return an angle given in degrees in radians, ``x π/180``.
+    """Return in radians an angle given in degrees, ``x π/180``.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class Design(Saved):
         if late and late[0] > 0.0:
             parts.append(f"stays stable with {quantity(late[0], 'ms', 2)} more delay")
         parts += [f"missed: {requirement}" for requirement in self.missed]
-        # Crossover and phase margin are met exactly; the sentence names the tightest of
+        # Crossover and phase margin are in the sentence already; it names the tightest of
         # the others.
         others = [
             r
