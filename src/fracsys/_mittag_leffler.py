@@ -37,13 +37,13 @@ def mittag_leffler(
     E_{α,β}(z) = Σ_{k≥0} z^k/Γ(αk + β)
 
     E_{1,1} = e^z, E_{2,1}(−x²) = cos x, E_{1/2,1}(−x) = e^(x²) erfc x. t^(β−1)
-    E_{α,β}(λ t^α) is the impulse response of s^(α−β)/(s^α − λ). The error is at
-    most 1e-13, relative where |E| ≥ 1 and absolute elsewhere, up to |z|^(1/α) = 100
-    and, where |arg z| ≥ απ/2, for every z. Beyond, E grows like exp(z^(1/α)) and its
+    E_{α,β}(λ t^α) is the impulse response of s^(α−β)/(s^α − λ). The error is at most
+    1e-13, relative where |E| ≥ 1 and absolute elsewhere, up to |z|^(1/α) = 100 and,
+    where |arg z| ≥ απ/2, for every z. Beyond, E grows like exp(z^(1/α)) and its
     relative error like 1e-15·|z|^(1/α): the argument of the exponential is rounded. For
     α > 2 E oscillates between large values, and the bound is relative to that
-    amplitude, not to E itself near its zeros. What exceeds the range of
-    doubles is infinite. Real points give real values.
+    amplitude, not to E itself near its zeros. Values beyond the range of doubles are
+    infinite. Real points give real values.
 
     Parameters
     ----------

@@ -27,8 +27,8 @@ from fracsys.errors import FieldError
 SHEET = 1.5 * math.pi
 # limit of |ln |s||: squares of poles and of spans stay within doubles
 _RANGE = math.log(math.sqrt(sys.float_info.max))
-_VAGUE = 1e3  # units of rounding
-_NEAR = 0.02  # kept apart, zeros closer than this in ln s would lose two digits or more
+_VAGUE = 1e3  # largest shift of a pole [units of rounding]
+_NEAR = 0.02  # zeros closer than this in ln s would lose two digits if kept apart
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,8 @@ def _largest_claim(
     claim if that one is refuted.
     """
     loop, step = BoxLoop(claim), _ROOM
-    # Ends: each refutation lowers the distance, each other failure doubles the step.
+    # This ends, since each refutation lowers the distance and each other failure
+    # doubles the step.
     while True:
         # The proof includes only some of the aliases and bounds the rest: the claim is
         # reduced by that bound.

@@ -85,8 +85,8 @@ def _plane_of_inverse(value: Complex, m: Real) -> tuple[Complex, Real]:
 def _judge(
     loop: BoxLoop, low: Real, high: Real
 ) -> tuple[Mask, Mask, NDArray[np.int64], Real, Complex]:
-    """(whether it is proved, whether by 1/L, axis to cut, a point in it, value of L
-    there) for each box.
+    """For each box (whether it is proved, whether by 1/L, the axis to cut, a point in
+    it, L at that point).
     """
     with np.errstate(
         all="ignore"

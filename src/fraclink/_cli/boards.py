@@ -301,8 +301,8 @@ def serve_arm(
     """Serve a simulated arm in real time, for run-realtime to move; --duration, --once
     or Ctrl-C ends it.
 
-    It is the twin on a clock. The exit code is 1 where a controller went silent and the
-    watchdog had to switch the drive off.
+    The arm is the twin, run in real time. The exit code is 1 where a controller went
+    silent and the watchdog had to switch the drive off.
 
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """

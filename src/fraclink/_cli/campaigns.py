@@ -54,8 +54,8 @@ def montecarlo(
     $ fraclink campaign montecarlo --design design.json --runs 10000
     """
     subject = Design.load(design)
-    # Both set the payload of the law, and the summary would not show which one was
-    # used.
+    # --told and --estimate both set the payload of the law, and the summary would not
+    # show which one was used.
     refuse_beside(
         "--estimate", "the payload it estimates", told=(told and estimate) or None
     )

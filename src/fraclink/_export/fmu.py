@@ -61,8 +61,8 @@ def export_fmu(
         precision.
     compilers
         Each adds a library for the platform it compiles for: ``("cc",
-        "x86_64-w64-mingw32-gcc")`` makes an FMU for Linux and Windows. Sources are
-        always inside; without a compiler nothing else is.
+        "x86_64-w64-mingw32-gcc")`` makes an FMU for Linux and Windows. The sources are
+        always included; without a compiler nothing else is.
 
     Raises
     ------
