@@ -211,7 +211,7 @@ def discretize(
         raise FieldError(
             "design",
             repr(design),
-            "no Design",
+            "not a Design",
             "a Design or a Controller",
             "fl.design makes one",
         )
