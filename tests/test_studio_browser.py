@@ -535,7 +535,7 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         # Holding the tip by hand, and losing the payload during the move, on the twin.
         page.run("document.querySelector('#hold').click()")
         page.until(
-            "document.querySelector('#outcome').textContent.startsWith('On the twin: held at')"
+            "document.querySelector('#outcome').textContent.startsWith('On the twin: the tip held at')"
         )
         assert (
             page.run("document.querySelector('#hold').getAttribute('aria-pressed')")

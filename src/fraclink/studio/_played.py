@@ -68,7 +68,9 @@ def _events(
         # A release in the same frame would leave no duration: it counts as a touch of a
         # millisecond.
         events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
-        sentences.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
+        sentences.append(
+            f"the tip held at {math.degrees(place):.3g}° from {begin:.2f} s on"
+        )
     if isinstance(throw, Mapping):
         when, payload = _number(throw, "time"), _number(throw, "payload")
         events.append(PayloadChange(when, payload))

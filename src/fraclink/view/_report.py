@@ -100,7 +100,7 @@ def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path
 def _margin_rows(design: Design | None) -> list[Row]:
     """A row with the least phase margin over all arms consistent with fit and rig."""
     band = design and loops.margin_band(design, np.array(design.payloads))
-    label = "Phase margin of every arm that fit and rig leave open"
+    label = "Phase margin of every arm consistent with fit and rig"
     return [Row("", label, f"at least {number(band[0].min(), 3)}°")] if band else []
 
 
