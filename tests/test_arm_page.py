@@ -12,7 +12,6 @@ import io
 import json
 import re
 import runpy
-import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from browser import command_line
+from browser import browser
 from fraclink import main
 from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError
@@ -218,24 +217,15 @@ FAULTS = [
 
 def browsed(page: str, place: Path, settings: str) -> str:
     """The page at this address in a browser, after its script has run without an error."""
-    (place / "arm.html").write_text(page)
-    command = command_line(
-        place,
-        "--enable-logging=stderr",
-        "--virtual-time-budget=2000",
-        "--dump-dom",
-    )
-    answer = subprocess.run(  # noqa: S603
-        [*command, f"{(place / 'arm.html').as_uri()}#{settings}"],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    # neither an error nor a request that the policy blocked
-    assert "CONSOLE" not in answer.stderr
-    assert 'data-ready="true"' in answer.stdout
-    return answer.stdout
+    address = place / "arm.html"
+    address.write_text(page)
+    with browser(place) as tab:
+        tab.do("Page.navigate", url=f"{address.as_uri()}#{settings}")
+        tab.until("document.documentElement?.dataset.ready", "the arm is ready")
+        # neither an error nor a request that the policy blocked
+        assert not tab.complaints
+        assert all(request.startswith(("file:", "data:")) for request in tab.requests)
+        return str(tab.run("document.documentElement.outerHTML"))
 
 
 def python_of(shown: str) -> str:

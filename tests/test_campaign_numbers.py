@@ -4,6 +4,7 @@ summary, a row of a fault.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,12 @@ assert MODEL is not None
 
 
 # ────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_slow_arm_is_observed_for_five_of_its_periods() -> None:
+    slow = dataclasses.replace(MODEL, natural_frequency=2.0)
+    own = Campaign.of(RIG, slow, small().law, runs=10)
+    assert own.duration == pytest.approx(1.0 + 5.0 * slow.vibration_period)
 
 
 def test_a_campaign_follows_the_reference_that_it_is_given() -> None:

@@ -102,6 +102,15 @@ def test_payload_moves_the_frequency_by_equation_5() -> None:
         ("damping", {"damping": math.inf}),
         ("damping_order", {"damping_order": 2.0}),
         ("damping_order", {"damping_order": 0.0}),
+        (
+            "natural_frequency",
+            {
+                "natural_frequency": 0.0,
+                "order": 1.5,
+                "damping": 1.0,
+                "damping_order": 1.5,
+            },
+        ),
         ("payload", {"payload": 0.0}),
         ("payload", {"payload": -0.03}),
     ],

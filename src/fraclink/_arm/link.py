@@ -252,11 +252,13 @@ class LinkModel:
     intervals: tuple[tuple[str, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        if self.natural_frequency == 0 and self.damping == 0:
+        if self.natural_frequency == 0 and (
+            self.damping == 0 or self.damping_order >= self.order
+        ):
             raise FieldError(
                 "natural_frequency",
                 0.0,
-                "zero without damping",
+                "zero without a damping of lower order than the inertia",
                 "> 0",
                 "give ω₀ = sqrt(c/(m L²))",
             )

@@ -213,9 +213,10 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
     # In this order: a length or an acceleration needs a conversion to an angle, and the
     # most similar unit ("mm" → "mrad") would mislead the user.
     if unit in _LENGTHS and angle:
+        factor = UNITS["length"].get(unit, UNITS["length"]["inch"])
         return (
             "a length over the link's length is an angle: for a link of 0.32 m write "
-            f'"{role}={channel.column} * 1/0.32 [rad]" for metres'
+            f'"{role}={channel.column} * {factor:g}/0.32 [rad]"'
         )
     if unit in _ACCELERATIONS and angle:
         return "an accelerometer measures no angle: fit it by identify --structure, as k*s**2/(s**a + w)/(T*s + 1)"

@@ -257,7 +257,7 @@ class LogTable:
         problem, allowed = f"missing ({missing.size} of {values.size} cells)", "numbers"
         remedy = "record again"
         if share <= LOST_SHARE:
-            remedy += ", or read with interpolate=True (--interpolate)"
+            remedy += ", or let the reader of a log interpolate them (interpolate=True, --interpolate)"
         if faults is not None:
             line, cell = faults.first
             where = f"line {line}"

@@ -40,7 +40,9 @@ __all__ = [
 
 # runs that are drawn from one stream of random numbers, and simulated by one thread
 PART_RUNS = 1000
-REST = 3.0  # [s] after the longest move: five periods of the paper's slowest link
+# After the longest move, an arm is observed for five periods of its link's vibration, and
+# for 3 s at least.
+REST, VIBRATIONS = 3.0, 5.0
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
 DURATION = max(SHAPES) + REST
 # A normal draw is truncated at ±4σ, 6e-5 of the draws, so that no motor has a negative
@@ -311,11 +313,12 @@ class Campaign:
         own = equip(law, rig, model) if law.motor_loop is None else law
         ranges = draws_for(rig, model) if draws is None else draws
         ranges = replace(ranges, payload_given=_always(1.0)) if told else ranges
-        length = DURATION
+        rest = max(REST, VIBRATIONS * model.vibration_period)
+        length = max(SHAPES) + rest
         if reference is not None:
             # A given reference has its own size: with a drawn amplitude the moves would
             # not be the planned ones.
-            length = max(DURATION, reference.duration + REST)
+            length = max(length, reference.duration + rest)
             ranges = replace(ranges, amplitude=_always(1.0))
         if reference is not None and not isinstance(reference, Path | SampledReference):
             # for any other reference, the samples that can be stored in a file
