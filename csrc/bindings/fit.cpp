@@ -33,8 +33,8 @@ fit_request request(double gain, double offset) {
     return r;
 }
 
-// The log on its grid of rates; the increments of the input are computed once, with zeros on both sides. Motion
-// beyond the number of measured samples is that before the first one. Calls have tables of their own: threads may
+// The log on its grid of rates; the increments of the input are computed once, with zeros on both sides. If there is
+// more motion than measurement, its first samples precede the measurement. Calls have tables of their own: threads may
 // share the problem.
 struct Problem {
     fit_problem p{};
@@ -47,7 +47,7 @@ struct Problem {
                 "grid out of range");
         size_t samples = motion.size(), before = samples - measured.size();
         input.assign(samples + 2 * pad + FIT_GROUP * FIT_LANES, 0.0);
-        // A jump is that at its sample, a slope that after it.
+        // A jump belongs to its sample, a slope to the interval after it.
         double *increment = input.data() + pad + (hold ? 0 : 1), unit = hold ? period : 1.0;
         for (size_t k = 0; k + 1 < samples; k++) increment[k] = (motion.data()[k + 1] - motion.data()[k]) / unit;
         output.assign(measured.data(), measured.data() + measured.size());

@@ -96,7 +96,7 @@ struct Links {
 
 // `path` (K, 2, N) holds references of unit amplitude, angle and acceleration, of which a run follows the `chosen` one;
 // `faults` (N or 0, TWIN_INPUTS) are those of all runs, `estimator` the payload estimator's parameters, or empty. Signals
-// and marks are in the order of loop.h; numpy has the large pages for them.
+// and marks are in the order of loop.h; numpy allocates them on large pages.
 void run(nb::bytes params, bool single, nb::bytes estimator, Read<double, SHARED> shared, nb::handle given_links,
          Read<double, -1, COLUMNS> numbers, Read<std::uint64_t, -1> seeds, Read<std::int32_t, -1> chosen,
          Read<double, -1, 2, -1> path, Read<double, -1, TWIN_INPUTS> faults, Write<double, LOOP_SIGNALS, -1, -1> signals,
@@ -108,7 +108,7 @@ void run(nb::bytes params, bool single, nb::bytes estimator, Read<double, SHARED
                 marks.shape(1) == runs && marks.shape(2) == n,
             "array shapes of the closed loop disagree");
     require(std::all_of(chosen.data(), chosen.data() + runs, [&path](int c) { return c >= 0 && size_t(c) < path.shape(0); }),
-            "a run follows a reference that is not there");
+            "a run follows a reference that does not exist");
     const law_port &law = port_of(single);
     const auto block = words_of(params, law.sizes[LAW_PARAMS], "params");
     const auto bank = words_of(estimator, estimator.size() ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");

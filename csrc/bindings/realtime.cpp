@@ -22,8 +22,7 @@ namespace nb = nanobind;
 #ifdef __linux__
 namespace {
 
-// A connection to the arm. Exactly one of the three is in use: a channel, the two functions of a library, two
-// callables.
+// A connection to the arm: either a channel or two callables.
 struct Io {
     realtime_channel *channel = nullptr;
     nb::object read, write, seal;

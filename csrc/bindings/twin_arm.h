@@ -1,4 +1,4 @@
-// An ArmState of Python as the kernel has it: its arrays by their names, of sizes that the kernel does not check.
+// An ArmState of Python for the kernel, which does not check sizes: its arrays by their names, checked here.
 #ifndef FRACLINK_TWIN_ARM_H
 #define FRACLINK_TWIN_ARM_H
 

@@ -6,9 +6,9 @@
 #define PI 3.14159265358979323846
 #define TAU (2.0 * PI)
 #define LONGEST 0.2     /* step in ln w that stays in the valley it began in */
-#define CLOSE 1e-6      /* a step behind which the error, its square, is that of the arithmetic */
+#define CLOSE 1e-6      /* a step after which the error, its square, is rounding */
 #define NEWTON_STEPS 20 /* across the expansions, 2 ln 4.4 = 3.0 wide, and half a dozen to converge */
-#define LOUDEST 50.0 /* ln of a gain beside which one is nothing, and whose powers do not overflow */
+#define LOUDEST 50.0 /* ln of a gain next to which 1 is negligible, and whose powers do not overflow */
 
 static double square(double a) { return a * a; }
 static double power_of(cx a) { return a.re * a.re + a.im * a.im; }
@@ -23,7 +23,7 @@ typedef struct {
     double log_reference;      /* ln r */
     double lagged_reference;   /* Re of j d r/(1 + j d r) */
     int notched;
-    double centre, zero, pole; /* the notch's frequency, and half of the decay of its zeros and poles */
+    double centre, zero, pole; /* the notch's frequency, and the decay rates of its zeros and poles [1/s] */
 } second_term;
 
 static second_term term_of(const figures_outer *outer)
@@ -180,7 +180,7 @@ static place zero_of(const cubic *f, int imaginary, double line)
     return place_at(f, t);
 }
 
-/* The local minimum of |1 + L|, from the ends of half of its slope over ln w: a secant, then Newton's method. */
+/* The local minimum of |1 + L|, from half the slope of its square at both ends: a secant, then Newton's method. */
 static place nearest_to_minus_one(const cubic *f, double low, double high)
 {
     double t = low / (low - high);
@@ -218,13 +218,13 @@ static void set(const link *l, int figure, double value, const double *gradient)
         l->gradient[(k * figures + figure) * links + l->number] = gradient[k];
 }
 
-/* The same where it is less than what stands there. */
+/* The same if it is less than the present value. */
 static void set_less(const link *l, int figure, double value, const double *gradient)
 {
     if (!(l->value[figure * l->table->links + l->number] <= value)) set(l, figure, value, gradient);
 }
 
-/* A figure that C moves by Re(factor d ln C/dx). */
+/* A figure whose slope over x is Re(factor d ln C/dx). */
 static void set_moved(const link *l, int figure, double value, double w, double log_w, cx factor)
 {
     cx g[FIGURES_PARAMETERS];
@@ -379,7 +379,7 @@ static void gain_margin_figure(const link *l)
         if (half == next) continue;
         const cubic f = interval(l, i);
         const place p = zero_of(&f, 1, PI * (2.0 * fmax(half, next) - 1.0));
-        /* where C turns the phase, it passes the line elsewhere, at another gain */
+        /* if C turns the phase, the crossing moves, to another gain */
         const cx factor = {-1.0, -p.slope.re / steep(p.slope.im)};
         if (p.log.re < 0.0) set_moved(l, FIGURE_GAIN_MARGIN, -p.log.re, p.w, p.log_w, factor);
     }

@@ -28,8 +28,8 @@ typedef struct {
     const cx *plant, *loop;              /* links x expansions x terms: D and R over (ln w - centre)/radius */
     double radius;
     double region;                       /* how far from the resonance roots are looked for, in ln w */
-    const double *resonance, *highest;   /* links: the first mode, and where nothing may cross any more */
-    const double *band;                  /* links x 2: what belongs to the second mode */
+    const double *resonance, *highest;   /* links: the first mode, and from where on |L| must be < 1 */
+    const double *band;                  /* links x 2: the ends of the second mode's band */
     const int64_t *column;               /* links: the column of the resonance */
 } figures_table;
 
@@ -41,8 +41,8 @@ typedef struct {
 
 /* One row per figure, with the least or the only value of each link; NaN where it has none. */
 enum {
-    FIGURE_CROSSOVER,   /* ln w where |L| first falls to 1 beyond the resonance; later, on a lobe of a late gauge, is none */
-    FIGURE_REACH,       /* the same, or ln of the resonance and ln of what |L| lacks there */
+    FIGURE_CROSSOVER,   /* ln w where |L| first falls to 1 beyond the resonance; no later fall, on a lobe of a late gauge */
+    FIGURE_REACH,       /* the same; without it ln of the resonance, plus ln|L| there if it is negative */
     FIGURE_LEVEL,       /* ln|L| at the resonance */
     FIGURE_LAST,        /* ln w of the last crossing, except at the second mode */
     FIGURE_QUIET,       /* -ln|L| at its largest beyond `highest`, except at the second mode */
@@ -52,7 +52,7 @@ enum {
     FIGURE_GAIN_MARGIN, /* ln of the factor by which |L| < 1 may grow where the phase passes -180 degrees */
     FIGURE_DAMPING,     /* damping ratio of the roots of 1 + L near the axis, within the region */
     FIGURE_NOISE,       /* ln of the RMS of C/(1 + L) over the noise integral */
-    FIGURE_VOLTAGE,     /* the same of the voltage */
+    FIGURE_VOLTAGE,     /* the same for the voltage */
     FIGURE_MODES        /* ln of the part of the gain at a higher mode that points to -1, a row for each mode */
 };
 

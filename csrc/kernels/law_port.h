@@ -1,4 +1,4 @@
-/* law.c and its payload estimator, in either precision, behind doubles: what runs them is compiled once. */
+/* law.c and its payload estimator, in either precision, behind an interface of doubles: their callers are compiled once. */
 #ifndef FRACLINK_LAW_PORT_H
 #define FRACLINK_LAW_PORT_H
 

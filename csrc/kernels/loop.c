@@ -40,8 +40,8 @@ static double rounded_to(double value, double quantum)
     return quantum > 0.0 ? nearbyint(value / quantum) * quantum : value;
 }
 
-/* M(s) = 1/(1 + s/p)^2 under a held reference, exactly: a double pole at -p. Returns the voltage behind that move at its
- * beginning, coupling torque and friction compensated: from the equation (1). */
+/* M(s) = 1/(1 + s/p)^2 under a held reference, exactly: a double pole at -p. Returns the voltage that begins this
+ * move, with coupling torque and friction compensated, by equation (1). */
 static double follow_reference(motor_lanes *m, int l, const loop_rig *rig, double reference)
 {
     const double p = rig->pole;
@@ -157,7 +157,7 @@ static int out_of_bounds(const loop_link *link, const loop_rig *rig)
            !(rig->gauge_delay >= 0.0 && rig->gauge_delay < LOOP_DELAY);
 }
 
-/* What the gauge says of a torque, from a standard normal number; `gain` and `error` are a fault's, 1 and 0 for none. */
+/* The gauge reading of a torque, with noise from a standard normal number; `gain` and `error` of a fault: 1 and 0 for none. */
 static double gauge_reading(const loop_rig *rig, gauge_line *gauge, double torque, double normal, double gain,
                             double error, int64_t k)
 {
@@ -200,7 +200,7 @@ typedef struct {
 } arm_state;
 
 /* Motors under held voltages, with Coulomb friction as a proximal step: the friction force of a substep is the one that
- * shortens the speed by at most its impulse and never turns it around, which includes stiction. */
+ * reduces the speed by at most its impulse and never turns it around, which includes stiction. */
 FRACLINK_CLONES
 static void follow_voltages(motor_lanes *restrict m, int substeps)
 {
@@ -273,7 +273,7 @@ static double decide(const loop_arm *arm, const law_port *law, const void *param
     arm->mark[LOOP_REASON][k] = s->marks[PORT_REASON];
     if (!rig->sampled)
         return s->out[PORT_MOTOR_REFERENCE] - rig->start;
-    /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
+    /* ideal: the law's compensation cancels the coupling torque exactly, so neither is simulated */
     return s->out[PORT_VOLTAGE] - s->out[PORT_COMPENSATION];
 }
 

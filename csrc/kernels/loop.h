@@ -28,7 +28,7 @@ typedef struct {
     const double *second; /* gain, decay (re, im), 6 weights re, 6 im; null where there is none */
 } loop_link;
 
-/* Weights of one step of the motor, the only numbers of the loop that need a library of mathematics. They are made
+/* Weights of one step of the motor, the only numbers of the loop that need a math library. They are computed
  * outside of it (weights.c), so that the loop has the same bits wherever it is compiled, in a browser too. */
 typedef struct {
     double keep;   /* e^(-p T) or e^(-B h) */

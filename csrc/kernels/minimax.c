@@ -113,7 +113,7 @@ static double norm(const double *error, ptrdiff_t rows, double peak, int power)
     return sum;
 }
 
-/* Column `index` of the Jacobian's weighted rows: (gain times f(shape)) through the target's coefficients. */
+/* A column of the weighted Jacobian: gains times f(shapes), through the target's coefficients. */
 typedef struct {
     double a_re, a_im, b_re, b_im; /* a f(first) + b f(second) */
     int first, second;             /* shapes; -1 for the constant one, or for none */

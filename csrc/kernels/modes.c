@@ -3,7 +3,7 @@
 //     Toeplitz(impulse response) · inputs  +  out · state,
 // vectorised over the samples of the block, and the state at its end is decay^BLOCK · state + in · inputs,
 // vectorised over modes. The powers come from exp(n log d): d^n by repeated products would lose n units in
-// the last place, which is what limits slow modes over millions of samples.
+// the last place, which would limit slow modes over millions of samples.
 #include "modes.h"
 
 #include <math.h>
@@ -52,7 +52,7 @@ static double *in_entry(const tables *t, ptrdiff_t state, int sample) {
     return t->in + (state / LANES * BLOCK + sample) * LANES + state % LANES;
 }
 
-// d^0 … d^BLOCK from log d: four exponentials and at most three products each.
+// d^0 … d^BLOCK from log d: five exponentials, and at most three products for any power.
 static void powers(cx log, cx *p) {
     p[0] = (cx){1.0, 0.0};
     for (int n = 1; n <= BLOCK; n *= 2) {

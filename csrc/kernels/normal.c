@@ -74,7 +74,7 @@ static double tail(double p)
     return p < 0.5 ? -above : above;
 }
 
-/* Uniform number from a hash: 52 bits and a half, symmetric about 1/2, and never 0 or 1, where the quantile is
+/* Uniform number from a hash: 52 bits plus one half, symmetric about 1/2, and never 0 or 1, where the quantile is
  * infinite. */
 static double uniform(uint64_t stream, uint64_t counter)
 {

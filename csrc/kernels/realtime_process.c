@@ -1,4 +1,4 @@
-/* What real time takes of the process: its clock, signals that end a run in order, priority, and locked memory. */
+/* What real time needs from the process: its clock, signals that end a run in order, priority, and locked memory. */
 #define _GNU_SOURCE
 #include "realtime.h"
 

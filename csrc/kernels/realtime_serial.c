@@ -10,7 +10,7 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
-/* Bytes of a period of 0.1 s at 1 Mbaud; more would have waited for longer than a sample is useful. */
+/* What a line of 1 Mbaud carries in 0.1 s: older bytes are of no use as a sample. */
 #define ROOM 10240
 
 typedef struct {

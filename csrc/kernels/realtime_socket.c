@@ -10,7 +10,7 @@
 
 typedef struct {
     realtime_channel base;
-    struct sockaddr_storage peer; /* at an arm: its controller, or the last that might become it */
+    struct sockaddr_storage peer; /* at an arm: its controller, or the last sender that may become it */
     socklen_t peer_size;
 } socket_channel;
 

@@ -7,8 +7,8 @@
 
 #define ROWS 8 /* of a block: the stride is a multiple of it */
 
-/* Over the rows of a block. Clang, which compiles the page's engine for size, leaves their sums in memory unless the loop
- * over them is gone. */
+/* Over the rows of a block. Clang, which compiles the page's engine for size, keeps their sums in memory unless it is told
+ * to unroll the loop. */
 #ifdef __clang__
 #define FRACLINK_ROWS _Pragma("clang loop unroll(full)")
 #else
@@ -69,7 +69,7 @@ double twin_output(const twin_step *step, int row, const double *restrict x)
     return ((part[0] + part[1]) + (part[2] + part[3])) + ((part[4] + part[5]) + (part[6] + part[7]));
 }
 
-/* c += a b by rows; what is zero of `a`, most of an arm's matrix, costs nothing. */
+/* c += a b by rows; the zeros of `a`, most of an arm's matrix, cost nothing. */
 FRACLINK_CLONES
 static void add_product(int size, const double *restrict a, const double *restrict b, double *restrict c)
 {
@@ -88,7 +88,7 @@ static void add_product(int size, const double *restrict a, const double *restri
 }
 
 /* e^A - I of A/2^s by Taylor's series, then s times M <- 2 M + M M: without the identity in it, halving a matrix more
- * often than its spectrum needs (its norm has the squared frequencies of the modes in it) costs no digits. */
+ * often than its spectrum needs (its norm contains the squared frequencies of the modes) costs no digits. */
 void twin_exponential(int size, double *matrix, double *work)
 {
     const int count = size * size, terms = 12; /* 0.25^12/13! of the matrix: 1e-17 */
@@ -167,7 +167,7 @@ double twin_contact(const twin_step *step, const twin_obstacle *obstacle, const 
 }
 
 /* One step of motor and link. Friction is a constant torque over the step, the one that brings the hub to
- * rest at its end where friction can do that (it is stuck then), else the sliding friction against the
+ * rest at its end if friction can do that (it is stuck then), else the sliding friction against the
  * motion: exact stiction without a velocity threshold, and friction that can never push. */
 void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, double force, twin_memory *memory)
 {

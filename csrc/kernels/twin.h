@@ -94,8 +94,8 @@ enum {
 #define TWIN_TICK_MISSED 32
 #define TWIN_TICK_REPEATED 64
 
-/* Readings of one period as its fault leaves them; `last_angle` and `last_torque` are those of the period before. One
- * function for twin and loop: what "frozen" means is one thing. */
+/* Readings of one period as its fault leaves them; `last_angle` and `last_torque` are those of the period before. Twin
+ * and loop share this function, so that "frozen" means the same in both. */
 static inline void twin_break(const double *input, double last_angle, double last_torque, double *angle, double *torque)
 {
     const int faults = (int)input[TWIN_FAULTS];
@@ -152,11 +152,11 @@ enum {
     TWIN_DRIVEN_COLUMNS
 };
 
-/* One period of an arm without a law, whose amplifier is asked for a voltage; what is no number is none. */
+/* One period of an arm without a law, whose amplifier is asked for a voltage; not a number counts as 0. */
 void twin_drive(const twin_step *step, const twin_rig *rig, twin_memory *memory, double asked, double *row);
 
 /* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out. Returns the
- * number of periods run, less than asked for only where the twin left every bound. */
+ * number of periods run, less than asked for only if the twin diverged. */
 int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const twin_law *law,
              int periods, const double *input, twin_memory *memory, double *record);
 

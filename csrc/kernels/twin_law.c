@@ -62,7 +62,7 @@ int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *ob
         }
         record[TWIN_OUT_CONTACT] = largest;
         if (!(fabs(memory->state[0]) < 1e6)) {
-            return k + 1; /* diverged: the numbers behind it would be infinite */
+            return k + 1; /* diverged: later numbers would be infinite */
         }
     }
     return periods;
