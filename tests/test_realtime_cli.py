@@ -220,10 +220,10 @@ def test_a_board_is_run_and_left_with_its_drive_off(
         ),
         ("udp:127.0.0.1:70000", "port: out of range (got 70000)"),
         ("udp:127.0.0.1:http", "without a port"),
-        ("shm:arm", "no way to an arm"),
+        ("shm:arm", "not a connection to an arm"),
         ("serial:", "without a port"),
         ("serial:/dev/ttyUSB0@fast", "without a speed"),
-        ("", "no way to an arm"),
+        ("", "not a connection to an arm"),
     ],
 )
 def test_ways_that_lead_nowhere(

@@ -49,7 +49,7 @@ def montecarlo(
     ] = None,
     **machines: Annotated[Any, Keywords(run_campaign, "workers")],
 ) -> Answer:
-    """Run a law on many varied arms, with the same result whatever the workers.
+    """Run a law on many varied arms, with the same result for any number of workers.
 
     $ fraclink campaign montecarlo --design design.json --runs 10000
     """

@@ -54,7 +54,7 @@ ModelOut = Annotated[
 ]
 Output = Annotated[
     str | None,
-    "Transfer function: column of its output; of `driven`: torque, where it is no motor angle",
+    "Transfer function: column of its output; with `driven`: torque, if that was measured instead of the motor angle",
 ]
 BAND = Keywords(identification.identify_driven_link, "band")
 
@@ -325,7 +325,7 @@ def identify(
     ],
     structure: Annotated[
         str | None,
-        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, of a log with its voltage; driven, of a "
+        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, for a log with the voltage; driven, of a "
         "frequency response with the motor; or a transfer function, such as "
         '"k/(T*s**a + 1)*exp(-L*s)". Default: the link that the log supports',
     ] = None,

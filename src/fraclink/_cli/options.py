@@ -54,7 +54,7 @@ Payloads = Annotated[
 Columns = Annotated[
     list[str] | None,
     option("ROLE=NAME [UNIT]"),
-    'A column of the log, such as "motor_angle=theta [deg]"; a minus turns the sign. '
+    'A column of the log, such as "motor_angle=theta [deg]"; a minus reverses the sign. '
     "Instead of [log] in the rig file; roles: time, motor_angle, torque or deflection, voltage",
 ]
 

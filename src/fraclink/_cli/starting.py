@@ -36,7 +36,7 @@ def start(
         list[str] | None,
         option("ROLE=NAME [UNIT]"),
         'What you know of a column: "motor_angle=theta", "torque=-bridge [mNm]", "deflection=[deg]", '
-        '"motor_angle=pot * 36.8 [deg]"; a minus turns the sign, a plus keeps it',
+        '"motor_angle=pot * 36.8 [deg]"; a minus reverses the sign, a plus keeps it',
     ] = None,
     period_ms: Annotated[
         float | None,

@@ -208,9 +208,7 @@ class PidTuning(Saved):
                 f"{quantity(self.delay, 'ms')} of the delay in the loop are due to the sampling"
             )
         # This verdict must not be mistaken for a certificate of an arm.
-        notes.append(
-            "computed, not proved: a certificate knows the loop of an arm only"
-        )
+        notes.append("computed, not proved: certificates cover the loop of an arm only")
         return Overview(
             c.formula,
             state_of(self.passed),

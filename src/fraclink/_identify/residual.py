@@ -290,7 +290,7 @@ _RATIO_LIMITS = (5e-4, 0.2)
 # noise alone reaches 3.5; the spread of a coloured residual is itself known to a third
 # only.
 _SIGNIFICANT = 6.0
-# A mode with this static share matters for a design: at ζ = 0.02 its peak is 1.25 c.
+# A mode with this share of the gain matters for a design: at ζ = 0.02 its peak is 1.25 c.
 _SEEN = 0.05
 
 

@@ -247,7 +247,7 @@ class Design(Saved):
                 "box",
                 "its worst arm counts in every row"
                 if self.box
-                else "not asked: nothing is shown of arms that differ from the model",
+                else "not asked for: arms that differ from the model were not looked at",
             ),
         )
         # A doubt about the input outranks requirements that are met, because they are

@@ -163,7 +163,7 @@ def parse_connection(
     Udp(host='localhost', port=5005, unsafe_remote=False)
     >>> parse_connection("tcp:localhost:5005")
     Traceback (most recent call last):
-    fracsys.errors.FieldError: io: no way to an arm (got tcp:localhost:5005); expected serial:PORT@BAUD
+    fracsys.errors.FieldError: io: not a connection to an arm (got tcp:localhost:5005); expected serial:PORT@BAUD
     or udp:HOST:PORT. Start with serial: or udp:.
     """
     kind, _, rest = io.partition(":")
@@ -181,7 +181,7 @@ def parse_connection(
     if kind != "udp":
         raise _error(
             io,
-            "no way to an arm",
+            "not a connection to an arm",
             _FORMS,
             "start with serial: or udp:",
         )
