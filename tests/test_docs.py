@@ -170,6 +170,17 @@ def test_every_saved_kind_stands_in_the_file_formats() -> None:
     kinds = {kind for some in found for kind in some}
     assert len(kinds) >= 12
     assert {kind for kind in kinds if f"`{kind}`" not in text} == set()
+    versioned = re.compile(
+        r"^@document\(\s*\"([\w-]+)\",(?:\s*version=(\d+))?", flags=re.MULTILINE
+    )
+    versions = {
+        kind: version or "1"
+        for source in sources
+        for kind, version in versioned.findall(source)
+    }
+    stated = dict(re.findall(r"\| `([\w-]+)` \| (\d+) \|", text))
+    assert len(stated) >= 12
+    assert {kind: versions.get(kind, "1") for kind in stated} == stated
 
 
 PUBLIC = (
