@@ -58,7 +58,7 @@ static uint64_t widened(float value)
     return sign | (wide << 52) | fraction;
 }
 
-/* The binary32 nearest to a binary64, truncated; *finite is 0 if no binary32 can hold it. */
+/* A binary64 truncated to binary32, to 0 below 2^-126; *finite is 0 if it is too large, infinite or NaN. */
 static float narrowed(uint64_t bits, int *finite)
 {
     const uint32_t exponent = (uint32_t)(bits >> 52) & 0x7FFU;
@@ -95,7 +95,7 @@ void arm_link_begin(arm_link *link, uint32_t period_us, uint32_t seed)
     leave(link);
 }
 
-/* A complete message: obeyed if it is a new command of this run. */
+/* Obey a complete message if it is a new command of this run. */
 static void obey(arm_link *link)
 {
     const uint32_t sequence = (uint32_t)get(link->bytes + 8, 4);

@@ -11,10 +11,10 @@
 #include "clones.h"
 
 enum {
-    LANES = 8,        /* sums are formed in eight lanes on every machine: identical bits with any vectors */
+    LANES = 8,        /* sums are formed in eight lanes on every machine: identical bits with any vector width */
     STEPS = 12,       /* Newton steps per power; quadratic convergence needs 4 to 8 */
     TRIALS = 8,       /* tenfold increases of the damping before a step is given up */
-    MOST_TURNS = 200, /* turns of the power iteration; its quotient gains two digits per turn where columns differ */
+    MOST_TURNS = 200, /* turns of the power iteration; each reduces the error by (second/largest eigenvalue)^2 */
     SIDE = MINIMAX_PARAMETERS
 };
 
@@ -23,8 +23,8 @@ static const double HALF_PI = 1.57079632679489661923;
 typedef struct {
     const minimax_target *target;
     int reals, pairs, linear, side; /* linear: 1 + reals + 2 pairs parameters come before those of the poles */
-    ptrdiff_t rows, half;           /* 2 half rows, half being a multiple of LANES; rows beyond `count` stay zero */
-    /* s/(x + s) of each real pole, then q/(x + q), then its mirror image; half rows each */
+    ptrdiff_t rows, half;           /* half: `count` rounded up to a multiple of LANES, the rest zero; rows = 2 half */
+    /* s/(x + s) of each real pole, then q/(x + q) of each pair, then that of each conjugate pole; half rows each */
     double *shape_re, *shape_im;
     double *sum_re, *sum_im;        /* R/P */
     double *columns;                /* side x rows: weighted derivatives of the error */
@@ -98,7 +98,7 @@ static double largest(const double *values, ptrdiff_t count)
     return most;
 }
 
-/* Sum of |error/peak|^power; infinite beyond ten times the peak, where 10^128 would soon overflow a double. */
+/* Sum of |error/peak|^power; infinite if an error exceeds ten peaks, so that no power overflows a double. */
 static double norm(const double *error, ptrdiff_t rows, double peak, int power)
 {
     double sum = 0.0;
@@ -116,8 +116,8 @@ static double norm(const double *error, ptrdiff_t rows, double peak, int power)
 /* A column of the weighted Jacobian: gains times f(shapes), through the target's coefficients. */
 typedef struct {
     double a_re, a_im, b_re, b_im; /* a f(first) + b f(second) */
-    int first, second;             /* shapes; -1 for the constant one, or for none */
-    int slope;                     /* f(v) = v (1 - v), q x/(x + q)^2, instead of v */
+    int first, second;             /* shapes; first = -1: the constant 1, second = -1: none */
+    int slope;                     /* f(v) = v (1 - v) = q x/(x + q)^2 instead of f(v) = v */
 } minimax_column;
 
 FRACLINK_CLONES
@@ -248,7 +248,7 @@ static void solve(const double a[SIDE][SIDE], int side, double shift, const doub
 }
 
 /* Newton's equations (p - 1) J'W'W J x = -J'W'W e at one point. Squaring the Jacobian loses half of its digits, but
- * none that matter: its columns are scaled to one, and the damping stays above the square root of the rounding. */
+ * none that matter: its columns are scaled to one, and the damping stays far above the rounding of the product. */
 typedef struct {
     double a[SIDE][SIDE], right[SIDE], size[SIDE], scale;
 } minimax_equations;
@@ -295,7 +295,7 @@ static void stepped(const minimax_work *work, const minimax_equations *made, dou
         to[i] = from[i] + step[i] / (longest > 1.0 ? longest : 1.0);
 }
 
-/* Newton's method with Marquardt's damping for one power; `error` belongs to `here` on return, `there` is scratch. */
+/* Newton's method with Marquardt's damping for one power; `error` belongs to `here` on return, `next` is scratch. */
 static void newton(minimax_work *work, int power, double *here, double *error, double *next)
 {
     /* Little damping at first: the start is the solution of the previous norm, and Newton's step is nearly right. */
@@ -322,7 +322,7 @@ static void newton(minimax_work *work, int power, double *here, double *error, d
         memcpy(here, there, sizeof(double) * (size_t)work->side);
         memcpy(error, next, sizeof(double) * (size_t)work->rows);
         damping *= 0.1;
-        /* A relative change of the p-norm to the power p: 1e-4 of the worst error for any p. */
+        /* `norm` is the p-norm to the power p: the p-norm itself changes by less than 1e-4. */
         if (1.0 - reached / old < 1e-4 * power)
             return;
     }

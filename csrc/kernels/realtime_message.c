@@ -121,14 +121,14 @@ int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *
             channel->rejected++;
             continue;
         }
-        /* The difference of the sequence numbers, so that the count may wrap around. Late messages would be a step
-         * back. */
+        /* The difference of the sequence numbers, so that the count may wrap around. A late message must not replace
+         * a newer one. */
         const int32_t newer = channel->taken == 0U ? 1 : (int32_t)(each.sequence - channel->taken);
         channel->rejected += newer < 0;
         if (newer <= 0)
             continue;
         channel->taken = each.sequence;
-        /* A sender that leaves is not taken for a new controller. */
+        /* A stop does not connect its sender: a controller sends it when it leaves. */
         channel->kept |= kind == MESSAGE_COMMAND && each.words[0] != ARM_MODE_OFF;
         *message = each;
         found = 1;

@@ -1,5 +1,5 @@
-"""A held response as a recursion of exponential modes, and the expansion that gives
-them.
+"""The response to a held input as a recursion of exponential modes, and the expansion
+that gives the modes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TOLERANCE = RESOLUTION  # largest error of a response, relative to its peak
 @compared
 @dataclass(frozen=True, eq=False)
 class DiscreteModes:
-    """Exact held response of G at the samples, with O(modes) memory.
+    """Exact response of G to a held input, at the samples, with O(modes) memory.
 
         y[k] = direct·v[k] + first·v[k-1] + Σ gains_i x_i[k] + Re Σ pole_gains_j z_j[k],   v[k] = u[k - lag]
         x_i[k+1] = decays_i x_i[k] + v[k],   z_j[k+1] = pole_decays_j z_j[k] + v[k],   x, z = 0 at rest
@@ -136,7 +136,7 @@ def split_delay(delay: float, period: float) -> tuple[int, float]:
 # κ(z_p) = 1/(1 - exp(-2πi (z_p - iπ - x_0)/h)): 1 far below the cut, 1/2 on it midway
 # between two nodes, 0 far above. So no pole is a special case, not even one on the cut.
 #
-# The constant is left out: held responses use increments only, which makes the integral
+# The constant is left out: responses use increments of S only, which makes the integral
 # converge at r → 0 for every G weaker than 1/s there.
 
 # Eight nodes fail test_servo_and_link_a_double_pole_on_the_cut and
@@ -239,8 +239,8 @@ class _Modes:
         self.complex: list[Complex] = [np.empty((2, 0), np.complex128)]
 
     def add_poles(self, z: complex, places: Complex, weights: Complex) -> None:
-        """Add 2 Re Σ weights·e^(st) at s = `places`; for a pole e^z on the real axis
-        they are real.
+        """Add 2 Re Σ weights·e^(st) at s = `places`, or half of it for a positive pole
+        e^z.
         """
         if abs(z.imag - math.pi) < RESOLUTION:
             self.real.append(np.array([-places.real, 2.0 * weights.real]))
@@ -326,8 +326,7 @@ def _add_cut(
 def _folded(rates: Real, weights: Real, limit: float) -> Real:
     """Modes with rates below `limit` gathered on a few Chebyshev nodes.
 
-    Increments of e^(-rt) are r times a smooth function of r, so r·W is what is
-    interpolated.
+    Increments of e^(-rt) are r times a smooth function of r, so r·W is interpolated.
     """
     nodes = 0.5 * limit * (1.0 + chebpts1(_FOLD))
     moments = (weights * rates) @ _lagrange(2.0 * rates / limit - 1.0, _FOLD)

@@ -96,7 +96,7 @@ def approximate(
     band
         Lowest and highest frequency [rad/s], 0 < low < high.
     order
-        "minimax": number of poles of the whole, 1 … 12. "oustaloup" replaces each
+        "minimax": total number of poles, 1 … 12. "oustaloup" replaces each
         fractional power s^(a − ⌊a⌋) by a filter of 1 … 40 pole-zero pairs.
     method
         "minimax" has the smallest worst relative error over the band for its number of
@@ -141,7 +141,7 @@ def approximate(
 
 
 def _check(system: FractionalTransferFunction) -> None:
-    """FieldError for a structure that is not approximated."""
+    """FieldError for a structure that cannot be approximated."""
     if any(t.delay for t in (*system.numerator, *system.denominator)):
         raise FieldError(
             "system",
@@ -156,7 +156,7 @@ def _check(system: FractionalTransferFunction) -> None:
             repr(system),
             "zero at every frequency",
             "functions other than 0",
-            "approximate what is not zero: every error is relative",
+            "approximate another function: the error is relative",
         )
     if system.relative_degree <= -1:
         raise FieldError(

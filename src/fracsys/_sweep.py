@@ -22,16 +22,16 @@ from fracsys.errors import FieldError
 TURN = 0.5
 POINT_LIMIT = 50_000
 # |L| below which the phase of a delay is not followed, and the largest number of points
-# for it; with more, the next pair applies. A loop that rolls off like ω^(−1/2) would
-# need millions of points for irrelevant crossings at −60 dB.
+# of the sweep; if more are needed, the next pair applies. A loop that rolls off like
+# ω^(−1/2) would need millions of points for irrelevant crossings at −60 dB.
 _PATIENCE = ((FAINT, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
 def sweep(loop: SampledLoop, turn: float = TURN) -> tuple[Real, Complex, float]:
-    """Return (ln ω, L, quiet): between neighbours with |L| > quiet ln L changes by at
+    """Return (ln ω, L, quiet): between neighbours with |L| > quiet, ln L changes by at
     most `turn`, and 1 + L by at most its own modulus.
 
-    `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
+    `quiet` is 0 without a delay, else `FAINT`, or higher if the loop rolls off slowly.
     """
     # twenty per decade
     count = max(16, int((loop.high - loop.low) / math.log(10) * 20) + 1)
@@ -101,8 +101,8 @@ def frequency_grid(
     where it changes fast.
 
     The range is two decades beyond the corners of a transfer function; for a callable
-    it is 1e-6 … 1e6 rad/s, with both ends cut to one decade as far as they are straight
-    lines in a Bode plot. `limit` [rad/s] is the highest frequency.
+    it is 1e-6 … 1e6 rad/s, with the straight ends of the Bode plot cut to one decade
+    each. `limit` [rad/s] is the highest frequency.
 
     >>> from fracsys._fractional import s
     >>> w = frequency_grid(100 / (s**2 + 0.02 * s + 100))
@@ -123,7 +123,7 @@ def frequency_grid(
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], 300)
     # The even points cover the range where the phase turns slowly, the points of the
-    # sweep that where L changes fast.
+    # sweep the range where L changes fast.
     grid = np.union1d(even, x[np.isfinite(values)])
     frequencies: Real = np.exp(
         grid[np.concatenate([[True], np.diff(grid) > COINCIDENT])]
@@ -222,8 +222,8 @@ Tendency = Callable[[SampledLoop, Real], Real]
 
 
 def gain_level(loop: SampledLoop, x: Real) -> Real:
-    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, so
-    that it stays a number.
+    """ln |L|, finite even at a pole or zero on the axis, which counts as e^±745, the
+    range of doubles.
     """
     return np.clip(np.log(np.abs(loop(x))), -745.0, 745.0)
 

@@ -3,8 +3,8 @@ rounding.
 
 The relative error of one IEEE operation is at most 2^-50 (for a complex quotient, the
 worst case), that of numpy's elementary functions a few units in the last place. Every
-result is widened by `ROUNDING` of itself, at least four times as much. The proof does
-not rest on this, since the checker recomputes every leaf.
+result is widened by at least `ROUNDING` of its size, four times 2^-50. The proof does
+not rest on these bounds, since the checker recomputes every leaf.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class Disc:
     def __add__(self, other: Disc | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         centre = self.c + other.c
-        # From the terms instead of their sum: where they cancel, the sum is small but
-        # its error is not.
+        # Relative to the terms instead of their sum: where they cancel, the sum is small
+        # but its error is not.
         rounding = ROUNDING * (np.abs(self.c) + np.abs(other.c))
         slopes = dict(self.d)
         for name, slope in other.d.items():

@@ -86,7 +86,7 @@ CLAIM = (
 )
 # [rad per sample] From 0 to here |L| is bounded: 2^-20 of the Nyquist frequency, 0.7
 # mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its value at the crossover; or a twentieth
-# of the rate of a mode that is slower than that.
+# of the rate of the slowest mode, if that is less.
 _LOWEST, _SLOWEST = 2.0**-20 * math.pi, 0.05
 
 
@@ -113,8 +113,8 @@ class Statement:
     stiffness: float  # c [N·m/rad]
     damping_order: float  # α
     mode_damping: float  # ζ of the second mode
-    # payload [kg] at which the middle link has the resonance from which the limits were
-    # derived
+    # [kg], of the model; at it, the middle link has the resonance from which the limits
+    # were derived
     nominal_payload: float
     decay: float  # B [1/s]; 0 for the ideal loop
     payload_low: float  # [kg]
@@ -172,8 +172,8 @@ class Statement:
 
     @property
     def sentence(self) -> str:
-        """What is claimed, in units that a person reads; the arms of `intervals` lie
-        inside the claim.
+        """The claim in units that a person reads; its box of arms is the table
+        `intervals`.
         """
         return (
             f"proved stable for every payload from {span(self.payload_low, self.payload_high, 'g')}, "
@@ -231,7 +231,7 @@ class Statement:
 
     @property
     def whole(self) -> int:
-        """Whole periods of the computation delay, besides a part of one."""
+        """Whole periods of the computation delay, without the last part of a period."""
         period = float(self.coefficients["period"])
         return max(math.ceil(self.delay_high / period * (1 - 1e-9)) - 1, 0)
 
@@ -286,7 +286,7 @@ class Statement:
         return CLAIM.format(**asdict(self), **figures, law=self.digest[:12])
 
 
-# Where the proof fails: a certificate that is written to a file has no such place.
+# Fields on the place where the proof fails; a saved certificate has none.
 _UNSTORED = {"stored": False}
 
 
@@ -408,7 +408,7 @@ def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox) -> 
         raise FieldError(
             "model.order",
             box.order[1],
-            "two without damping: the link's pole lies on the stability boundary",
+            "2 or more without damping: the link's pole lies on the stability boundary",
             "λ < 2, or damping > 0",
             "certify with the identified damping, which every real link has",
         )

@@ -34,13 +34,13 @@ def design_for(
     near: Controller | None = None,
     **wanted: Any,
 ) -> tuple[Design, tuple[str, ...]]:
-    """Return the design of a request that the rig completes, and the assumptions as
+    """Return the design for a request completed from the rig, and the assumptions as
     sentences.
 
-    `wanted` are the options of `design`; None leaves one to the rig's ``[design]``
-    table. Without an entry there, the crossover is the highest that meets every
-    requirement, and Ms is at most 2. Values stated by the request or the rig are never
-    changed.
+    `wanted` are the options of `design`; an option that is None is taken from the rig's
+    ``[design]`` table. Without an entry there, the crossover is close to the highest
+    that meets every requirement, and Ms is at most 2. Values stated by the request or
+    the rig are never changed.
 
     With the controller of a similar request (`near`), the design is `sketched` if
     possible.

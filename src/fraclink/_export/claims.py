@@ -22,7 +22,7 @@ Status = Literal["proved", "failed", "not proved"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement about the exported files and what became of it.
+    """One statement about the exported files, and whether it was proved.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """The linear programme that shapes a reference for the loops of a set of arms.
 
-As long as no limit acts, the law, its motor loop and an arm are linear and the same in
-every period. The reference's velocity is a quadratic B-spline with a knot every few
+As long as no limit acts, the law, its motor loop and an arm are linear and
+time-invariant. The reference's velocity is a quadratic B-spline with a knot every few
 periods, so that angle, velocity and acceleration are continuous and each coefficient
 c_j is a smooth step of c_j rad in three knots. One run of law.c for such a step, on the
 arm without friction, noise and limits, determines the response to every reference: the
@@ -117,7 +117,7 @@ class Programme:
         return int(self.answers.shape[2])
 
     def count(self, time: float) -> int:
-        """Return how many steps a reference has that rests four knots after `time` [s]."""
+        """Return the number of steps of a reference at rest four knots after `time` [s]."""
         return max(1, math.ceil(time / (self.knot * self.period) - 1e-9)) + 2
 
     def path(self, coefficients: Real) -> Path:
@@ -133,8 +133,8 @@ class Programme:
 
     def least_distance(self, count: int, end: float, first: int, last: int) -> float:
         """Return the largest distance [rad] of any tip from `end` in rows first to last,
-        with the reference of `count` coefficients that makes it smallest; infinite if
-        none keeps the limits.
+        minimised over the references of `count` coefficients; infinite if none keeps
+        the limits.
         """
         rows, sides = self._rows(count, end, first, last)
         bounds = [(-self.largest, self.largest)] * count + [(0.0, math.inf)]
@@ -147,8 +147,8 @@ class Programme:
         self, count: int, end: float, first: int, last: int, within: float
     ) -> Real | None:
         """Return the reference whose acceleration varies least among those whose tips
-        stay `within` [rad] of `end`; the one with the least distance switches between
-        its limits.
+        stay `within` [rad] of `end`; the reference of least distance would switch
+        between its limits.
         """
         rows, sides = self._rows(count, end, first, last)
         # Σ |differences of the acceleration| as a linear programme: each one is bounded
@@ -174,7 +174,7 @@ class Programme:
     def _rows(self, count: int, end: float, first: int, last: int) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
         # After the reference has come to rest the loop only decays: its peaks lie
-        # before, or within a tenth of a second.
+        # before, or within the next `AFTER` periods.
         until = min(count * self.knot + AFTER, self.length)
         step = self.knot * self.period
         # acceleration at the knots, which bound it in between
@@ -213,8 +213,8 @@ def _least(
     infeasible.
 
     Of thousands of rows only dozens are active: the programme is solved with a few of
-    them, and again with those that its solution violates, until none is violated. This
-    is exact, and takes a third of the time of all rows at once.
+    them, those that the solution violates are added, and so on until none is violated.
+    This is exact, and takes a third of the time of all rows at once.
     """
     scale = np.maximum(np.abs(sides), PART * np.max(np.abs(sides)))
     active = np.zeros(len(rows), bool)

@@ -29,7 +29,7 @@ def check_signals_in(table: LogTable, source: str) -> None:
         raise LogError(
             "log",
             source,
-            f"not two columns of numbers, such as {faults[0]}",
+            f"not two columns of numbers ({faults[0]})",
             "a motor angle and an output that move",
             "export the log as a table of numbers",
         )

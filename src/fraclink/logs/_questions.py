@@ -60,7 +60,7 @@ class Question:
     option
         the option of the command line that states it.
     others
-        columns that are unlikely, and may be the answer all the same.
+        columns that are unlikely but possible answers.
     """
 
     role: str
@@ -101,7 +101,8 @@ class Question:
         units = [*UNITS_OF[role], *(["raw"] * (self.role == "output"))]
         own = unit_of_name(each.column or "")
         if of_column and self.role == "motor_angle" and each.unit is None:
-            # The unit in the name, or else an error: there is no second question on it.
+            # Without a unit in the name either, this is an error: no second question
+            # asks for the unit.
             each = replace(each, unit=own if own in units else "")
         # Only a number may stand before a unit: a column there would be lost.
         complete = each.column == "x"
@@ -127,7 +128,7 @@ class Question:
 def statements(
     column: Iterable[str], period: float | None
 ) -> dict[str, ColumnStatement]:
-    """The statements of the call by role; both kinds of output share one."""
+    """The statements of the call by role; torque and deflection share "output"."""
     texts = list(column)
     if period is not None:
         texts.append(f"time={ROW_NUMBER} * {period!r} [s]")

@@ -27,7 +27,7 @@ from fracsys.checks import rule
 
 __all__ = ["Conversation"]
 
-# most requests of a page that wait for their turn; the studio's own sends fewer
+# Limit of the waiting requests of a page; the studio's own page sends fewer.
 _WAITING = 64
 
 
@@ -95,7 +95,7 @@ class Conversation:
         self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
         self._sending = asyncio.Lock()
         self._job: Job | None = None
-        # of the last preview: the search of the next one starts there
+        # The controller of the last preview: the next search starts there.
         self._near: Controller | None = None
 
     async def run(self) -> None:
@@ -136,7 +136,7 @@ class Conversation:
             waits = self._awake[message.verb].is_set()
             self._newest[message.verb] = message
             self._awake[message.verb].set()
-            # otherwise the page would wait for its answer for ever
+            # Without an answer to the older request, the page would wait for ever.
             if older is not None and waits:
                 await self._answered(older, _superseded())
         # Bypasses the queue: it refers to the running job, and would otherwise wait for
@@ -189,7 +189,8 @@ class Conversation:
 
     def _map(self, message: Message) -> Reply:
         def going() -> None:
-            # Previews share its interpreter: the map waits until the handle is released.
+            # Previews run in the same interpreter: the map waits until the handle is
+            # released.
             self._released.wait()
             if self._newest["map"] is not message:
                 raise SupersededError

@@ -1,5 +1,5 @@
-"""Checks of the run of a fault, each with a measurement and its limit, under the names
-used in faults.toml.
+"""Checks of a faulty run, each with a measurement and its limit, under the names used
+in faults.toml.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ def flagged(e: Evidence, by: str) -> Check:
 def reacts(
     e: Evidence, mode: str, reason: str, within: float = 0.0, harmless: float = 0.0
 ) -> Check:
-    """The first mode above run is `mode`, for one of the reasons, `within` that many
-    periods (0: at any time), and it stays; or the peak tip error is at most `harmless`
+    """The first mode above run is `mode`, for one of the reasons, after at most `within`
+    periods (0: at any time), and it latches; or the peak tip error is at most `harmless`
     [rad].
     """
     first = e.trial.row + e.reacted - 1
@@ -169,7 +169,7 @@ def reacts(
 
 def idle(e: Evidence, reason: str = "") -> Check:
     """The law is idle in every marked period, or in all where none is marked."""
-    # Idle for this reason: with another one, the law has not checked its block.
+    # With another reason the law is idle without having found the damage in its block.
     wrong = e.faulty.mode != MODES.index("idle")
     if reason:
         wrong |= e.faulty.reason != REASONS.index(reason)
@@ -198,7 +198,7 @@ def held(e: Evidence) -> Check:
 
 
 def bumpless(e: Evidence) -> Check:
-    """The first command after a restart is at most a step from the motor angle."""
+    """The first command after a restart is within one step of the motor angle."""
     apart = np.abs(e.faulty.motor_reference - e.faulty.motor_angle_measured)[e.marked]
     name = "first command from the motor angle [rad]"
     return at_most(name, apart.max(), e.trial.law.limits.motor_step)
@@ -226,9 +226,9 @@ def peak(
     """Largest tip error against `limit` [rad], or `ratio` times that of the clean run or
     of a law that knows of the fault at once, whichever is larger.
 
-    Two errors that no law can avoid are allowed in addition: the motor's distance from
-    that of the clean run in the first period in which the law can see the fault, since
-    the motor keeps its last voltage, noise included, until then; and, with sampling
+    Two errors that no law can avoid are allowed in addition: the deviation of the motor
+    angle from the clean run in the first period in which the law can see the fault,
+    since the motor keeps its last voltage, noise included, until then; and, with sampling
     instants that are `late` or early [s], twice that time at full speed, since the
     law's sample and the instant of the judgement may be off in opposite directions. For
     a payload outside the design, `outside` [rad] replaces `limit` and `ratio`.
@@ -274,9 +274,9 @@ def settled(e: Evidence, within: float) -> Check:
 
 
 def settling(e: Evidence, ratio: float) -> Check:
-    """Settling time of the last motion over that of the clean run, or of a law that
-    knows of the fault: whatever the law, a motor at its limit joins a reference that
-    comes back at full speed, and this shock excites the link.
+    """Settling time of the last motion, divided by the settling time of a law that knows
+    of the fault, or else of the clean run. With any law, the reference comes back into
+    the motor's range at full speed, and this shock excites the link.
     """
     wanted = e.trial.wanted
     moving = np.flatnonzero(np.diff(wanted))
@@ -358,8 +358,8 @@ def denormals(e: Evidence, seconds: float) -> Check:
     """Denormal numbers in the law's memory after a long rest."""
     memory = np.frombuffer(_quiet(e, seconds)[1], np.uint8)
     reals = memory[MEMORY_WORDS:].view(e.trial.real)
-    # Many processors take a hundred times as long for a denormal number: a state that
-    # decays to one would miss its period after an hour at rest.
+    # Many processors take a hundred times as long for a denormal number: a law whose
+    # state decays to one would miss its period after an hour at rest.
     count = np.count_nonzero(
         (reals != 0) & (np.abs(reals) < np.finfo(e.trial.real).tiny)
     )

@@ -30,7 +30,7 @@ __all__ = ["Standing", "Tournament", "compare"]
 OFFSET, OFFSET_TIME = 0.05, 0.2
 
 
-# Words and unit of every figure of the table; for each smaller is better.
+# Words and unit of every figure of the table; smaller is better for each.
 FIGURES = {
     "settling_time": ("settling", "s"),
     "overshoot": ("overshoot", "%"),
@@ -46,7 +46,7 @@ EQUAL = {"s": 0.01, "%": 1e-3, "mrad": 1e-4}
 
 @dataclass(frozen=True)
 class Standing:
-    """What one rival reached; smaller is better for every number.
+    """What one rival reached; smaller is better, except for worst_payload.
 
     settling_time [s] (2 %), overshoot [1], residual_vibration [rad]: nominal payload.
     offset_error [rad]: tip error over the last second after the gauge's offset has
@@ -102,17 +102,17 @@ class Tournament:
     notes: tuple[str, ...]
 
     def winners(self) -> dict[str, tuple[str, ...]]:
-        """Return who is best in every figure, among those that passed.
+        """Return the best in each figure, among those that passed.
 
-        Names share a figure that exceeds the best by at most 2 % plus 0.1 mrad, 10 ms or
-        0.1 %, depending on its unit. Empty where no rival passes.
+        All within 2 % plus 0.1 mrad, 10 ms or 0.1 % (depending on the unit) of the best
+        value share a figure. Empty where none passes.
         """
         able = [standing for standing in self.standings if standing.passed]
         result: dict[str, tuple[str, ...]] = {}
         for name, (_, unit) in FIGURES.items() if able else ():
             values = {each.name: float(getattr(each, name)) for each in able}
             best = min(values.values())
-            # An infinite best value is shared by all, without a winner.
+            # If the best value is infinite, all share the figure.
             result[name] = tuple(
                 rival
                 for rival, value in values.items()
@@ -152,10 +152,10 @@ def compare(
     Parameters
     ----------
     design
-        whose rig, model and Ms all are tuned for; the twin's link has the rig's mass,
-        or 7.35 g (a carbon rod of 3 mm) where that is 0
+        every rival is tuned for its rig, model and Ms; the twin's link has the rig's
+        mass, or 7.35 g (a carbon rod of 3 mm) where that is 0
     payloads
-        at which the worst is looked for [kg], all > 0; default the ends of the design's
+        among which the worst is sought [kg], all > 0; default the ends of the design's
         range and the rig's nominal payload
     reference
         the move of the tip; default 1 rad in 1 s
@@ -179,8 +179,8 @@ def compare(
     move = smooth_step(1.0, duration=1.0) if reference is None else reference
     rig = design.rig
     mass = rig.link.mass or DEFAULT_MASS
-    # The twin judges the arm, while the rivals are tuned with the model: none of them
-    # uses the twin before its run.
+    # The rivals run on the twin but are tuned with the model: none of them uses the twin
+    # before its run.
     twin = Twin.from_rig(rig, model=design.model, link_mass=mass)
     tried = payloads or (*design.payloads, rig.payloads.nominal)
     notes = [f"link of {1e3 * mass:g} g, {twin.damping.label}"]

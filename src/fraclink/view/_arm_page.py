@@ -1,5 +1,5 @@
-"""The arm in a page: one HTML file in which the law of a study moves its model,
-identical to the bit with the package.
+"""The arm in a page: one HTML file in which the law of a study moves its model, with
+the same bits as in the package.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
         if excess <= 0 or payloads <= 5:
             write_text(path, page)
             return Path(path)
-        # At least one less in every round, so that the loop ends; a link counts as a
-        # large one, so that not too many are dropped.
+        # At least one fewer in every round, so that the loop ends; every link counts with
+        # the largest size, so that not too many are dropped.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
         # A fine slider is more useful than the twin, whose recorded noise takes many
         # bytes at a short period: the twin is left out before payloads become few.
@@ -137,7 +137,7 @@ def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
         return [f"there is no twin in this page: {error}"]
     if not twin_fits:
         return [
-            "there is no twin in this page: at this sampling period it does not fit into it"
+            "there is no twin in this page: at this sampling period it would be too large"
         ]
     remark = "" if design.rig.link.mass else ", assumed because the rig file gives none"
     return [

@@ -212,7 +212,7 @@ export class Logs {
   over(plot, ys, kind) {
     const {duration} = this.log, high = 1.08 * peak(ys);
     plot.axes({low: 0, high: duration}, {low: -high, high});
-    plot.lay(); // its flags, even if the axes are the same
+    plot.lay(); // draws the new flags even if the axes are unchanged
     plot.curve('log', kind, evenly(ys, duration), ys);
   }
 
