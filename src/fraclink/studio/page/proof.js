@@ -40,7 +40,7 @@ export class Proof {
   /** Show what the board needs for this law, and how to switch it on. */
   async board() {
     const {board, power_on} = await this.app.need('board', {precision: precision()});
-    table($('board-facts'), ['of the law', 'built for this design', 'with room for any design'], board, 'What the board needs');
+    table($('board-facts'), ['need', 'built for this design', 'with room for any design'], board, 'What the board needs');
     items('power-on', power_on);
   }
   fan({fan_t, ...fans}) {
