@@ -59,8 +59,10 @@ def mittag_leffler(
     FieldError
         α or β out of range, z not a finite number.
 
-    Notes ----- E is the inverse Laplace transform of s^(α−β)/(s^α − z) at t = 1, taken
-    by the trapezoidal rule on a parabola. Each pole z^(1/α) of the principal sheet
+    Notes
+    -----
+    E is the inverse Laplace transform of s^(α−β)/(s^α − z) at t = 1, computed by the
+    trapezoidal rule on a parabola. Each pole z^(1/α) of the principal sheet
     enters with its residue times 1/(1 − exp(−2πi u_p/h)): 1 outside the parabola, 0
     deep inside, and exact in between.
 
