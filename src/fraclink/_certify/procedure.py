@@ -80,7 +80,7 @@ def certify(
         the motor loop; when left out, anything within the last of the motor loop's
         periods of delay.
     modulus_margin
-        m, 0 < m <= 1; when left out what can be proved, usually within a hundredth of
+        m, 0 < m < 1; when left out what can be proved, usually within a hundredth of
         what a search finds, and not below 0.25: a loop that comes closer does not pass.
     law
         the law to prove, if not the design's own (double precision, another order).
