@@ -310,7 +310,7 @@ def test_an_option_that_would_be_ignored(
 @pytest.mark.parametrize("noise", [0.1, 0.6])
 def test_a_structure_must_predict_what_was_held_out(noise: float) -> None:
     """A third of the power is too much, whatever the fitted part leaves."""
-    data = recording(LAG, {"k": 2.0, "a": 0.8, "w": 1.5}, noise=0.2)
+    data = recording(LAG, {"k": 2.0, "a": 0.8, "w": 1.5}, noise=0.35)
     rng, tail = np.random.default_rng(1), data.output[1500:]
     scale = noise * np.std(data.output)
     louder = np.append(

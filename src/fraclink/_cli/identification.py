@@ -254,7 +254,7 @@ def _transfer_function(
             period_ms=period_ms,
             ring_down=ring_down or None,
         )
-        measured = read_frequency_response(data[0], _named(column))
+        measured = read_frequency_response(log_path(data[0]), _named(column))
         if band:
             measured = measured.between(*band)
     else:

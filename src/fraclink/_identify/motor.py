@@ -56,8 +56,8 @@ class MotorFit(Judged):
     inertia
         J [kg·m²], given or identified from the torque, else None.
     standard_errors
-        of gain, decay, coulomb_voltage (and inertia; spring and rest, k θ₀/J),
-        autocorrelation allowed for.
+        of gain, decay, coulomb_voltage (and inertia, spring), autocorrelation allowed
+        for.
     nmse
         unexplained share of the accelerations' mean square [1].
     windows
@@ -414,8 +414,12 @@ def _result(
     if "inertia" in found:
         inertia = 1 / found["inertia"]
         slopes[3, 3] = inertia**2
-    variances = np.diag(slopes @ inverse @ meat @ inverse @ slopes.T)
-    errors = dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True))
+    variances = np.maximum(np.diag(slopes @ inverse @ meat @ inverse @ slopes.T), 0.0)
+    errors = {
+        name: math.sqrt(variance)
+        for name, variance in zip(names, variances.tolist(), strict=True)
+        if name != "rest"
+    }
     return MotorFit(
         gain=gain,
         decay=found["decay"],

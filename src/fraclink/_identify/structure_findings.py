@@ -98,7 +98,9 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
         yield Finding(
             "W318",
             "error" if heldout > CLEARLY_LESS else "warning",
-            "the structure predicts the held-out data worse than the data it was fitted to",
+            "the structure predicts the held-out data much worse than the fitted data"
+            if heldout * CLEARLY_LESS > fit.nmse
+            else "the structure does not predict the held-out data",
             {"heldout_nmse": heldout, "nmse": fit.nmse},
             "look for drift, another operating point, or a structure with fewer parameters",
         )
