@@ -417,6 +417,8 @@ def harmless(made: PayloadEstimator, found: Any) -> None:
     assert np.all(found.low[shown] <= found.estimate[shown])
     assert np.all(found.estimate[shown] <= found.high[shown])
     assert np.all((found.given == 0) | (found.given == found.estimate))
+    within = float(made.models[-1][-1]) - dict(zip(REALS, made.values, strict=True))["link"]
+    assert np.all(found.estimate <= within * (1 + 1e-6))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -24,7 +24,7 @@ ALL = 2**32 - 1
 COUNT = 400
 # law_state of law.h: fourteen words, then reals, of which the first twenty are modes;
 # the last of the following three is the motor reference.
-WORDS, MODES_HELD = 14, 20
+WORDS, FORWARD_MODE, MODES_HELD = 14, 8, 20
 MOTOR_REFERENCE = MODES_HELD + len(("error", "reference", "motor_reference")) - 1
 
 
@@ -405,6 +405,24 @@ def test_memory_that_the_last_period_did_not_leave_begins_anew_in_its_mode(
     assert outputs.flags[0] & STARTED and not np.any(outputs.flags[1:] & STARTED)
     np.testing.assert_allclose(outputs.motor_reference, 0.3, atol=1e-6)
     assert set(outputs.mode) == {mode}
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("mode", [0, FORWARD_MODE])
+def test_a_mode_that_no_input_explains_begins_anew_though_the_sum_is_right(
+    precision: str, mode: int
+) -> None:
+    """Two errors that cancel in the sum of the memory: the arm still stands."""
+    made, rows = law(precision), np.zeros((5, 40))
+    state, _ = made.run(made.initial_state(), *rows[:, :10])
+    reals = np.frombuffer(
+        state[4 * WORDS :], np.float32 if precision == "single" else np.float64
+    ).copy()
+    reals[[mode, -1]] += 2.0**13
+    damaged = state[: 4 * WORDS] + reals.tobytes()
+    _, outputs = made.run(damaged, *rows[:, 10:], first_tick=11)
+    assert not np.any(outputs.flags & STARTED)
+    np.testing.assert_allclose(outputs.motor_reference[3:], 0.0, atol=1e-6)
 
 
 def test_a_flipped_bit_of_the_mode_does_not_stop_a_drive_that_runs() -> None:

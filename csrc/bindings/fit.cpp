@@ -62,7 +62,7 @@ struct Problem {
         std::unique_ptr<double[]> values;
         {
             const nb::gil_scoped_release release;
-            if (!fit_make_table(&p, shape.data(), mask, table.get())) {
+            if (fit_make_table(&p, shape.data(), mask, table.get())) {
                 values = room<double>(table->outputs * p.count);
                 fit_pass(&p, table.get(), gram, values.get());
             }
@@ -80,7 +80,7 @@ struct Problem {
         {
             const nb::gil_scoped_release release;
             for (size_t i = 0; i < count; i++)
-                if (!fit_make_table(&p, shapes.data() + i * FIT_SHAPE, mask, table.get()))
+                if (fit_make_table(&p, shapes.data() + i * FIT_SHAPE, mask, table.get()))
                     fit_pass(&p, table.get(), values.get() + i * side * side, nullptr);
         }
         return owned(std::move(values), {count, side, side});
@@ -101,35 +101,27 @@ struct Problem {
         return owned(std::move(values), {count});
     }
 
-    // Returns status, shape, gain, offset and cost of the best of several starts, with the Gram matrix there.
-    nb::tuple solve(Shapes starts, unsigned mask, Shape lower, Shape upper, double gain, double offset,
+    // Whether the search converged, with shape, gain, offset, cost and Gram matrix at its end; the cost is infinite if
+    // the start has no pole.
+    nb::tuple solve(Shape start, unsigned mask, Shape lower, Shape upper, double gain, double offset,
                     int iterations) const {
         std::unique_ptr<fit_table> table(new fit_table);
-        fit_request best{};
-        auto best_shape = room<double>(FIT_SHAPE);
-        std::fill_n(best_shape.get(), FIT_SHAPE, 0.0);
-        int best_status = FIT_FAILED;
+        auto shape = room<double>(FIT_SHAPE);
+        std::copy_n(start.data(), FIT_SHAPE, shape.get());
+        fit_request r = request(gain, offset);
+        r.mask = mask;
+        std::copy_n(lower.data(), FIT_SHAPE, r.lower);
+        std::copy_n(upper.data(), FIT_SHAPE, r.upper);
+        r.iterations_max = iterations;
+        bool converged;
         {
             const nb::gil_scoped_release release;
-            for (size_t i = 0; i < starts.shape(0); i++) {
-                double shape[FIT_SHAPE];
-                std::copy_n(starts.data() + i * FIT_SHAPE, FIT_SHAPE, shape);
-                fit_request r = request(gain, offset);
-                r.mask = mask;
-                std::copy_n(lower.data(), FIT_SHAPE, r.lower);
-                std::copy_n(upper.data(), FIT_SHAPE, r.upper);
-                r.iterations_max = iterations;
-                const int status = fit_solve(&p, shape, &r, table.get());
-                if (status == FIT_FAILED || (best_status != FIT_FAILED && !(r.cost < best.cost))) continue;
-                best = r;
-                best_status = status;
-                std::copy_n(shape, FIT_SHAPE, best_shape.get());
-            }
+            converged = fit_solve(&p, shape.get(), &r, table.get());
         }
         const size_t side = side_of(mask);
         auto gram = room<double>(side * side);
-        std::copy_n(best.gram, side * side, gram.get());
-        return nb::make_tuple(best_status, owned(std::move(best_shape), {FIT_SHAPE}), best.gain, best.offset, best.cost,
+        std::copy_n(r.gram, side * side, gram.get());
+        return nb::make_tuple(converged, owned(std::move(shape), {FIT_SHAPE}), r.gain, r.offset, r.cost,
                               owned(std::move(gram), {side, side}));
     }
 };

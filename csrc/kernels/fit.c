@@ -48,18 +48,19 @@ static double linear_part(const double *g, int side, fit_request *r) {
     return cost > 0 ? cost : 0; /* rounding of a perfect fit */
 }
 
+/* The cost of a shape with its Gram matrix; 0 if it is not finite. */
 static int evaluate(const fit_problem *problem, const double *shape, unsigned mask, fit_request *r, fit_table *t,
                     double *gram, double *cost) {
-    int bad = fit_make_table(problem, shape, mask, t);
-    if (bad) return bad;
+    *cost = INFINITY;
+    if (!fit_make_table(problem, shape, mask, t)) return 0;
     fit_pass(problem, t, gram, NULL);
     *cost = linear_part(gram, 2 + t->outputs, r);
-    return isfinite(*cost) ? FIT_OK : FIT_NO_POLE;
+    return isfinite(*cost);
 }
 
 double fit_cost(const fit_problem *problem, const double *shape, fit_request *r, fit_table *work) {
     double gram[SIDE_MAX * SIDE_MAX], cost;
-    return evaluate(problem, shape, 0, r, work, gram, &cost) ? INFINITY : cost;
+    return evaluate(problem, shape, 0, r, work, gram, &cost) ? cost : INFINITY;
 }
 
 /* The stiffness w in s^l + mu s^a + w must not be negative, which bounds the damping ratio. */
@@ -127,44 +128,40 @@ static int negligible(const double *step, double period_seconds) {
 int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_table *work) {
     double *gram = r->gram, trial[FIT_SHAPE], step[FIT_SHAPE], cost, trial_cost, damping = 1e-3;
     project(shape, r);
-    if (evaluate(problem, shape, r->mask, r, work, gram, &cost)) return FIT_FAILED;
-    int side = 2 + work->outputs, status = FIT_ITERATIONS;
+    r->cost = INFINITY;
+    if (!evaluate(problem, shape, r->mask, r, work, gram, &cost)) return 0;
+    int side = 2 + work->outputs, converged = 0;
     for (int i = 0; i < r->iterations_max; i++) {
         double period = 6.283185307179586 / exp(shape[FIT_RESONANCE]);
         double predicted = make_step(gram, side, shape, r, damping, step);
-        if (predicted < 0) {
-            damping = fmax(10 * damping, 1e-9);
-            if (damping < 1e12) continue;
-            status = FIT_SINGULAR;
-            break;
+        if (predicted >= 0) {
+            limit_step(step, period);
+            for (int k = 0; k < FIT_SHAPE; k++) trial[k] = shape[k] + step[k];
+            project(trial, r);
+            double moved[FIT_SHAPE];
+            for (int k = 0; k < FIT_SHAPE; k++) moved[k] = trial[k] - shape[k];
+            if (negligible(moved, period) || predicted < 1e-10 * cost) {
+                converged = 1;
+                break;
+            }
+            double gain = r->gain, offset = r->offset, next[SIDE_MAX * SIDE_MAX];
+            if (evaluate(problem, trial, r->mask, r, work, next, &trial_cost) && trial_cost < cost) {
+                damping = trial_cost < cost - 0.25 * predicted ? damping * 0.1 : damping * 0.5;
+                if (damping < 1e-12) damping = 1e-12;
+                memcpy(shape, trial, sizeof trial);
+                memcpy(gram, next, sizeof next);
+                cost = trial_cost;
+                continue;
+            }
+            r->gain = gain; /* the rejected trial replaced both */
+            r->offset = offset;
         }
-        limit_step(step, period);
-        for (int k = 0; k < FIT_SHAPE; k++) trial[k] = shape[k] + step[k];
-        project(trial, r);
-        double moved[FIT_SHAPE];
-        for (int k = 0; k < FIT_SHAPE; k++) moved[k] = trial[k] - shape[k];
-        if (negligible(moved, period) || predicted < 1e-10 * cost) {
-            status = FIT_CONVERGED;
-            break;
-        }
-        double gain = r->gain, offset = r->offset, next[SIDE_MAX * SIDE_MAX];
-        int bad = evaluate(problem, trial, r->mask, r, work, next, &trial_cost);
-        if (!bad && trial_cost < cost) {
-            damping = trial_cost < cost - 0.25 * predicted ? damping * 0.1 : damping * 0.5;
-            if (damping < 1e-12) damping = 1e-12;
-            memcpy(shape, trial, sizeof trial);
-            memcpy(gram, next, sizeof next);
-            cost = trial_cost;
-            continue;
-        }
-        r->gain = gain; /* the rejected trial replaced both */
-        r->offset = offset;
         damping = fmax(8 * damping, 1e-6);
         if (damping > 1e12) { /* no step improves the cost: it is as low as the arithmetic can resolve */
-            status = FIT_CONVERGED;
+            converged = predicted >= 0;
             break;
         }
     }
     r->cost = cost;
-    return status;
+    return converged;
 }

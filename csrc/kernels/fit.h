@@ -22,8 +22,6 @@ enum {
 #define FIT_RATIO_MOST 0.9
 
 enum { FIT_ORDER, FIT_RESONANCE, FIT_RATIO, FIT_DAMPING_ORDER, FIT_DELAY };
-enum { FIT_OK = 0, FIT_NO_POLE = 1, FIT_DELAY_RANGE = 2 };
-enum { FIT_CONVERGED = 0, FIT_ITERATIONS = 1, FIT_SINGULAR = 2, FIT_FAILED = 3 };
 
 typedef struct {
     ptrdiff_t count;      /* samples */
@@ -51,7 +49,8 @@ typedef struct {
     double pole_step[4][4], pole_drive[4];
 } fit_table;
 
-/* `mask` has bit i set where shape parameter i gets a derivative column. */
+/* `mask` has bit i set where shape parameter i gets a derivative column. Returns 1, or 0 for a shape that has no pole
+ * or whose delay exceeds `pad`. */
 int fit_make_table(const fit_problem *problem, const double *shape, unsigned mask, fit_table *table);
 
 /* Gram matrix (row-major, side x side, side = 3 + derivatives) of [measured, predicted, 1, derivatives of
@@ -64,14 +63,15 @@ typedef struct {
     int gain_free, offset_free;
     double gain, offset;       /* values where they are fixed, results where they are free */
     int iterations_max;
-    double cost;               /* sum of squares */
+    double cost;               /* sum of squares; infinite if the start has no pole */
     double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX]; /* at the end, as of fit_pass */
 } fit_request;
 
 /* Sum of squares of one shape at its best gain and offset; infinite if it has no pole. */
 double fit_cost(const fit_problem *problem, const double *shape, fit_request *request, fit_table *work);
 
-/* Levenberg-Marquardt with the linear parameters (gain, offset) projected out; `shape` is start and result. */
+/* Levenberg-Marquardt with the linear parameters (gain, offset) projected out; `shape` is start and result. Returns
+ * whether it converged. */
 int fit_solve(const fit_problem *problem, double *shape, fit_request *request, fit_table *work);
 
 #endif

@@ -144,9 +144,8 @@ void fit_pass(const fit_problem *problem, const fit_table *table, double *gram, 
         if (left >= GROUP * L) {
             left = GROUP * L;
         } else { /* samples past the end have no weight */
-            for (int c = 1; c < side; c++)
+            for (int c = 0; c < side; c++)
                 for (int j = (int)left; j < GROUP * L; j++) out[c][j] = 0;
-            for (int j = (int)left; j < GROUP * L; j++) out[0][j] = 0;
         }
         memcpy(out[0], problem->output + base, (size_t)left * sizeof(double));
         for (int c = 0; columns && c < table->outputs; c++)

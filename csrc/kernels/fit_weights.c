@@ -10,7 +10,6 @@
 /* The coefficients of the formula and their derivatives with respect to each free parameter. */
 typedef struct {
     double order, damping, damping_order, restoring;
-    int has_friction; /* the term or its derivative is needed */
     int free; /* derivatives of link parameters; the delay is treated separately */
     double d_order[4], d_damping[4], d_damping_order[4], d_restoring[4];
 } formula;
@@ -27,7 +26,6 @@ static void make_formula(const double *shape, unsigned mask, formula *f) {
     f->damping = ratio * unit;
     f->damping_order = other;
     f->restoring = whole * (1 - 2 * ratio * cot);
-    f->has_friction = ratio != 0 || (mask >> FIT_RATIO & 1) || (mask >> FIT_DAMPING_ORDER & 1);
     f->free = 0;
     for (int i = 0; i < FIT_DELAY; i++) {
         if (!(mask >> i & 1)) continue;
@@ -64,22 +62,21 @@ static int newton(const formula *f, cx z, cx *log_pole) {
         cx slope = add(scale(f->order, moving), scale(f->damping_order, friction));
         cx step = mul(value, invert(slope));
         double size = hypot(step.re, step.im);
-        if (!(size < 1e3)) return FIT_NO_POLE;
+        if (!(size < 1e3)) return 0;
         z = add(z, scale(size > 0.3 ? -0.3 / size : -1, step));
         if (size < 1e-14) break;
-        if (i == 39 && size > 1e-10) return FIT_NO_POLE;
+        if (i == 39 && size > 1e-10) return 0;
     }
-    if (!(z.im > 0.02 && z.im < PI - 1e-6)) return FIT_NO_POLE;
     *log_pole = z;
-    return FIT_OK;
+    return z.im > 0.02 && z.im < PI - 1e-6;
 }
 
 static int find_pole(const formula *f, const double *shape, cx *log_pole) {
     double ratio = shape[FIT_RATIO] < 0.99 ? shape[FIT_RATIO] : 0.99;
     cx z = {shape[FIT_RESONANCE], PI / f->order + (f->damping > 0 ? asin(ratio) : 0)};
-    if (newton(f, z, log_pole) == FIT_OK) return FIT_OK;
+    if (newton(f, z, log_pole)) return 1;
     double left = f->order - f->damping_order; /* without w: s^(l-a) + mu, where UD-FOM lies inside D-FOM */
-    if (!(f->damping > 0 && left > 1)) return FIT_NO_POLE;
+    if (!(f->damping > 0 && left > 1)) return 0;
     return newton(f, (cx){log(f->damping) / left, PI / left}, log_pole);
 }
 
@@ -191,18 +188,18 @@ static void pole_part(const fit_problem *q, const formula *f, cx log_pole, doubl
     for (int l = FIT_LANES - 1; l >= 0; l--) {
         cx on = mul(power, drive), on_slope = add(mul(power_slope, drive), mul(power, drive_slope));
         double row[4] = {on.re, on.im, on_slope.re, on_slope.im};
-        memcpy(l == FIT_LANES - 1 ? t->pole_drive : t->pole_drive_block[l], row, sizeof row);
         memcpy(t->pole_drive_block[l], row, sizeof row);
         power_slope = add(mul(power_slope, full.rest), mul(power, full.rest_slope));
         power = mul(power, full.rest);
     }
+    memcpy(t->pole_drive, t->pole_drive_block[FIT_LANES - 1], sizeof t->pole_drive);
     pole_update(power, power_slope, t->pole_block);
 }
 
 /* Weights of one rate of the branch cut: (h/pi) Im of s^l/(s^l + mu s^a + w) at s = rate e^{j pi}, and derivatives. */
 static void cut_weights(const formula *f, cx turn_order, cx turn_damping, double step, double ln, double *weight) {
     cx moving = scale(exp(f->order * ln), turn_order), log_s = {ln, PI};
-    cx friction = f->has_friction ? scale(exp(f->damping_order * ln), turn_damping) : (cx){0, 0};
+    cx friction = scale(exp(f->damping_order * ln), turn_damping);
     cx restoring = add(scale(f->damping, friction), (cx){f->restoring, 0});
     cx inverse = invert(add(moving, restoring)), ratio = mul(moving, inverse), base = mul(ratio, inverse);
     cx friction_log = scale(f->damping, mul(friction, log_s)), moving_log = mul(restoring, log_s);
@@ -254,11 +251,11 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
     formula f;
     cx log_pole;
     make_formula(shape, mask, &f);
-    if (find_pole(&f, shape, &log_pole)) return FIT_NO_POLE;
+    if (!find_pole(&f, shape, &log_pole)) return 0;
     int delay_free = mask >> FIT_DELAY & 1, outputs = 1 + f.free + delay_free;
     double samples = shape[FIT_DELAY] / q->period, whole = ceil(samples - 1e-12), fraction = whole - samples;
     if (fraction < 0) fraction = 0;
-    if (!(fabs(whole) + 2 * FIT_LANES < (double)q->pad)) return FIT_DELAY_RANGE;
+    if (!(fabs(whole) + 2 * FIT_LANES < (double)q->pad)) return 0;
     t->shift = (ptrdiff_t)whole;
     t->outputs = outputs;
     t->modes = (q->modes + 3) & ~3; /* whole vectors; the added rows are zero */
@@ -268,7 +265,7 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
     memset(t->drive, 0, sizeof t->drive);
     for (int l = 0; l < FIT_LANES; l++) memset(t->drive_block[l] + q->modes, 0, 4 * sizeof(double));
     for (int c = 0; c < outputs; c++) {
-        memset(t->state_gain[c], 0, (size_t)t->states * sizeof t->state_gain[c][0]);
+        memset(t->state_gain[c], 0, (size_t)t->states * sizeof *t->state_gain[c]);
         memset(t->input_gain[c], 0, sizeof t->input_gain[c]);
     }
     double past0[(1 + FIT_SHAPE) * FIT_LANES] = {0}, weight[1 + FIT_SHAPE], unit[1 + FIT_SHAPE] = {0};
@@ -294,5 +291,5 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
     if (q->hold == 0 && fraction == 0)
         for (int c = 0; c <= f.free; c++)
             for (int l = 0; l < FIT_LANES; l++) t->input_gain[c][l][l] += rest[c] - unit[c];
-    return FIT_OK;
+    return 1;
 }

@@ -48,7 +48,7 @@ class FitProblem:
     ) -> NDArray[np.float64]: ...
     def solve(
         self,
-        starts: NDArray[np.float64],
+        start: NDArray[np.float64],
         mask: int,
         lower: NDArray[np.float64],
         upper: NDArray[np.float64],
@@ -56,6 +56,6 @@ class FitProblem:
         offset: float,
         iterations: int,
         /,
-    ) -> tuple[int, NDArray[np.float64], float, float, float, NDArray[np.float64]]: ...
+    ) -> tuple[bool, NDArray[np.float64], float, float, float, NDArray[np.float64]]: ...
 
 def __getattr__(name: str) -> Any: ...

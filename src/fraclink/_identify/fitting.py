@@ -286,7 +286,7 @@ def fit_from(
         at_bound=tuple(name for name, place in COORDINATE.items() if place in stuck),
         effective_parameters=covariance.effective,
         tests=tests,
-        converged=solution.status == 0,
+        converged=solution.converged,
         predicted=predicted,
         residual=residual,
         source=log.source,

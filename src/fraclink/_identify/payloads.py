@@ -328,7 +328,7 @@ def _of_one(
     shapes, _ = joint.shapes(theta[None, :], i)
     held = shapes[0]
     _, _, gain, offset, cost, _ = search.kernel.solve(
-        shapes, 0, held, held, *search.known, 0
+        held, 0, held, held, *search.known, 0
     )
     # The damping as it is in θ: its conversion by the resonance of each log rounds.
     model = replace(

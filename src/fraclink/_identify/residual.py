@@ -334,9 +334,14 @@ def find_second_mode(
     # The three deepest minima, since the deepest one on the grid need not pass the
     # gates below.
     for start in grid[np.argsort(costs)[:3]]:
-        begin = row(start, _RATIO)[None]
         optimum = kernel.solve(
-            begin, mask_of((1, 2)), lower, upper, math.nan, math.nan, ROUNDS
+            row(start, _RATIO),
+            mask_of((1, 2)),
+            lower,
+            upper,
+            math.nan,
+            math.nan,
+            ROUNDS,
         )[1]
         # The lower limit of the damping is no objection, as a mode of steel has hardly
         # any; at the others lies a misfit of the first mode, noise, or a filter.

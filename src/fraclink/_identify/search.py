@@ -63,7 +63,7 @@ class Solution:
     cost: float
     lower: Real
     upper: Real
-    status: int
+    converged: bool
     gram: Real
     rivals: tuple[Solution, ...] = ()
 
@@ -344,8 +344,8 @@ class Search:
         start[4] = self.fixed.get("delay", row[4])
         start[free] = np.clip(start[free], lower[free], upper[free])
         kernel = self.averages(width)[0] if first else self.kernel
-        status, shape, gain, offset, cost, gram = kernel.solve(
-            start[None],
+        converged, shape, gain, offset, cost, gram = kernel.solve(
+            start,
             mask_of(free),
             lower,
             upper,
@@ -359,10 +359,10 @@ class Search:
             shape,
             gain,
             offset,
-            math.inf if status == 3 else float(cost),
+            cost,
             lower,
             upper,
-            status,
+            converged,
             gram,
         )
 
