@@ -417,7 +417,9 @@ def harmless(made: PayloadEstimator, found: Any) -> None:
     assert np.all(found.low[shown] <= found.estimate[shown])
     assert np.all(found.estimate[shown] <= found.high[shown])
     assert np.all((found.given == 0) | (found.given == found.estimate))
-    within = float(made.models[-1][-1]) - dict(zip(REALS, made.values, strict=True))["link"]
+    within = (
+        float(made.models[-1][-1]) - dict(zip(REALS, made.values, strict=True))["link"]
+    )
     assert np.all(found.estimate <= within * (1 + 1e-6))
 
 
@@ -493,6 +495,15 @@ def test_lost_samples_and_missed_periods_cost_little() -> None:
     found = over(bank(), angle[kept], torque[kept], np.flatnonzero(kept) + 1)
     assert np.all(np.flatnonzero(found.flags & FLAGS["SAMPLE"]) == [50, 51, 52, 78, 79])
     assert found.given[-1] == pytest.approx(0.03, rel=0.03)
+
+
+def test_a_period_that_is_reported_twice_counts_once() -> None:
+    angle, torque = sensors(moved(0.03))
+    once = over(bank(), angle, torque)
+    ticks = np.repeat(np.arange(1, angle.size + 1), 2)
+    twice = over(bank(), np.repeat(angle, 2), np.repeat(torque, 2), ticks)
+    for values, repeated in zip(once, twice, strict=True):
+        np.testing.assert_array_equal(np.repeat(values, 2), repeated)
 
 
 def test_a_gauge_that_is_gone_ends_the_estimate() -> None:

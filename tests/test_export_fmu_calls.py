@@ -123,6 +123,23 @@ def test_calls_out_of_order(arm: Imported) -> None:
     _refused(arm, "after the end", *_writing(arm, 0, 1.0))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("categories", "logged"),
+    [([], 1), ([b"logEvents", b"logStatusError"], 1), ([b"logEvents"], 0)],
+)
+def test_errors_are_logged_where_their_category_is_chosen(
+    arm: Imported, categories: list[bytes], logged: int
+) -> None:
+    from fmpy.fmi1 import FMICallException
+
+    names = (ctypes.c_char_p * len(categories))(*categories)
+    arm.call("SetDebugLogging", True, len(categories), names)
+    with pytest.raises(FMICallException):
+        arm.step(0.0, PERIOD)
+    assert len(arm.messages) == logged
+
+
 def _writing(arm: Imported, reference: int, value: float) -> tuple[object, ...]:
     references, values = (ctypes.c_uint * 1)(reference), (ctypes.c_double * 1)(value)
     return "SetFloat64", references, 1, values, 1

@@ -212,6 +212,14 @@ def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(
             getattr(run, name).tobytes() == getattr(simulated, other)[:26].tobytes()
         ), name
     assert run.motor_angle[-1] > 0.01
+    served = serving.arm
+    begun = int(np.argmax(served.motor_angle != 0.0))
+    moves = int(np.argmax(simulated.motor_angle != 0.0))
+    for name in ("motor_angle", "tip_angle"):
+        np.testing.assert_array_equal(
+            getattr(served, name)[begun : begun + 15],
+            getattr(simulated, name)[moves : moves + 15],
+        )
 
 
 @pytest.mark.slow

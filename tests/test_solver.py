@@ -59,6 +59,27 @@ def test_every_row_is_kept_by_the_loop_written_out(asked: dict[str, float]) -> N
         assert 1.0 / np.abs(1.0 + loop).min() < bound + 1e-3
 
 
+def test_reported_figures_are_those_of_the_loop_written_out() -> None:
+    asked = {"payloads": RANGE, "gain_crossover": 12.0, "max_sensitivity": 1.7}
+    made = fl.design(MODEL, RIG, **asked, motor_loop="ideal", law=False)
+    reported = {row.name: row for row in made.requirements}
+    w = np.geomspace(1.0, math.pi / RIG.period, 400_000)
+    loop = written_out(made, RANGE[0], w)
+    magnitude, phase = np.abs(loop), np.unwrap(np.angle(loop))
+    crossing = np.flatnonzero((magnitude[:-1] > 1) & (magnitude[1:] <= 1))[0]
+    turning = np.flatnonzero((phase[:-1] > -math.pi) & (phase[1:] <= -math.pi))[0]
+    margin = math.pi + phase[crossing]
+    for words, value in (
+        ("last gain crossing", w[crossing]),
+        ("phase margin", margin),
+        ("delay margin", margin / w[crossing]),
+        ("sensitivity peak", 1.0 / np.abs(1.0 + loop).min()),
+        ("gain margin", 1.0 / magnitude[turning]),
+    ):
+        assert reported[words].at_payload == RANGE[0]
+        assert reported[words].achieved == pytest.approx(value, rel=1e-3), words
+
+
 def test_it_is_quieter_than_without_a_filter_for_the_same_request() -> None:
     asked = {"payloads": RANGE, "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     same = {"motor_loop": "ideal", "placement": "tustin"}

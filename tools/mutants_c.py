@@ -36,12 +36,13 @@ LIMIT = 420.0  # [s] of a run of tests, which without a mutant takes a quarter o
 LAW = "test_law test_law_exact test_law_guards test_law_payload test_loop test_export_gates"
 TWIN = (
     "test_twin_beam test_twin_plant test_twin_loop test_twin_faults test_twin_numbers"
+    " test_realtime_messages"
 )
 FIT = "test_identify_kernel test_identify test_identify_residual test_identify_shape"
 LOOP = "test_loop test_motor test_simulate test_simulate_metrics test_law_exact"
 REALTIME = (
     "test_realtime_messages test_realtime_line test_realtime test_realtime_cli"
-    " test_arm_firmware"
+    " test_arm_firmware test_estimator"
 )
 TESTS = {
     "law": LAW, "law_port": LAW, "arm_link": "test_arm_firmware",
@@ -100,7 +101,8 @@ def changed_number(word: str, suffix: str) -> list[str]:
         near = [value + 1, value - 1] if value or "u" not in suffix.lower() else [1]
         return [f"{one}{suffix}" if one >= 0 else f"({one}{suffix})" for one in near]
     value = float(digits)
-    return [f"{value + 1.0!r}{suffix}", f"{2.0 * value if value else -1.0!r}{suffix}"]
+    others = {value + 1.0 if abs(value) < 100.0 else 10.0 * value, 2.0 * value or -1.0}
+    return [f"{other!r}{suffix}" for other in sorted(others)]
 
 
 def sites(text: str) -> list[Site]:

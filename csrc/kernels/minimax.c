@@ -158,15 +158,15 @@ static void jacobian(const minimax_work *work, const double *parameters)
     const double *gains = parameters + 1, *eta = parameters + work->linear + n + m;
     int at = 0;
     minimax_column list[MINIMAX_PARAMETERS];
-    list[at++] = (minimax_column){1.0, 0.0, 0.0, 0.0, -1, -1, 0};
+    list[at++] = (minimax_column){.a_re = 1.0, .first = -1, .second = -1};
     for (int i = 0; i < n; i++)
-        list[at++] = (minimax_column){1.0, 0.0, 0.0, 0.0, i, -1, 0};
+        list[at++] = (minimax_column){.a_re = 1.0, .first = i, .second = -1};
     for (int j = 0; j < m; j++)
-        list[at++] = (minimax_column){0.5, 0.0, 0.5, 0.0, n + j, n + m + j, 0};
+        list[at++] = (minimax_column){.a_re = 0.5, .b_re = 0.5, .first = n + j, .second = n + m + j};
     for (int j = 0; j < m; j++)
-        list[at++] = (minimax_column){0.0, 0.5, 0.0, -0.5, n + j, n + m + j, 0};
+        list[at++] = (minimax_column){.a_im = 0.5, .b_im = -0.5, .first = n + j, .second = n + m + j};
     for (int i = 0; i < n; i++)
-        list[at++] = (minimax_column){gains[i], 0.0, 0.0, 0.0, i, -1, 1};
+        list[at++] = (minimax_column){.a_re = gains[i], .first = i, .second = -1, .slope = 1};
     for (int j = 0; j < m; j++) {
         const double re = 0.5 * gains[n + j], im = 0.5 * gains[n + m + j];
         list[at++] = (minimax_column){re, im, re, -im, n + j, n + m + j, 1};
