@@ -26,7 +26,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fraclink._reading.table import check_bytes
 from fraclink.errors import SizeError
-from fraclink.view._pages import squeezed, template_text
+from fraclink.view._pages import ARM_SCRIPTS, squeezed
 
 if TYPE_CHECKING:
     from fraclink.studio._session import Session
@@ -54,7 +54,6 @@ _KINDS = {
     ".css": "text/css",
     ".svg": "image/svg+xml",
 }
-_SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 # A plain file name with an ending: no folder, and no leading dot or hyphen.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
 _PATIENCE = 10.0  # [s] for the token, which the page sends immediately
@@ -168,7 +167,7 @@ def _contents() -> dict[str, tuple[bytes, str]]:
         for path in _PAGE.iterdir()
         if Path(path.name).suffix in _KINDS
     }
-    fragment = re.sub(r"{#.*?#}\s*", "", template_text("arm_box.html"), flags=re.DOTALL)
+    fragment = re.sub(r"{#.*?#}\s*", "", squeezed("arm_box.html"), flags=re.DOTALL)
     page = (
         contents.pop("/index.html")[0]
         .decode()
@@ -178,6 +177,7 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     style = squeezed("palette.css") + squeezed("arm_box.css")
     contents["/arm_box.css"] = (style.encode(), "text/css")
     contents["/arm_box.js"] = (_arm_module().encode(), "text/javascript")
+    contents["/svg.js"] = (squeezed("svg.js").encode(), "text/javascript")
     return contents
 
 
@@ -189,7 +189,7 @@ def _arm_module() -> str:
     document; here both belong to the studio.
     """
     before, after = (_PAGE / name for name in ("arm_before.txt", "arm_after.txt"))
-    body = "".join(squeezed(name) for name in _SCRIPTS)
+    body = "".join(squeezed(name) for name in ARM_SCRIPTS)
     return before.read_text("utf-8") + body + after.read_text("utf-8")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import math
 import zlib
@@ -33,14 +32,13 @@ from fraclink.errors import FieldError
 from fraclink.trials._rivals import motor_alone
 from fraclink.trials._study import Study
 from fraclink.view._loops import payloads_about
-from fraclink.view._pages import squeezed
+from fraclink.view._pages import ARM_SCRIPTS, scoped, squeezed
 from fracsys.checks import Real
 
-__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
+__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass"]
 
 
 MOST_PAYLOADS = 15  # on the slider: 40 kB of a page
-_SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 _SEED = 0
 # The move goes forward in the first half of the run and back in the second, so that the
 # picture does not jump.
@@ -56,7 +54,6 @@ class ArmBox:
 
     data: str
     script: str
-    script_hash: str
     style: str
     has_twin: bool
 
@@ -69,25 +66,15 @@ def arm_box(
 
     None if the model vibrates too fast for the law's period with every payload.
     """
-    # Wrapped, so that no script of the page shares their names.
-    script = (
-        "(async () => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
-    )
     data = _data(design, *_law(study, design), payloads, twin)
     if not data["links"]:
         return None
     return ArmBox(
         _json(data),
-        script,
-        page_hash(script),
+        scoped(*ARM_SCRIPTS),
         squeezed("arm_box.css"),
         data["twin"] is not None,
     )
-
-
-def page_hash(text: str) -> str:
-    """The hash by which a policy allows a script or a style."""
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
 def _json(data: Mapping[str, Any]) -> str:

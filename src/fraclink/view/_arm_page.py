@@ -14,7 +14,7 @@ from fraclink._simulate.arm import Twin
 from fraclink._simulate.engine import TWIN_MODES
 from fraclink.errors import FieldError
 from fraclink.trials._study import Study
-from fraclink.view._arm_box import MOST_PAYLOADS, arm_box, assumed_mass, page_hash
+from fraclink.view._arm_box import MOST_PAYLOADS, arm_box, assumed_mass
 from fraclink.view._pages import rendered, squeezed
 from fraclink.view._tables import margins_table
 from fraclink.view._text import grams, grams_between
@@ -95,7 +95,6 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
             "arm.html",
             arm=arm,
             style=style,
-            style_hash=page_hash(style),
             twin=_twin_simulated(design, twin_fits=arm.has_twin),
             **texts,
         )

@@ -4,6 +4,8 @@ drawings.
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from functools import cache
 from importlib.metadata import version
@@ -14,10 +16,11 @@ from fraclink._display import marked
 from fraclink.errors import MissingExtraError
 from fraclink.view._text import grid_of, sentence
 
-__all__ = ["DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
-__all__ += ["rendered", "squeezed", "template_text"]
+__all__ = ["ARM_SCRIPTS", "DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
+__all__ += ["rendered", "scoped", "squeezed", "template_text"]
 
 _FOLDER = files("fraclink.view") / "templates"
+ARM_SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 
 
 def template_text(name: str) -> str:
@@ -41,6 +44,19 @@ def squeezed(name: str, folder: Traversable = _FOLDER) -> str:
     return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
+def scoped(*names: str) -> str:
+    """Return scripts as one, behind the helpers of drawings that they use, with names
+    that no other script of the page sees.
+    """
+    body = "".join(map(squeezed, ("svg.js", *names))).replace("export const", "const")
+    return f"(async () => {{\n'use strict';\n{body}}})();\n"
+
+
+def _hash_of(text: str) -> str:
+    """The hash by which a policy allows a script or a style."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
 def rendered(template: str, **contents: object) -> str:
     """Return the page from `template` with `contents`; a missing name is an error."""
     try:
@@ -62,6 +78,7 @@ def rendered(template: str, **contents: object) -> str:
         "sentence": sentence,
         "marked": marked,
         "grid": grid_of,
+        "hash": _hash_of,
     }
     return environment.get_template(template).render(
         version=version("fraclink"), **contents

@@ -21,9 +21,9 @@ from fraclink.view import _loops as loops
 from fraclink.view import _runs as runs
 from fraclink.view import _tables as tables
 from fraclink.view import _words as words
-from fraclink.view._arm_box import arm_box, page_hash
+from fraclink.view._arm_box import arm_box
 from fraclink.view._drawing import Figure
-from fraclink.view._pages import rendered, squeezed
+from fraclink.view._pages import rendered, scoped
 from fraclink.view._sketches import arm_sketch
 from fraclink.view._text import grams_between
 
@@ -67,7 +67,7 @@ def write_report(study: Study, path: Path | str, *, script: bool = True) -> Path
         title=f"{name}: {source}",
         study=study,
         arm=arm_box(study, design) if script and design and moves else None,
-        pointer=_pointer(script=script),
+        pointer=scoped("figures.js") if script else "",
         zone=grams_between(*design.payloads) if design else "",
         source=source,
         verdict=verdict,
@@ -102,16 +102,6 @@ def _margin_rows(design: Design | None) -> list[Row]:
     band = design and loops.margin_band(design, np.array(design.payloads))
     label = "Phase margin of every arm consistent with fit and rig"
     return [Row("", label, f"at least {number(band[0].min(), 3)}°")] if band else []
-
-
-def _pointer(*, script: bool) -> Mapping[str, str] | None:
-    """The script that shows values under the pointer, and its hash for the content
-    security policy.
-    """
-    if not script:
-        return None
-    text = squeezed("figures.js")
-    return {"script": text, "hash": page_hash(text)}
 
 
 def _inline(text: str) -> str:

@@ -1,6 +1,7 @@
 // The arm of the shared page, given a new law at every drag.
 import {startArm} from './arm_box.js';
-import {$, on, put, say} from './dom.js';
+import {$, on, say} from './dom.js';
+import {put} from './svg.js';
 
 export class Arm {
   constructor(app) {

@@ -1,6 +1,7 @@
 // Around the loop: the map of feasible requests, and states compared with one another.
-import {Plot, digits, el, ends, limited, line, plain} from './plot.js';
-import {$, make, button, emptied, on, put, table} from './dom.js';
+import {Plot, digits, ends, spark} from './plot.js';
+import {$, make, button, emptied, on, table} from './dom.js';
+import {el, limited, plain, put} from './svg.js';
 
 export class Around {
   constructor(app, design) {
@@ -43,7 +44,7 @@ export class Around {
       put(button(letter || '+', 'chip', item, () => this.pin(key, state), `Overlay state ${k + 1} on this design`), {'aria-pressed': Boolean(letter)});
       this.look(state).then((seen) => {
         const c = seen.curves;
-        if (c?.gain) put(path, {d: line(c.gain[1], 64, (v) => 20 - limited(v, -40, 40) / 2)});
+        if (c?.gain) put(path, {d: spark(c.gain[1], 64, (v) => 20 - limited(v, -40, 40) / 2)});
       });
     }
   }

@@ -1,7 +1,8 @@
 // Step 4: the loop, its handles, and the requests they send.
-import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
+import {Plot, digits, ends, joined, ring} from './plot.js';
 import {Around} from './around.js';
 import {$, capital, change, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
+import {limited, plain} from './svg.js';
 
 const grams = (kg) => 1e3 * kg;
 const KINDS = ['light', 'nominal', 'heavy'];

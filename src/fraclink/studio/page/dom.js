@@ -1,8 +1,8 @@
 // Elements of the page: find, create and listen to them.
 
+import {put} from './svg.js';
+
 export const $ = (id) => document.getElementById(id);
-/** Set attributes of an element by their names. */
-export const put = (node, given) => { for (const key in given) node.setAttribute(key, given[key]); return node; };
 /** Create an element with text; text from a file is never parsed as markup. */
 export const make = (name, kind = '', text = '', parent = null) => {
   const made = document.createElement(name);

@@ -1,7 +1,8 @@
 // Steps 1 to 3: the log, its channels on the arm, and the fits.
-import {Plot, el, limited, line, plain} from './plot.js';
-import {$, make, button, choices, emptied, findings, on, put, table, takes, say} from './dom.js';
+import {Plot, spark} from './plot.js';
+import {$, make, button, choices, emptied, findings, on, table, takes, say} from './dom.js';
 import {upload} from './link.js';
+import {el, limited, plain, put} from './svg.js';
 
 const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'turn', 'coherence'];
 const peak = (ys) => ys.reduce((a, v) => Math.max(a, Math.abs(v)), 1e-9);
@@ -131,7 +132,7 @@ export class Logs {
       make('b', '', channel.name, head);
       make('span', 'unit', channel.unit || '', head);
       const svg = el('svg', {viewBox: '0 0 240 44', class: 'spark', role: 'img', 'aria-label': `${channel.name} over time`, preserveAspectRatio: 'none'}, card);
-      el('path', {d: line(answer.curves[`spark${k}`]?.[0] || [], 240, (v) => 41 - 38 * v)}, svg);
+      el('path', {d: spark(answer.curves[`spark${k}`]?.[0] || [], 240, (v) => 41 - 38 * v)}, svg);
       make('p', 'hint', channel.facts, card);
       const chip = make('span', 'chip drag', channel.name, chips);
       chip.draggable = true;

@@ -1,5 +1,6 @@
 // The command palette: the buttons and fields of all steps, by name.
-import {$, make, on, put} from './dom.js';
+import {$, make, on} from './dom.js';
+import {put} from './svg.js';
 
 export function palette(app) {
   const box = $('palette'), input = $('palette-find'), list = $('palette-list');

@@ -1,6 +1,6 @@
 // A plot as a file: its drawing with the colours of the page written into it, its title and a legend.
-import {el} from './plot.js';
-import {make, put, saveAs} from './dom.js';
+import {make, saveAs} from './dom.js';
+import {el, put} from './svg.js';
 
 // The properties that a viewer needs from the page's style sheet.
 const LOOK = ['fill', 'fill-opacity', 'stroke', 'stroke-width', 'stroke-opacity', 'stroke-dasharray', 'stroke-linejoin', 'opacity', 'paint-order', 'font-family', 'font-size', 'font-weight'];

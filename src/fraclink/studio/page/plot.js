@@ -1,52 +1,18 @@
 // Plots in screen pixels with fixed axes, curves from arrays, handles that are accessible sliders, and tables.
-import {$, button, change, emptied, make, on, put, table} from './dom.js';
+import {$, button, change, emptied, make, on, table} from './dom.js';
 import {savePlot} from './picture.js';
+import {el, limited, pathOf, plain, put, scaleOf, steps, tenth} from './svg.js';
 
 /** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
 /** @typedef {Slider & {get: () => number, set: (v: number) => void, at: () => [number, number], line?: boolean}} Placed */
 /** @typedef {Placed & {toAxis?: (v: number) => number, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
 
-const SVG = 'http://www.w3.org/2000/svg';
-export const el = (name, attributes = {}, parent = null, text = '') => {
-  const made = put(document.createElementNS(SVG, name), attributes);
-  if (text) made.textContent = text;
-  if (parent) parent.append(made);
-  return made;
-};
 export const digits = (v, n) => Number(v.toPrecision(n));
-const tenth = (v) => v.toFixed(1);
-export const limited = (v, low, high) => Math.min(high, Math.max(low, v));
-export const plain = (v, places = 4) => {
-  if (v === null || !Number.isFinite(v)) return '–';
-  const text = Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-4) ? v.toExponential(places - 1) : String(Number(v.toPrecision(places)));
-  return text.replace('-', '−');
-};
 /** The first and last value of a list, as the ends of an axis. */
 export const ends = (list) => ({low: list[0], high: list[list.length - 1]});
 /** The path of a list of values, from left to right over that width. */
-export const line = (ys, width, y) => Array.from(ys, (v, i) => `${i ? 'L' : 'M'}${tenth((width * i) / Math.max(1, ys.length - 1))} ${tenth(y(v))}`).join('');
-
-/** The path of a curve, without points less than a tenth of a pixel off the straight line so far; NaN is a gap. */
-const pathOf = (xs, ys, X, Y) => {
-  // rounded to tenths: toFixed took half of the time of a drag
-  const parts = [], add = (pen, x, y) => parts.push(pen, Math.round(10 * x) / 10, ' ', Math.round(10 * y) / 10);
-  // the last point drawn, the direction of the line from there, and the previous point
-  let fromX = NaN, fromY = NaN, alongX = NaN, alongY = NaN, atX = NaN, atY = NaN;
-  for (let i = 0; i <= xs.length; i++) { // past the end is a gap, too
-    const x = X(xs[i]), y = limited(Y(ys[i]), -3e3, 3e3), gap = !(x === x && y === y), begins = !gap && atX !== atX;
-    const ahead = (x - atX) * alongX + (y - atY) * alongY >= 0, aside = Math.abs((x - fromX) * alongY - (y - fromY) * alongX);
-    if (begins) add('M', x, y);
-    else if (!(ahead && aside < 0.1)) {
-      if (alongX === alongX) add('L', atX, atY);
-      [fromX, fromY] = [atX, atY];
-      const size = Math.hypot(x - atX, y - atY);
-      [alongX, alongY] = [(x - atX) / size, (y - atY) / size];
-    }
-    [atX, atY] = gap ? [NaN, NaN] : [x, y];
-  }
-  return parts.join('');
-};
+export const spark = (ys, width, y) => pathOf(ys.length, (i) => (width * i) / Math.max(1, ys.length - 1), (i) => y(ys[i]));
 /** Rows joined to one curve with gaps between them. */
 export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
 /** A circle about a point of the real axis. */
@@ -55,11 +21,6 @@ export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre +
 /** The event of a pointer move: at once where the browser offers that, else once a frame. */
 const MOVED = 'onpointerrawupdate' in window ? 'pointerrawupdate' : 'pointermove';
 const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
-const steps = (low, high, count) => {
-  const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 2.5, 5, 10].find((s) => s * power >= rough) * power;
-  return Array.from({length: Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1}, (_, i) => step * (Math.ceil(low / step - 1e-9) + i));
-};
 const decades = (low, high) => {
   const found = [];
   for (let p = Math.floor(Math.log10(low)); p <= Math.ceil(Math.log10(high)); p++) {
@@ -72,12 +33,35 @@ const axisOf = (text) => {
   const [name, range, ticks, unit = ''] = text.split('; '), [low, high, log] = range.split(' ');
   return {name, low: Number(low), high: Number(high), log: Boolean(log), ticks: ticks ? ticks.split(' ').map(Number) : null, unit};
 };
+/** The value at a share of an axis. */
+const valueAt = (axis, share) => scaleOf(axis, 0, 1)[1](share);
 /** The index of the value at the least distance. */
 const nearest = (values, distance) => values.reduce((best, v, i) => (distance(v) < distance(values[best]) ? i : best), 0);
 /** At most `count` indices, spread evenly over a list. */
 const spread = (length, count) => Array.from({length: Math.min(length, count)}, (_, k) => Math.round((k * (length - 1)) / Math.max(1, Math.min(length, count) - 1)));
 /** The functions a gesture calls. @typedef {{begin?: () => void, change?: (at?: number) => void, end?: () => void, cancel?: () => void}} Hand */
 const STILL = {begin() {}, change() {}, end() {}, cancel() { this.change(); }};
+/**
+ * Follow a pointer from its press on a node to its release. `press` returns what a move does, or null; `atOnce`: the press
+ * is a move already. @returns {() => void} cancels
+ */
+const follow = (node, hand, press, atOnce = false) => {
+  let move = null;
+  const finish = (how) => { if (move) { move = null; hand[how](); } };
+  on(node, 'pointerdown', (event) => {
+    const moved = press(event);
+    if (!moved) return;
+    event.preventDefault();
+    node.setPointerCapture(event.pointerId);
+    hand.begin();
+    move = (now) => { moved(now); hand.change(now.timeStamp); };
+    if (atOnce) move(event);
+  });
+  on(node, MOVED, (event) => move?.(event));
+  on(node, 'pointerup', () => finish('end'));
+  on(node, 'pointercancel', () => finish('cancel'));
+  return () => finish('cancel');
+};
 const WHOLE = 1e6; // a share of the axes that exceeds every plot
 const ROWS = 14; // of a table of numbers
 const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are left out of the readings and tables
@@ -124,24 +108,6 @@ export class Plot {
     for (const save of this.saves) save.hidden = !is;
     this.tell();
   }
-  part(axis, v) {
-    const {low, high, log} = axis;
-    return log ? Math.log(Math.max(v, 1e-300) / low) / Math.log(high / low) : (v - low) / (high - low);
-  }
-  value(axis, part) {
-    const {low, high, log} = axis;
-    return log ? low * (high / low) ** part : low + (high - low) * part;
-  }
-  X(v) { return LEFT + (this.W - LEFT - RIGHT) * this.part(this.x, v); }
-  Y(v) { return TOP + (this.height - TOP - FOOT) * (1 - this.part(this.y, v)); }
-
-  /** The function from a value to its position; whatever is the same for all values is computed once. */
-  scale({low, high, log}, from, to) {
-    if (log) { const k = (to - from) / Math.log(high / low); return (v) => from + k * Math.log(v / low); }
-    const k = (to - from) / (high - low);
-    return (v) => from + k * (v - low);
-  }
-
   /** Set new ends of the axes: only after another log, model or move is opened, never during a drag. */
   axes(x, y) {
     const home = [{...this.home[0], ...x}, {...this.home[1], ...y}];
@@ -154,7 +120,7 @@ export class Plot {
   /** Show this share of the axes about a place of the plot; plots over the same axis follow. */
   zoom(share, across = 0.5, up = 0.5) {
     const ends = (axis, home, part) => {
-      const [low, high] = [part - part * share, part + (1 - part) * share].map((p) => this.value(axis, p));
+      const [low, high] = [part - part * share, part + (1 - part) * share].map((p) => valueAt(axis, p));
       Object.assign(axis, {low: Math.max(low, home.low), high: Math.min(high, home.high)});
     };
     ends(this.y, this.home[1], up);
@@ -167,8 +133,9 @@ export class Plot {
     const {W} = this, [x, y] = this.home;
     if ('equal' in this.svg.dataset) this.height = TOP + FOOT + ((W - LEFT - RIGHT) * (y.high - y.low)) / (x.high - x.low);
     const {height} = this;
-    this.svg.setAttribute('viewBox', `0 0 ${W} ${height}`);
-    this.svg.setAttribute('height', String(height));
+    [this.X, this.ofX] = scaleOf(this.x, LEFT, W - RIGHT);
+    [this.Y, this.ofY] = scaleOf(this.y, height - FOOT, TOP);
+    put(this.svg, {viewBox: `0 0 ${W} ${height}`, height});
     const inside = {x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT};
     put(this.rect, inside);
     emptied(this.reader);
@@ -208,42 +175,44 @@ export class Plot {
     return round.length > 2 ? round : steps(low, high, count);
   }
 
+  /** The path of that name, and what draws it. */
+  named(name) {
+    if (!this.curves.has(name)) this.curves.set(name, {path: el('path', {}, this.inside)});
+    return this.curves.get(name);
+  }
   /** A named curve; redrawn only if its numbers change. */
   curve(name, kind, xs, ys, label = '') {
-    let c = this.curves.get(name);
-    if (!c) {
-      c = {path: el('path', {}, this.inside), tag: label ? el('text', {class: `end ${kind}`}, this.over) : null};
-      this.curves.set(name, c);
-    }
+    const c = this.named(name);
+    if (label) c.tag ||= el('text', {class: `end ${kind}`}, this.over);
     if (kind !== c.kind) put(c.path, {class: `curve ${c.kind = kind}`});
-    if (!SILENT.test(kind)) Object.assign(c, {xs, ys});
+    Object.assign(c, {xs, ys});
     clearTimeout(this.later);
     this.later = setTimeout(() => this.tell(), 500);
     c.draw = () => {
-      if (!this.W) return;
-      const most = this.W - RIGHT - 30, foot = this.height - FOOT, X = this.scale(this.x, LEFT, this.W - RIGHT), Y = this.scale(this.y, foot, TOP);
-      c.path.setAttribute('d', pathOf(xs, ys, X, Y));
-      if (c.tag) {
-        c.spot = null;
-        const tagged = Array.from(xs, (v, i) => [X(v), Y(ys[i])]).findLast(([x, y]) => y > TOP + 10 && y < foot && x > LEFT + 30 && x < most);
-        const [x, at] = tagged || [0, 0], others = [...this.curves.values()].filter((o) => o !== c && o.spot && Math.abs(o.spot[0] - x) < 42);
-        let y = at + (kind === 'heavy' ? 14 : -5), near;
-        while ((near = others.find((o) => Math.abs(o.spot[1] - y) < 12))) y = near.spot[1] + 13; // always further down
-        const shown = tagged && y < foot;
-        change(c.tag, 'textContent', shown ? label : '');
-        if (!shown) return;
-        c.spot = [x, y];
-        put(c.tag, {transform: `translate(${tenth(x)} ${tenth(y)})`});
-      }
+      const {X, Y} = this;
+      put(c.path, {d: pathOf(xs.length, (i) => X(xs[i]), (i) => Y(ys[i]))});
+      if (c.tag) this.label(c, label, kind === 'heavy' ? 14 : -5);
     };
-    c.draw();
+    if (this.W) c.draw();
+  }
+  /** The label of a curve at its last visible point, below the labels that are there already. */
+  label(c, text, beside) {
+    const {X, Y} = this, {xs, ys} = c, most = this.W - RIGHT - 30, foot = this.height - FOOT;
+    const [x, at] = Array.from(xs, (v, i) => [X(v), Y(ys[i])]).findLast(([x, y]) => y > TOP + 10 && y < foot && x > LEFT + 30 && x < most) || [0, Infinity];
+    c.spot = null;
+    const others = [...this.curves.values()].filter((o) => o.spot && Math.abs(o.spot[0] - x) < 42);
+    let y = at + beside, near;
+    while ((near = others.find((o) => Math.abs(o.spot[1] - y) < 12))) y = near.spot[1] + 13; // always further down
+    change(c.tag, 'textContent', y < foot ? text : '');
+    if (y >= foot) return;
+    c.spot = [x, y];
+    put(c.tag, {transform: `translate(${tenth(x)} ${tenth(y)})`});
   }
   mark(name, kind, d) {
-    let c = this.curves.get(name);
-    if (!c) this.curves.set(name, c = {path: el('path', {}, this.inside), draw: () => {}});
+    const c = this.named(name);
     put(c.path, {class: kind});
-    c.draw = () => { const now = d(); if (now !== c.now) c.path.setAttribute('d', c.now = now); };
-    c.draw();
+    c.draw = () => { const now = d(); if (now !== c.now) put(c.path, {d: c.now = now}); };
+    if (this.W) c.draw();
   }
   /** A rectangle between values of the axes; null stands for the whole axis. */
   box(name, kind, x, y) {
@@ -276,27 +245,15 @@ export class Plot {
     const entry = {h, g, now: ''};
     this.handles.push(entry);
     const to = h.toAxis || ((v) => v), from = h.fromAxis || ((v) => v);
-    const put = (v) => h.set(limited(v, h.low, h.high));
-    let grabbed = null;
-    on(g, 'pointerdown', (event) => {
-      event.preventDefault();
+    const take = (v) => h.set(limited(v, h.low, h.high));
+    const across = h.drag === 'x', pointer = (event) => (across ? event.clientX : event.clientY);
+    const cancel = follow(g, hand, (event) => {
       g.focus({preventScroll: true});
-      g.setPointerCapture(event.pointerId);
-      hand.begin();
-      grabbed = {pointer: h.drag === 'x' ? event.clientX : event.clientY, own: this.part(h.drag === 'x' ? this.x : this.y, to(h.get()))};
+      const grabbed = pointer(event) - (across ? this.X : this.Y)(to(h.get()));
+      return (moved) => take(from((across ? this.ofX : this.ofY)(pointer(moved) - grabbed)));
     });
-    on(g, MOVED, (event) => {
-      if (!grabbed) return;
-      const moved = (h.drag === 'x' ? event.clientX - grabbed.pointer : grabbed.pointer - event.clientY);
-      const room = h.drag === 'x' ? this.W - LEFT - RIGHT : this.height - TOP - FOOT;
-      put(from(this.value(h.drag === 'x' ? this.x : this.y, grabbed.own + moved / room)));
-      hand.change(event.timeStamp);
-    });
-    const release = (how) => { if (grabbed) { grabbed = null; hand[how](); } };
-    on(g, 'pointerup', () => release('end'));
-    on(g, 'pointercancel', () => release('cancel'));
     on(g, 'keydown', (event) => {
-      if (event.key === 'Escape') { release('cancel'); return; }
+      if (event.key === 'Escape') { cancel(); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const many = {ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
       const v = many ? h.get() + many * h.step : event.key === 'Home' ? h.low : event.key === 'End' ? h.high : null;
@@ -304,7 +261,7 @@ export class Plot {
       event.preventDefault();
       event.stopPropagation();
       hand.begin();
-      put(v);
+      take(v);
       hand.change();
       hand.end();
     });
@@ -324,19 +281,11 @@ export class Plot {
   }
   /** Drag a range on the background: calls `move` with its start and its end. */
   painted(given, move, ready = () => true) {
-    const hand = {...STILL, ...given};
-    let from = null;
-    on(this.svg, 'pointerdown', (event) => {
-      if (!ready() || event.target.closest('.handle')) return;
-      event.preventDefault();
-      this.svg.setPointerCapture(event.pointerId);
-      hand.begin();
-      from = this.spot(event);
-      move(from, from);
-      hand.change(event.timeStamp);
-    });
-    on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
-    on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
+    follow(this.svg, {...STILL, ...given}, (event) => {
+      if (!ready() || event.target.closest('.handle')) return null;
+      const from = this.spot(event);
+      return (moved) => move(from, this.spot(moved));
+    }, true);
   }
   /** Draw a hairline in every plot with the same axis, with the values of its curves there, and dots in a plot whose curves run along that axis. */
   point(v) {
@@ -359,14 +308,14 @@ export class Plot {
       el('text', {x: left ? LEFT + 4 : this.W - RIGHT - 4, y: TOP + 12 + 13 * i, 'text-anchor': left ? 'start' : 'end'}, place, text);
     });
   }
-  told() { return [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys, path}]) => ({name: this.names[key] || key, xs, ys, path})); }
+  told() { return [...this.curves].filter(([, c]) => c.xs?.length && !SILENT.test(c.kind)).map(([key, {xs, ys, path}]) => ({name: this.names[key] || key, xs, ys, path})); }
   /** The position of a pointer as shares of the axes, and in their units. */
   parts(event) {
     const box = this.svg.getBoundingClientRect();
     const x = (event.clientX - box.left - LEFT) / (this.W - LEFT - RIGHT), y = (event.clientY - box.top - TOP) / (this.height - TOP - FOOT);
     return [limited(x, 0, 1), 1 - limited(y, 0, 1)];
   }
-  spot(event) { const [x, y] = this.parts(event); return [this.value(this.x, x), this.value(this.y, y)]; }
+  spot(event) { const [x, y] = this.parts(event); return [valueAt(this.x, x), valueAt(this.y, y)]; }
 
   place() {
     if (!this.W) return;

@@ -1,6 +1,7 @@
 // Steps 6 and 7: the certificate, the trials, and the exported files.
-import {Plot, ends, joined, plain, ring} from './plot.js';
+import {Plot, ends, joined, ring} from './plot.js';
 import {$, make, button, emptied, items, on, table, say} from './dom.js';
+import {plain} from './svg.js';
 
 const precision = () => document.querySelector('input[name=precision]:checked').value;
 const JOBS = ['prove', 'arms', 'faults'];

@@ -5,7 +5,8 @@ import {Design} from './design.js';
 import {Logs} from './logs.js';
 import {Proof} from './proof.js';
 import {palette} from './palette.js';
-import {$, emptied, make, on, put, say} from './dom.js';
+import {$, emptied, make, on, say} from './dom.js';
+import {put} from './svg.js';
 
 const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 

@@ -1,25 +1,10 @@
 // --- drawing: the arm from above and curves over time, in screen pixels at any width -----------------------
 
 const $ = (id) => document.getElementById(id);
-const el = (name, attributes = {}, parent = null, text = '') => {
-  const made = document.createElementNS('http://www.w3.org/2000/svg', name);
-  for (const key in attributes) made.setAttribute(key, attributes[key]);
-  if (text) made.textContent = text;
-  if (parent) parent.append(made);
-  return made;
-};
-const set = (node, attributes) => { for (const key in attributes) node.setAttribute(key, attributes[key]); };
-const degrees = (radians) => (radians * 180) / Math.PI;
 const fixed = (value, places) => {
   if (!Number.isFinite(value)) return 'NaN';
   const text = value.toFixed(places);
   return (Number(text) === 0 ? text.replace('-', '') : text).replace('-', '−');
-};
-const px = (value) => value.toFixed(1);
-const limited = (value, low, high) => Math.min(high, Math.max(low, value));
-const nice = (value) => {
-  const power = 10 ** Math.floor(Math.log10(value));
-  return [1, 2, 5, 10].find((step) => step * power >= value) * power;
 };
 
 const arm = {svg: $('arm'), pair: []};
@@ -38,7 +23,7 @@ function layArm() {
   const L = Math.max(60, round ? Math.min(room, high / 2 - 12) : Math.min(room / Math.max(Math.sin(reach), 0.62), high - foot));
   const H = Math.round(round ? 2 * (L + margin) : L + margin + foot), cy = round ? H / 2 : H - foot;
   Object.assign(arm, {W, H, L, middle, round, beside, thick: narrow ? 8 : 11});
-  set(arm.svg, {viewBox: `0 0 ${W} ${H}`, height: H});
+  put(arm.svg, {viewBox: `0 0 ${W} ${H}`, height: H});
   arm.svg.replaceChildren();
   arm.pair = all.map((law, i) => layOne(law, i, beside ? (W * (1 + 2 * i)) / 4 : W / 2, cy, beside || !i));
   drawScale();
@@ -63,7 +48,7 @@ function layOne(law, place, cx, cy, floor) {
   drawHub(one);
   one.load = rival ? el('g', {}, g) : arm.load ||= el('g', {id: 'load', role: 'button', tabindex: 0});
   g.append(one.load);
-  if (!rival) arm.flying = el('circle', {class: 'load flying', r: 0}, g);
+  if (!rival) arm.flying = el('circle', {class: 'load', opacity: 0}, g);
   // below its own hub, or to one side of a common hub
   const own = cx !== arm.W / 2, y = own ? arm.H - 20 : cy - 10;
   const who = own ? {x: cx, 'text-anchor': 'middle'} : place ? {x: arm.W - 4, 'text-anchor': 'end'} : {x: 4};
@@ -89,17 +74,17 @@ function drawFloor(hub) {
   const g = el('g', {class: 'floor'}, hub), R = arm.L + (arm.W < 560 ? 16 : 22);
   const seen = arm.round ? 3.1 : Math.min(Math.PI / 2, Math.abs(arm.middle) + 0.5);
   const [x1, y1] = spot(arm.middle + seen, R), [x2, y2] = spot(arm.middle - seen, R);
-  el('path', {class: 'arc', d: `M${px(x1)} ${px(y1)}A${px(R)} ${px(R)} 0 ${seen > 1.6 ? 1 : 0} 1 ${px(x2)} ${px(y2)}`}, g);
+  el('path', {class: 'arc', d: `M${tenth(x1)} ${tenth(y1)}A${tenth(R)} ${tenth(R)} 0 ${seen > 1.6 ? 1 : 0} 1 ${tenth(x2)} ${tenth(y2)}`}, g);
   const first = Math.ceil(degrees(arm.middle - seen) / 5), last = Math.floor(degrees(arm.middle + seen) / 5);
   for (let i = first; i <= last; i++) {
     const angle = (5 * i * Math.PI) / 180, long = i % 6 === 0, size = long ? 9 : i % 2 === 0 ? 6 : 3;
     const [ax, ay] = spot(angle, R), [bx, by] = spot(angle, R + size), [tx, ty] = spot(angle, R + 20 + 8 * Math.abs(Math.sin(angle - arm.middle)));
-    el('line', {class: 'tick', x1: px(ax), y1: px(ay), x2: px(bx), y2: px(by)}, g);
-    if (long) el('text', {x: px(tx), y: px(ty + 4), 'text-anchor': 'middle'}, g, `${5 * i}°`.replace('-', '−'));
+    el('line', {class: 'tick', x1: tenth(ax), y1: tenth(ay), x2: tenth(bx), y2: tenth(by)}, g);
+    if (long) el('text', {x: tenth(tx), y: tenth(ty + 4), 'text-anchor': 'middle'}, g, `${5 * i}°`.replace('-', '−'));
   }
   for (const angle of [0, amplitude()]) {
     const [ax, ay] = spot(angle, R - 9), [bx, by] = spot(angle, R + 1);
-    el('line', {class: 'goal', x1: px(ax), y1: px(ay), x2: px(bx), y2: px(by)}, g);
+    el('line', {class: 'goal', x1: tenth(ax), y1: tenth(ay), x2: tenth(bx), y2: tenth(by)}, g);
   }
 }
 
@@ -108,8 +93,8 @@ function drawScale() {
   const g = el('g', {class: 'floor'}, arm.svg);
   const unit = [0.02, 0.05, 0.1, 0.2, 0.5, 1].find((m) => (m / DATA.length) * arm.L > 30) || 2;
   const wide = (unit / DATA.length) * arm.L, y = arm.H - 14;
-  el('path', {class: 'scale', d: `M14 ${y - 4}V${y}H${px(14 + wide)}V${y - 4}`}, g);
-  el('text', {x: px(14 + wide / 2), y: y - 6, 'text-anchor': 'middle'}, g, `${unit} m`);
+  el('path', {class: 'scale', d: `M14 ${y - 4}V${y}H${tenth(14 + wide)}V${y - 4}`}, g);
+  el('text', {x: tenth(14 + wide / 2), y: y - 6, 'text-anchor': 'middle'}, g, `${unit} m`);
   // between two hubs, or on the right of the only one
   const place = arm.beside ? {x: arm.W / 2, 'text-anchor': 'middle'} : {x: arm.W - 6, 'text-anchor': 'end'};
   el('text', {y, ...place}, g, arm.W < 900 ? 'bow drawn ×2' : 'bow drawn twice as deep');
@@ -145,7 +130,6 @@ const bent = (from, to, base, bend) => Array.from({length: 25}, (_, i) => {
   const x = from + ((to - from) * i) / 24;
   return spot(base + bend * x * x, arm.L * x);
 });
-const line = (points) => points.map(([x, y], i) => `${i ? 'L' : 'M'}${px(x)} ${px(y)}`).join('');
 
 function blade(points) {
   const sides = [[], []];
@@ -155,7 +139,7 @@ function blade(points) {
     sides[0].push([x - ((by - ay) / size) * half, y + ((bx - ax) / size) * half]);
     sides[1].unshift([x + ((by - ay) / size) * half, y - ((bx - ax) / size) * half]);
   });
-  return `${line(sides[0])}${line(sides[1]).replace('M', 'L')}Z`;
+  return `${line([...sides[0], ...sides[1]])}Z`;
 }
 
 function drawArm(k) { for (const one of arm.pair) drawOne(one, k); }
@@ -171,8 +155,8 @@ function drawOne({law: {tip, motor, mode}, ...one}, k) {
   one.ghost?.setAttribute('transform', `rotate(${turn(reference[k])})`);
   one.rotor.setAttribute('transform', `rotate(${turn(base)})`);
   const [x, y] = points[24], aside = (payloadRadius() + 20) / arm.L;
-  one.load.setAttribute('transform', `translate(${px(x)} ${px(y)})`);
-  if (!one.rival) set(arm.weight, {x: px(-y * aside), y: px(x * aside + 4)});
+  one.load.setAttribute('transform', `translate(${tenth(x)} ${tenth(y)})`);
+  if (!one.rival) put(arm.weight, {x: tenth(-y * aside), y: tenth(x * aside + 4)});
   const span = Math.round(0.5 / TS / one.trail.length);
   one.trail.forEach((piece, i) => {
     const b = k - span * (one.trail.length - 1 - i), a = Math.max(0, b - span);
@@ -180,9 +164,9 @@ function drawOne({law: {tip, motor, mode}, ...one}, k) {
     for (let j = a; j <= b; j += step) trace.push(spot(tip[j], arm.L));
     piece.setAttribute('d', b > 0 && trace.length > 1 ? line(trace) : '');
   });
-  const broken = (part) => FAULTS.some((f) => f.part === part && f.id in state.faults && k >= state.faults[f.id]);
-  one.gauge.classList.toggle('broken', broken('gauge'));
-  one.housing.classList.toggle('broken', broken('encoder'));
+  const breaks = (part) => broken().some((fault) => fault.part === part && k >= state.faults[fault.id]);
+  one.gauge.classList.toggle('broken', breaks('gauge'));
+  one.housing.classList.toggle('broken', breaks('encoder'));
   one.g.dataset.mode = DATA.modes[mode[k]];
 }
 
@@ -193,100 +177,78 @@ const END = () => (plots.W < 560 ? 14 : 78); // room for the labels at the ends 
 const plots = {W: 0};
 const across = (k) => LEFT + ((plots.W - LEFT - END()) * k) / (N - 1);
 
-// A curve that leaves the plot is cut at the edge.
-function curve(values, y, low, high) {
-  const step = Math.max(1, Math.floor(N / (1.5 * plots.W)));
-  let d = '', pen = 'M', outside = 0;
-  for (let k = 0; k < N; k += step) {
-    const v = values[k], was = outside;
-    outside = v > high ? 1 : v < low ? -1 : 0;
-    if (!Number.isFinite(v) || (outside && was === outside)) { pen = 'M'; continue; }
-    d += `${pen}${px(across(k))} ${px(y(values[k]))}`;
-    pen = 'L';
-  }
-  return d;
+function blank(id, height) {
+  const svg = put($(id), {viewBox: `0 0 ${plots.W} ${height}`, height});
+  svg.replaceChildren();
+  return svg;
 }
 
-// One plot: axes, curves with their names at their ends, and the cursor. Its ranges follow the settings.
-function drawPlot(id, height, low, high, ticks, curves, places, withTime) {
-  const svg = $(id), foot = withTime ? 22 : 6, top = 8;
-  set(svg, {viewBox: `0 0 ${plots.W} ${height}`, height});
-  svg.replaceChildren();
-  const y = (value) => top + ((height - foot - top) * (high - limited(value, low, high))) / (high - low);
+// One plot: axes, curves with their names at their ends, and the cursor. Its ranges follow the settings, and a curve that
+// leaves them is cut at the edge.
+function drawPlot(id, height, [low, high], ticks, curves) {
+  const last = id === 'plot-voltage', svg = blank(id, height), foot = height - (last ? 22 : 6), top = 8, right = plots.W - END();
+  const y = (value) => top + ((foot - top) * (high - value)) / (high - low);
   for (const tick of ticks) {
-    el('line', {class: tick ? 'grid' : 'grid zero', x1: LEFT, x2: plots.W - END(), y1: px(y(tick)), y2: px(y(tick))}, svg);
-    el('text', {x: LEFT - 7, y: px(y(tick) + 4), 'text-anchor': 'end'}, svg, fixed(tick, places));
+    el('line', {class: tick ? 'grid' : 'grid zero', x1: LEFT, x2: right, y1: tenth(y(tick)), y2: tenth(y(tick))}, svg);
+    el('text', {x: LEFT - 7, y: tenth(y(tick) + 4), 'text-anchor': 'end'}, svg, plain(tick));
   }
-  const seconds = TS * (N - 1), every = seconds > 9 ? 2 : seconds > 5 || plots.W < 560 ? 1 : 0.5;
-  for (let t = 0; t <= seconds + 1e-9; t += every) {
-    const x = px(across(t / TS));
-    el('line', {class: 'grid', x1: x, x2: x, y1: height - foot, y2: height - foot + 4}, svg);
-    if (withTime) el('text', {x, y: height - 5, 'text-anchor': 'middle'}, svg, `${fixed(t, every < 1 ? 1 : 0)} s`);
+  for (const t of steps(0, TS * (N - 1), plots.W / 100)) {
+    const x = tenth(across(t / TS));
+    el('line', {class: 'grid', x1: x, x2: x, y1: foot, y2: foot + 4}, svg);
+    if (last) el('text', {x, y: height - 5, 'text-anchor': 'middle'}, svg, `${plain(t)} s`);
   }
-  const names = [];
-  for (const [kind, name, values] of curves) {
-    el('path', {class: `curve ${kind}`, d: curve(values, y, low, high)}, svg);
-    if (name) names.push([y(Number.isFinite(values[N - 1]) ? values[N - 1] : 0) + 4, kind, name]);
+  for (const [kind, , values] of curves) {
+    el('path', {class: `curve ${kind}`, d: pathOf(N, across, (k) => (values[k] > high || values[k] < low ? NaN : y(values[k])))}, svg);
   }
-  names.sort((a, b) => a[0] - b[0]);
+  const names = curves.filter(([, name]) => name).map(([kind, name, values]) => ({kind, name, at: y(limited(values[N - 1] || 0, low, high)) + 4}));
   if (END() > 40) {
-    names.forEach((item, i) => {
-      item[0] = Math.max(Math.min(item[0], height - foot - 15 * (names.length - 1 - i)), i ? names[i - 1][0] + 15 : 0);
-      el('text', {class: `name ${item[1]}`, x: plots.W - END() + 7, y: px(item[0])}, svg, item[2]);
+    names.sort((a, b) => a.at - b.at).forEach((one, i) => {
+      one.at = Math.max(Math.min(one.at, foot - 15 * (names.length - 1 - i)), i ? names[i - 1].at + 15 : 0);
+      el('text', {class: `name ${one.kind}`, x: right + 7, y: tenth(one.at)}, svg, one.name);
     });
   }
-  for (const fault of FAULTS) {
-    if (!(fault.id in state.faults)) continue;
-    const x = px(across(state.faults[fault.id]));
-    el('line', {class: 'since', x1: x, x2: x, y1: top - 4, y2: height - foot}, svg);
-    if (id !== 'plot-tip') continue;
-    const right = state.faults[fault.id] < 0.6 * N, row = faultsBefore(fault);
-    el('text', {class: 'since-what', x: px(Number(x) + (right ? 6 : -6)), y: height - 12 - 16 * row, 'text-anchor': right ? 'start' : 'end'}, svg, fault.name);
-  }
-  return {cursor: el('line', {class: 'cursor', y1: 2, y2: height - foot}, svg), y, svg};
+  broken().forEach((fault, row) => {
+    const x = across(state.faults[fault.id]), before = x < 0.6 * plots.W;
+    el('line', {class: 'since', x1: tenth(x), x2: tenth(x), y1: top - 4, y2: foot}, svg);
+    if (id === 'plot-tip') el('text', {class: 'since-what', x: tenth(x + (before ? 6 : -6)), y: height - 12 - 16 * row, 'text-anchor': before ? 'start' : 'end'}, svg, fault.name);
+  });
+  return {cursor: el('line', {class: 'cursor', y1: 2, y2: foot}, svg), y, svg};
 }
 
-const faultsBefore = (fault) => FAULTS.filter((other) => other.id in state.faults).indexOf(fault);
-
 function drawRibbon() {
-  const svg = $('ribbon'), height = 24;
-  set(svg, {viewBox: `0 0 ${plots.W} ${height}`, height});
-  svg.replaceChildren();
+  const height = 24, svg = blank('ribbon', height);
   for (let from = 0, k = 1; k <= N; k++) {
     if (k < N && mode[k] === mode[from]) continue;
     const x = across(from), wide = across(Math.min(k, N - 1)) - x, name = DATA.modes[mode[from]];
-    el('rect', {class: `mode ${name}`, x: px(x), y: 2, width: px(Math.max(1, wide)), height: height - 4}, svg);
-    if (name === 'degraded') el('rect', {class: 'hatched', x: px(x), y: 2, width: px(wide), height: height - 4}, svg);
-    if (wide > 10 * name.length) el('text', {class: `on ${name}`, x: px(x + wide / 2), y: 16.5, 'text-anchor': 'middle'}, svg, name);
+    el('rect', {class: `mode ${name}`, x: tenth(x), y: 2, width: tenth(Math.max(1, wide)), height: height - 4}, svg);
+    if (name === 'degraded') el('rect', {class: 'hatched', x: tenth(x), y: 2, width: tenth(wide), height: height - 4}, svg);
+    if (wide > 10 * name.length) el('text', {class: `on ${name}`, x: tenth(x + wide / 2), y: 16.5, 'text-anchor': 'middle'}, svg, name);
     from = k;
   }
-  return {cursor: el('line', {class: 'cursor', y1: 0, y2: height}, svg), svg};
+  return {cursor: el('line', {class: 'cursor', y1: 0, y2: height}, svg)};
 }
 
 function drawPlots() {
   plots.W = Math.max(280, $('plots').clientWidth);
-  $('plots').classList.toggle('narrow', plots.W < 560);
-  const a = degrees(amplitude()), room = Math.max(8, 0.45 * Math.abs(a)), inDegrees = (values) => Array.from(values, degrees);
-  const step = nice((Math.abs(a) + 2 * room) / 5), low = Math.min(0, a) - room, high = Math.max(0, a) + room;
-  const marks = (from, to, by) => Array.from({length: Math.floor(to / by) - Math.ceil(from / by) + 1}, (_, i) => by * (Math.ceil(from / by) + i));
-  const T = DATA.torque, U = DATA.voltage || 10;
-  const wide = plots.W >= 560;
-  const u = limited(nice(1.05 * voltage.reduce((x, y) => Math.max(x, Math.abs(y)), 1)), 1, nice(U));
-  const most = limited(nice(1.05 * torque.reduce((x, y) => Math.max(x, Math.abs(y)), 0.3 * T)), 0.1 * T, 4 * T);
+  const narrow = plots.W < 560, a = degrees(amplitude()), room = Math.max(8, 0.45 * Math.abs(a));
+  $('plots').classList.toggle('narrow', narrow);
+  const angles = [Math.min(0, a) - room, Math.max(0, a) + room], inDegrees = (kind, name, values) => [kind, name, Array.from(values, degrees)];
+  // the same in both directions: as far as the values reach, but at least and at most so far
+  const both = (values, least, most) => Math.min(roundUp(1.05 * values.reduce((x, y) => Math.max(x, Math.abs(y)), least)), most);
+  const torques = both(torque, 0.3 * DATA.torque, 4 * DATA.torque), volts = both(voltage, 1, roundUp(DATA.voltage || 10));
   plots.drawn = [
-    drawPlot('plot-tip', wide ? 200 : 180, low, high, marks(low, high, step),
-      [...(past.tip ? [['past', '', inDegrees(past.tip)]] : []), ['wanted', 'reference', inDegrees(reference)],
-        ...(alone.shown ? [['alone', 'PID alone', inDegrees(alone.tip)]] : []), ['hub', 'motor', inDegrees(motor)], ['tip', 'tip', inDegrees(tip)]], step < 1 ? 1 : 0, false),
+    drawPlot('plot-tip', narrow ? 180 : 200, angles, steps(...angles, 5), [
+      ...(past.tip ? [inDegrees('past', '', past.tip)] : []), inDegrees('wanted', 'reference', reference),
+      ...(alone.shown ? [inDegrees('alone', 'PID alone', alone.tip)] : []), inDegrees('hub', 'motor', motor), inDegrees('tip', 'tip', tip),
+    ]),
     drawRibbon(),
-    drawPlot('plot-gauge', 104, -most, most, [-most, 0, most], [['measured', 'gauge', gauge], ['true', 'true', torque]], most < 1 ? (most < 0.1 ? 2 : 1) : 0, false),
-    drawPlot('plot-voltage', 112, -u, u, [-u, 0, u], [['volts', 'voltage', voltage]], u < 1 ? 1 : 0, true),
+    drawPlot('plot-gauge', 104, [-torques, torques], [-torques, 0, torques], [['measured', 'gauge', gauge], ['true', 'true', torque]]),
+    drawPlot('plot-voltage', 112, [-volts, volts], [-volts, 0, volts], [['volts', 'voltage', voltage]]),
   ];
   const band = 0.02 * Math.abs(a), {y, svg} = plots.drawn[0];
-  const strip = el('rect', {class: 'band', x: LEFT, width: px(across(Math.floor(N / 2)) - LEFT), y: px(y(a + band)), height: px(Math.max(1, y(a - band) - y(a + band)))});
-  svg.prepend(strip);
+  svg.prepend(el('rect', {class: 'band', x: LEFT, width: tenth(across(Math.floor(N / 2)) - LEFT), y: tenth(y(a + band)), height: tenth(Math.max(1, y(a - band) - y(a + band)))}));
 }
 
 function drawCursor(k) {
-  const x = px(across(k));
-  for (const {cursor} of plots.drawn) set(cursor, {x1: x, x2: x});
+  for (const {cursor} of plots.drawn) put(cursor, {x1: tenth(across(k)), x2: tenth(across(k))});
 }

@@ -5,10 +5,8 @@ const DATA = JSON.parse(document.getElementById('arm-data').textContent);
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 
 // Compressed, the engine takes two fifths of its size in the file.
-const inflating = new DecompressionStream('deflate'), packed = inflating.writable.getWriter();
-packed.write(bytesOf(DATA.engine));
-packed.close();
-const ENGINE = new WebAssembly.Instance(new WebAssembly.Module(await new Response(inflating.readable).arrayBuffer())).exports;
+const unpacked = new Blob([bytesOf(DATA.engine)]).stream().pipeThrough(new DecompressionStream('deflate'));
+const ENGINE = (await WebAssembly.instantiate(await new Response(unpacked).arrayBuffer())).instance.exports;
 const N = DATA.periods + 1;
 const TS = DATA.period;
 const doubles = (place, count) => new Float64Array(ENGINE.memory.buffer, place, count);
@@ -19,19 +17,29 @@ const INPUT = {reference: 0, acceleration: 2, gaugeError: 3, payload: 11};
 const FAULT = {bits: 5, encoderGain: 6, encoderError: 7, encoderValue: 8, gaugeGain: 9, gaugeValue: 10};
 const BIT = {encoderReplaced: 1, gaugeReplaced: 2, encoderFrozen: 4, gaugeFrozen: 8, tickMissed: 32};
 
-const numbers = new Float64Array(bytesOf(DATA.numbers).buffer);
-const rigNumbers = numbers.subarray(0, RIG);
-const moves = numbers.subarray(RIG + N, RIG + N + MOVE * DATA.times.length);
-const links = (() => {
-  let at = RIG + N + MOVE * DATA.times.length;
-  return DATA.links.map(([reals, pairs, second]) => {
-    const count = HEAD + 7 * reals + 14 * pairs;
-    const link = {reals, pairs, second, numbers: numbers.subarray(at, at + count)};
-    at += count;
-    return link;
-  });
-})();
-const blocks = DATA.blocks.map(bytesOf);
+// The numbers of an arm: of its rig, noise and moves, a link for each payload, the blocks of its laws, and its twin.
+function numbersOf(told) {
+  const take = taking(told.numbers);
+  return {
+    rig: take(RIG), noise: take(N), moves: take(MOVE * told.times.length),
+    links: told.links.map(([reals, pairs, second]) => ({reals, pairs, second, numbers: take(HEAD + 7 * reals + 14 * pairs)})),
+    blocks: told.blocks.map(bytesOf), twin: told.twin && twinOf(told),
+  };
+}
+// The twin: a hub with stiction, a link with distributed mass as modes, and Maxwell elements. Null if the rig has none.
+function twinOf({twin, payloads}) {
+  const take = taking(twin.numbers), {elements, modes} = twin;
+  return {
+    ...twin, rig: take(TWIN_RIG), noise: take(N), material: take(5), weights: take(elements), rates: take(elements),
+    arms: payloads.map(() => take(1 + 3 * modes)), steps: new Map(),
+  };
+}
+function taking(text) {
+  const all = new Float64Array(bytesOf(text).buffer);
+  let at = 0;
+  return (count) => all.subarray(at, at += count);
+}
+let numbers = numbersOf(DATA);
 
 const view = {
   link: doubles(ENGINE.link(), HEAD + 21 * 64),
@@ -45,7 +53,7 @@ const [, mode, reason] = view.mark;
 const reference = view.path[0];
 // The same arm in the same run with only the motor's own PID; not shown next to a run from Python.
 const alone = {tip: new Float64Array(N), motor: new Float64Array(N), mode: new Uint32Array(N), shown: true};
-view.path[2].set(numbers.subarray(RIG, RIG + N));
+view.path[2].set(numbers.noise);
 
 // A rig in the engine: three integers, and its doubles from byte 16 on.
 function fill(place, values) {
@@ -53,23 +61,10 @@ function fill(place, values) {
   doubles(place + 16, values.length - 3).set(values.subarray(3));
 }
 
-// The twin: a hub with stiction, a link with distributed mass as modes, and Maxwell elements. Null if the rig has none.
-function twinOf(told) {
-  if (!told) return null;
-  const all = new Float64Array(bytesOf(told.numbers).buffer), {elements, modes} = told;
-  let at = 0;
-  const take = (count) => all.subarray(at, at += count);
-  return {
-    ...told, rig: take(TWIN_RIG), noise: take(N), material: take(5), weights: take(elements), rates: take(elements),
-    arms: DATA.payloads.map(() => take(1 + 3 * modes)), steps: new Map(),
-  };
-}
-let TWIN = twinOf(DATA.twin);
-
 // The matrices of the twin, with the operations of `assemble` in the same order, so the results are bitwise equal.
 function assemble(index) {
-  const {elements, modes, weights, rates} = TWIN, [inertia, ...rest] = TWIN.arms[index];
-  const [step, length, spring, dashpot, friction] = TWIN.material;
+  const {elements, modes, weights, rates, arms, material} = numbers.twin, [inertia, ...rest] = arms[index];
+  const [step, length, spring, dashpot, friction] = material;
   const states = 2 + modes * (2 + elements), size = states + 2, stride = (states + 7) & ~7;
   const matrix = doubles(ENGINE.matrix(), size * size), outputs = doubles(ENGINE.outputs(), OUTPUTS * stride);
   const hub = new Float64Array(states), put = (row, column, value) => { matrix[row * size + column] = value * step; };
@@ -106,9 +101,9 @@ function assemble(index) {
 }
 
 function runTwin() {
-  const at = state.payload, rig = TWIN.rig.slice();
-  if (!TWIN.steps.has(at)) TWIN.steps.set(at, assemble(at));
-  const {size, matrix, outputs} = TWIN.steps.get(at);
+  const at = state.payload, {twin} = numbers, rig = twin.rig.slice();
+  if (!twin.steps.has(at)) twin.steps.set(at, assemble(at));
+  const {size, matrix, outputs} = twin.steps.get(at);
   doubles(ENGINE.matrix(), matrix.length).set(matrix);
   doubles(ENGINE.outputs(), outputs.length).set(outputs);
   rig[1] = periodsLate();
@@ -117,7 +112,7 @@ function runTwin() {
   for (let k = 0, row = 0; k < N; k++, row += COLUMNS) {
     view.faults[row + INPUT.reference] = view.path[0][k];
     view.faults[row + INPUT.acceleration] = view.path[1][k];
-    view.faults[row + INPUT.gaugeError] = state.offset + state.noise * TWIN.noise[k];
+    view.faults[row + INPUT.gaugeError] = state.offset + state.noise * twin.noise[k];
     view.faults[row + INPUT.payload] = state.told ? DATA.payloads[at] : 0;
   }
   return ENGINE.run_twin(Number(state.single), size, N);
@@ -149,16 +144,16 @@ const FAULTS = [
 ];
 const EXTRA_DELAY = 6; // periods that the button "late" adds
 
-const state = {
-  payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
-  delay: DATA.start.delay, told: false, single: false, twin: false, late: false, thrown: -1,
+const begun = () => ({
+  ...DATA.start, move: 60, told: false, single: false, twin: false, late: false, thrown: -1,
   faults: {}, // id: its first period
-};
+});
+const state = begun();
 const amplitude = () => (state.move * Math.PI) / 180;
 
 // smooth_step there and back, with the operations of Path.derivative in the same order: bitwise equal results.
 function follow() {
-  const [end, back, rest, cube, fourth, fifth] = moves.subarray(MOVE * state.time, MOVE * (state.time + 1));
+  const [end, back, rest, cube, fourth, fifth] = numbers.moves.subarray(MOVE * state.time, MOVE * (state.time + 1));
   const a = amplitude();
   const there = [a * 0, a * 0 / end, a * 0 / (end * end), a * 10 / cube, a * -15 / fourth, a * 6 / fifth];
   const b = -a;
@@ -176,15 +171,17 @@ function follow() {
   }
 }
 
+// If two faults set the same number, the later one applies, as in fraclink.
+const broken = () => FAULTS.filter(({id}) => id in state.faults).sort((a, b) => state.faults[a.id] - state.faults[b.id]);
+
 function breakSensors(always = false) {
-  // if two faults set the same number, the later one applies, as in fraclink
-  const broken = FAULTS.filter((fault) => fault.id in state.faults).sort((a, b) => state.faults[a.id] - state.faults[b.id]);
-  if (!broken.length && !always) return 0;
+  const faults = broken();
+  if (!faults.length && !always) return 0;
   view.faults.fill(0);
   for (let k = 0; k < N; k++) {
     const row = view.faults.subarray(k * COLUMNS, (k + 1) * COLUMNS);
     row[FAULT.encoderGain] = row[FAULT.gaugeGain] = 1;
-    for (const fault of broken) if (k >= state.faults[fault.id]) fault.row(row, k);
+    for (const fault of faults) if (k >= state.faults[fault.id]) fault.row(row, k);
   }
   return 1;
 }
@@ -193,7 +190,7 @@ const periodsLate = () => state.delay + (state.late ? EXTRA_DELAY : 0);
 let milliseconds = 0;
 
 function runModel() {
-  const link = links[state.payload], rig = rigNumbers.slice();
+  const link = numbers.links[state.payload], rig = numbers.rig.slice();
   rig[AT.delay] = periodsLate();
   rig[AT.offset] = state.offset;
   rig[AT.noise] = state.noise;
@@ -212,14 +209,14 @@ function runLaw(block) {
 function run(both = true) {
   follow();
   if (both) {
-    runLaw(blocks[2 + Number(state.single)]);
+    runLaw(numbers.blocks[2 + Number(state.single)]);
     alone.tip.set(tip);
     alone.motor.set(motor);
     alone.mode.set(mode);
     alone.shown = true;
   }
   const begin = performance.now();
-  runLaw(blocks[Number(state.single)]);
+  runLaw(numbers.blocks[Number(state.single)]);
   milliseconds = performance.now() - begin;
 }
 
@@ -237,8 +234,7 @@ function digest() {
 // The same run in Python.
 function inPython() {
   const a = amplitude(), time = DATA.times[state.time], end = TS * DATA.periods;
-  const events = FAULTS.filter((fault) => fault.id in state.faults)
-    .flatMap((fault) => fault.python(TS * state.faults[fault.id], end + 1, state.faults[fault.id]));
+  const events = broken().flatMap(({id, python}) => python(TS * state.faults[id], end + 1, state.faults[id]));
   return [
     'import zlib',
     'import fraclink as fl',
@@ -247,7 +243,7 @@ function inPython() {
     `law = ${DATA.law}${state.single ? '.in_precision("single")' : ''}`,
     `there, back = fl.smooth_step(${a}, ${time}), fl.smooth_step(${-a}, ${time}, ${DATA.half - time})`,
     ...(state.twin ? [
-      `arm = fl.Twin.from_rig(design.rig, model=design.model, link_mass=${TWIN.mass}, modes=${TWIN.modes})`,
+      `arm = fl.Twin.from_rig(design.rig, model=design.model, link_mass=${numbers.twin.mass}, modes=${numbers.twin.modes})`,
       'run = fl.simulate(', '    law, there.then(back), arm=arm,',
     ] : ['run = fl.simulate(', '    law, there.then(back), rig=design.rig, model=design.model,']),
     `    duration=${end}, seed=${DATA.seed}, noise=${state.noise}, gauge_offset=${state.offset},`,

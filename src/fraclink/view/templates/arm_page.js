@@ -1,7 +1,8 @@
 // --- the page: settings, faults, time ----------------------------------------------------------------------
 
 const still = matchMedia('(prefers-reduced-motion: reduce)');
-const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, flight: null, seen: true};
+const box = $('arm').closest('.armbox');
+const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, seen: true};
 
 // id: [lowest value, highest value, step, text of a value]
 const SLIDERS = {
@@ -12,25 +13,31 @@ const SLIDERS = {
   offset: [-DATA.largest.offset, DATA.largest.offset, DATA.largest.offset / 50, (v) => `${fixed(1e3 * v, 0)} mN·m`],
   delay: [0, DATA.largest.delay, 1, (v) => `${v} ${v === 1 ? 'period' : 'periods'}, ${fixed(1e3 * TS * v, 1)} ms`],
 };
+// Switches that this arm can have.
+const SWITCHES = {told: DATA.told, single: true, twin: Boolean(numbers.twin)};
 
 function showSettings() {
   for (const id in SLIDERS) {
     const input = $(id), says = SLIDERS[id][3](state[id]);
     input.value = state[id];
-    input.setAttribute('aria-valuetext', says);
+    put(input, {'aria-valuetext': says});
     $(`${id}-is`).textContent = says;
   }
-  $('told').checked = state.told;
-  $('single').checked = state.single;
-  $(state.twin ? 'twin' : 'model').checked = true;
-  for (const fault of FAULTS) $(`fault-${fault.id}`).setAttribute('aria-pressed', fault.id in state.faults);
-  $('fault-late').setAttribute('aria-pressed', state.late);
+  $('model').checked = true;
+  for (const id in SWITCHES) Object.assign($(id), {checked: state[id], disabled: !SWITCHES[id]});
+  for (const {id} of FAULTS) put($(`fault-${id}`), {'aria-pressed': id in state.faults});
+  put($('fault-late'), {'aria-pressed': state.late});
   $('throw').textContent = state.thrown < 0 ? 'Throw off the payload' : 'Put the payload back';
-  const m = DATA.payloads[state.payload], [low, high] = DATA.designed;
-  $('zone').textContent = m < low || m > high
-    ? `${gramsOf(state.payload)} is outside the design range: nothing is promised here.`
-    : 'Within the design range.';
-  $('zone').className = m < low || m > high ? 'hint out' : 'hint';
+  const m = DATA.payloads[state.payload], [low, high] = DATA.designed, out = m < low || m > high;
+  $('zone').textContent = out ? `${gramsOf(state.payload)} is outside the design range: nothing is promised here.` : 'Within the design range.';
+  $('zone').classList.toggle('out', out);
+}
+
+// The ends of the slider, and below it the design range.
+function showPayloads() {
+  const {designed, payloads} = DATA, share = (m) => (100 * payloads.indexOf(m)) / (payloads.length - 1), [low, high] = designed.map(share);
+  $('payload').max = payloads.length - 1;
+  Object.assign($('designed').style, {left: `${low}%`, width: `${high - low}%`});
 }
 
 function say() {
@@ -81,29 +88,31 @@ function pass() {
 
 let pending = 0, speaking = 0;
 function renew({layout = false} = {}) {
-  renew.layout = renew.layout || layout;
-  if (pending) return;
-  pending = requestAnimationFrame(() => {
+  renew.layout ||= layout;
+  pending ||= requestAnimationFrame(() => {
     pending = 0;
     pass();
     run();
-    if (renew.layout || !fits()) layArm(); else drawPayload();
+    show(renew.layout);
     renew.layout = false;
-    drawPlots();
-    showSettings();
-    draw();
     // the live region would be read out at every pixel of a drag
     clearTimeout(speaking);
     speaking = setTimeout(() => { say(); remember(); past.fresh = [tip.slice(), motor.slice()]; }, 150);
   });
+}
+// Draw the run and its settings.
+function show(layout) {
+  if (layout || !fits()) layArm(); else drawPayload();
+  drawPlots();
+  showSettings();
+  draw();
 }
 
 function draw() {
   const k = clock.k;
   drawArm(k);
   drawCursor(k);
-  $('now').value = k;
-  $('now').setAttribute('aria-valuetext', `${(TS * k).toFixed(2)} s`);
+  put($('now'), {'aria-valuetext': `${(TS * k).toFixed(2)} s`}).value = k;
   const shown = {
     't-now': `${(TS * k).toFixed(2)} s`, 'tip-now': `${fixed(degrees(tip[k]), 1)}°`,
     'bend-now': `${fixed(degrees(tip[k] - motor[k]), 1)}°`, 'gauge-now': `${fixed(gauge[k], 2)} N·m`,
@@ -117,6 +126,12 @@ function go(k) {
   clock.k = limited(Math.round(k), 0, N - 1);
   clock.t = clock.k * TS;
 }
+// Stop at a period.
+function seek(k) {
+  play(false);
+  go(k);
+  draw();
+}
 
 function frame(now) {
   const passed = Math.min(0.1, (now - clock.before) / 1e3);
@@ -127,23 +142,12 @@ function frame(now) {
     clock.k = Math.floor(clock.t / TS);
     if (clock.seen) draw();
   }
-  if (clock.flight) fly(now);
   requestAnimationFrame(frame);
-}
-
-// A lost payload moves on along its velocity and fades.
-function fly(now) {
-  const {from, speed, begin, r} = clock.flight, t = (now - begin) / 1e3;
-  if (t > 0.9) { clock.flight = null; arm.flying.setAttribute('r', 0); return; }
-  set(arm.flying, {cx: px(from[0] + speed[0] * t), cy: px(from[1] + speed[1] * t), r: px(r), 'fill-opacity': (1 - t / 0.9).toFixed(2)});
 }
 
 function throwOff() {
   if (state.thrown < 0) {
-    const k = clock.k, [x, y] = spot(tip[k], arm.L), [bx, by] = spot(tip[Math.max(0, k - 3)], arm.L);
-    const rate = 1 / (3 * TS), speed = [(x - bx) * rate, (y - by) * rate], size = Math.hypot(...speed);
-    const away = size > 120 ? speed : [x * 0.9, y * 0.9];
-    if (!still.matches) clock.flight = {from: [x, y], speed: away, begin: performance.now(), r: payloadRadius()};
+    if (!still.matches) fly(clock.k);
     state.thrown = state.payload;
     state.payload = 0;
   } else {
@@ -153,100 +157,93 @@ function throwOff() {
   go(0);
   renew();
 }
+// A lost payload moves on along its velocity and fades; from rest, outwards.
+function fly(k) {
+  const [x, y] = spot(tip[k], arm.L), [bx, by] = spot(tip[Math.max(0, k - 3)], arm.L), speed = [(x - bx) / (3 * TS), (y - by) / (3 * TS)];
+  const [u, v] = Math.hypot(...speed) > 120 ? speed : [x, y], place = (t) => `translate(${x + t * u}px, ${y + t * v}px)`;
+  put(arm.flying, {r: payloadRadius()});
+  arm.flying.animate([{transform: place(0), opacity: 1}, {transform: place(0.9), opacity: 0}], 900);
+}
 
 function play(on) {
   clock.playing = on;
-  $('play').textContent = on ? 'Pause' : 'Play';
-  $('play').setAttribute('aria-label', on ? 'Pause the arm' : 'Play: move the arm');
+  put($('play'), {'aria-label': on ? 'Pause the arm' : 'Play: move the arm'}).textContent = on ? 'Pause' : 'Play';
 }
 
 // The settings in the address of the page, so that a run can be shared as a link.
-const KEPT = ['payload', 'move', 'time', 'noise', 'offset', 'delay', 'told', 'single', 'twin', 'late'];
 function remember() {
-  const parts = KEPT.map((key) => `${key}=${Number(state[key])}`);
-  for (const id in state.faults) parts.push(`${id}=${state.faults[id]}`);
-  history.replaceState(null, '', `#${parts.join('&')}`);
+  const kept = [...Object.keys(SLIDERS), ...Object.keys(SWITCHES), 'late'].map((key) => [key, Number(state[key])]);
+  history.replaceState(null, '', `#${new URLSearchParams([...kept, ...Object.entries(state.faults)])}`);
 }
 function recall() {
-  for (const part of location.hash.slice(1).split('&')) {
-    const [key, text] = part.split('='), value = Number(text);
+  for (const [key, text] of new URLSearchParams(location.hash.slice(1))) {
+    const value = Number(text);
     if (!text || !Number.isFinite(value)) continue;
     if (key in SLIDERS) {
       const [low, high, step] = SLIDERS[key];
       state[key] = limited(step === 1 ? Math.round(value) : value, low, high);
-    } else if (key === 'told') state.told = DATA.told && value === 1;
-    else if (['single', 'late'].includes(key)) state[key] = value === 1;
-    else if (key === 'twin') state.twin = TWIN !== null && value === 1;
-    else if (FAULTS.some((fault) => fault.id === key)) state.faults[key] = limited(Math.round(value), 0, N - 1);
+    } else if (key in SWITCHES) state[key] = SWITCHES[key] && value === 1;
+    else if (key === 'late') state.late = value === 1;
+    else if (FAULTS.some(({id}) => id === key)) state.faults[key] = limited(Math.round(value), 0, N - 1);
     else if (key === 'at') { play(false); go(value / TS); }
   }
 }
 
-function reset() {
-  Object.assign(state, {
-    payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
-    delay: DATA.start.delay, told: false, single: false, twin: false, late: false, thrown: -1, faults: {},
-  });
-  renew({layout: true});
+// What each button does, by its id; the payload is one, too.
+const PRESSED = {
+  play: () => play(!clock.playing), throw: throwOff, load: throwOff,
+  reset: () => { Object.assign(state, begun()); renew({layout: true}); },
+  'fault-late': () => { state.late = !state.late; renew(); },
+};
+for (const {id, name} of FAULTS) {
+  const button = document.createElement('button');
+  put(button, {type: 'button', id: `fault-${id}`}).textContent = name;
+  $('fault-late').before(button);
+  PRESSED[button.id] = () => {
+    if (id in state.faults) delete state.faults[id]; else state.faults[id] = clock.k;
+    renew();
+  };
+}
+
+function changed({target: {id, value}}) {
+  if (id === 'now') { seek(Number(value)); return; }
+  if (id === 'slow') { clock.slow = 1 / Number(value); return; }
+  if (id in SLIDERS) state[id] = Number(value);
+  else for (const name in SWITCHES) state[name] = $(name).checked;
+  if (id === 'payload') state.thrown = -1;
+  renew({layout: id === 'move' || id === 'payload'});
 }
 
 function scrub(event) {
-  if (event.type === 'pointermove' && !event.buttons) return;
-  const box = $('plots').getBoundingClientRect(), x = event.clientX - box.left;
-  play(false);
-  go(((x - LEFT) / (plots.W - LEFT - END())) * (N - 1));
-  draw();
+  if (!event.target.closest('svg') || (event.type === 'pointermove' && !event.buttons)) return;
+  const x = event.clientX - $('plots').getBoundingClientRect().left;
+  seek(((x - LEFT) / (plots.W - LEFT - END())) * (N - 1));
+}
+
+function typed(event) {
+  const {key, target} = event;
+  // in a report the space bar turns the page
+  if (!document.documentElement.matches('.armpage') && !target.closest('.armbox')) return;
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (target.closest('#load') && (key === 'Enter' || key === ' ')) throwOff();
+  else if (target.closest('button, input, select, summary, a, pre, [role=button]')) return;
+  else if (key === ' ') play(!clock.playing);
+  else if (key === '.' || key === ',') seek(clock.k + (key === '.' ? 1 : -1));
+  else return;
+  event.preventDefault();
 }
 
 function listen() {
   for (const id in SLIDERS) {
-    const input = $(id), [low, high, step] = SLIDERS[id];
-    Object.assign(input, {min: low, max: high, step});
-    input.addEventListener('input', () => {
-      state[id] = Number(input.value);
-      if (id === 'payload') state.thrown = -1;
-      renew({layout: id === 'move' || id === 'payload'});
-    });
+    const [min, max, step] = SLIDERS[id];
+    Object.assign($(id), {min, max, step});
   }
-  for (const fault of FAULTS) {
-    $(`fault-${fault.id}`).addEventListener('click', () => {
-      if (fault.id in state.faults) delete state.faults[fault.id];
-      else state.faults[fault.id] = clock.k;
-      renew();
-    });
-  }
-  $('fault-late').addEventListener('click', () => { state.late = !state.late; renew(); });
-  const place = (m) => (DATA.payloads.indexOf(m) / (DATA.payloads.length - 1)) * 100, [low, high] = DATA.designed.map(place);
-  Object.assign($('designed').style, {left: `${low}%`, width: `${high - low}%`});
-  $('told').disabled = !DATA.told;
-  $('twin').disabled = !TWIN;
-  for (const id of ['model', 'twin']) $(id).addEventListener('change', () => { state.twin = $('twin').checked; renew(); });
-  $('told').addEventListener('change', () => { state.told = $('told').checked; renew(); });
-  $('single').addEventListener('change', () => { state.single = $('single').checked; renew(); });
-  $('throw').addEventListener('click', throwOff);
-  $('arm').addEventListener('click', (event) => { if (event.target.closest('#load')) throwOff(); });
-  $('arm').addEventListener('keydown', (event) => {
-    if (event.target.closest('#load') && (event.key === 'Enter' || event.key === ' ')) {
-      event.preventDefault();
-      event.stopPropagation();
-      throwOff();
-    }
-  });
-  $('play').addEventListener('click', () => play(!clock.playing));
-  $('slow').addEventListener('change', () => { clock.slow = 1 / Number($('slow').value); });
-  $('reset').addEventListener('click', reset);
   $('now').max = N - 1;
-  $('now').addEventListener('input', () => { play(false); go(Number($('now').value)); draw(); });
-  for (const type of ['pointerdown', 'pointermove']) $('plots').addEventListener(type, (event) => { if (event.target.closest('svg')) scrub(event); });
-  document.addEventListener('keydown', (event) => {
-    // in a report the space bar turns the page
-    if (!document.documentElement.matches('.armpage') && !event.target.closest('.armbox')) return;
-    if (event.target.closest('button, input, select, summary, a, pre, [role=button]') || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === ' ') play(!clock.playing);
-    else if (event.key === '.' || event.key === ',') { play(false); go(clock.k + (event.key === '.' ? 1 : -1)); draw(); } else return;
-    event.preventDefault();
-  });
-  new IntersectionObserver((entries) => { clock.seen = entries.some((entry) => entry.isIntersecting); }).observe($('arm').closest('.armbox'));
+  box.addEventListener('input', changed);
+  box.addEventListener('click', ({target}) => PRESSED[target.closest('button, #load')?.id]?.());
+  for (const type of ['pointerdown', 'pointermove']) $('plots').addEventListener(type, scrub);
+  document.addEventListener('keydown', typed);
+  new IntersectionObserver((entries) => { clock.seen = entries.some((entry) => entry.isIntersecting); }).observe(box);
   let width = innerWidth;
   addEventListener('resize', () => { if (innerWidth !== width) { width = innerWidth; renew({layout: true}); } });
 }
@@ -255,10 +252,8 @@ play(clock.playing);
 recall();
 listen();
 run();
-layArm();
-drawPlots();
-showSettings();
-draw();
+showPayloads();
+show(true);
 say();
 past.fresh = [tip.slice(), motor.slice()];
 requestAnimationFrame((now) => { clock.before = now; frame(now); });

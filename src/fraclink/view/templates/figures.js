@@ -1,165 +1,148 @@
 // Pointer interaction in the figures of a page: values at a cursor that linked figures share, zooming into a
 // window, and buttons that copy commands. A page is complete without this script.
-(() => {
-'use strict';
-const ns = 'http://www.w3.org/2000/svg';
-const WIDE = 4000, DEEP = 2000;
-const make = (name, marks, parent) => {
-  const e = document.createElementNS(ns, name);
-  for (const k in marks) e.setAttribute(k, marks[k]);
-  return parent.appendChild(e);
-};
+
+const WIDE = 4000, DEEP = 2000; // steps of the drawing in a panel
+// The share of an axis at which a value lies, and back.
 const scale = (text) => {
   const [low, high, log] = text.split(' ');
-  const a = +low, b = +high;
-  return log
-    ? {at: (s) => a * Math.pow(b / a, s), share: (v) => Math.log(v / a) / Math.log(b / a), log: true}
-    : {at: (s) => a + (b - a) * s, share: (v) => (v - a) / (b - a), log: false};
+  return scaleOf({low: Number(low), high: Number(high), log}, 0, 1);
 };
-const text = (v) => {
-  if (v === 0) return '0';
-  const a = Math.abs(v);
-  return (a >= 1e5 || a < 1e-4 ? v.toExponential(2) : String(+v.toPrecision(4))).replace('-', '−');
-};
-// The steps of a path written as "Mx yl dx dy dx dy ...", which has several parts if there are gaps.
-const points = (d) => {
-  const runs = [];
-  for (const part of d.split('M').slice(1)) {
-    const v = part.match(/-?\d+/g).map(Number);
-    const run = [[v[0], v[1]]];
-    for (let k = 2; k + 1 < v.length; k += 2) run.push([run.at(-1)[0] + v[k], run.at(-1)[1] + v[k + 1]]);
-    runs.push(run);
-  }
-  return runs;
-};
-const height = (runs, x) => {
-  for (const run of runs) {
-    if (run[0][0] > x || run.at(-1)[0] < x) continue;
-    let low = 0, high = run.length - 1;
-    while (high - low > 1) { const m = (low + high) >> 1; if (run[m][0] <= x) low = m; else high = m; }
-    const [a, b] = [run[low], run[high]];
-    return b[0] === a[0] ? a[1] : a[1] + (b[1] - a[1]) * (x - a[0]) / (b[0] - a[0]);
-  }
-  return null;
-};
-const tip = document.body.appendChild(document.createElement('div'));
-tip.id = 'tip'; tip.hidden = true; tip.setAttribute('aria-hidden', 'true');
-const figures = [...document.querySelectorAll('svg.fl[data-x]')].map((svg) => {
-  const x = scale(svg.dataset.x);
-  const boxes = [...svg.querySelectorAll('svg.box')].map((box) => ({
-    box, y: scale(box.dataset.y), top: +box.getAttribute('y'), deep: +box.getAttribute('height'),
-    curves: [...box.querySelectorAll('path[d]:not(.dots):not([class^=b]):not([class^=l])')].map((path) => ({path, name: path.dataset.name || ''})),
-  }));
-  return {svg, x, boxes, link: svg.dataset.link, low: 0, high: 1, ticks: [...svg.querySelectorAll('text[x$="%"], line[x1$="%"], rect[width$="%"], svg[x$="%"]:not([x="100%"])')], lines: []};
+// The points of a path written as "Mx yl dx dy dx dy ...", in several parts if there are gaps.
+const partsOf = (d) => d.split('M').slice(1).map((part) => {
+  const numbers = part.match(/-?\d+/g), points = [];
+  for (let k = 0, x = 0, y = 0; k + 1 < numbers.length; k += 2) points.push([x += Number(numbers[k]), y += Number(numbers[k + 1])]);
+  return points;
 });
-const place = (figure, event) => {
-  const own = figure.svg.getBoundingClientRect(), style = getComputedStyle(figure.svg);
-  const left = own.left + parseFloat(style.paddingLeft);
-  return (event.clientX - left) / (own.right - parseFloat(style.paddingRight) - left);
+const height = (parts, x) => {
+  const part = parts.find((points) => points[0][0] <= x && points.at(-1)[0] >= x);
+  if (!part) return null;
+  const next = Math.max(1, part.findIndex((point) => point[0] >= x)), [[ax, ay], [bx, by]] = [part[next - 1], part[next] || part[0]];
+  return bx === ax ? ay : ay + ((by - ay) * (x - ax)) / (bx - ax);
 };
-const clear = () => { for (const f of figures) { f.lines.forEach((line) => line.remove()); f.lines = []; } tip.hidden = true; };
-const value = (figure, share) => figure.x.at(figure.low + share * (figure.high - figure.low));
+// What moves when the figure is zoomed, with its positions as shares of the width.
+const marksOf = (svg) => [...svg.querySelectorAll('[x$="%"]:not(.axis, [x="100%"]), [x1$="%"]')].map((node) => {
+  const keys = ['x', 'x1', 'x2', 'width'].filter((key) => node.getAttribute(key)?.endsWith('%'));
+  return {node, shares: keys.map((key) => [key, parseFloat(node.getAttribute(key)) / 100])};
+});
+const figures = [...document.querySelectorAll('svg.fl[data-x]')].map((svg) => {
+  const boxes = [...svg.querySelectorAll('svg.box')].map((box) => ({
+    box, y: scale(box.dataset.y), top: Number(box.getAttribute('y')), deep: Number(box.getAttribute('height')),
+    curves: [...box.querySelectorAll('path[d]:not(.dots):not([class^=b]):not([class^=l])')].map((path) => (
+      {style: path.getAttribute('class').slice(0, 2), name: path.dataset.name || '', d: path.getAttribute('d')}
+    )),
+  }));
+  return {svg, boxes, x: scale(svg.dataset.x), link: svg.dataset.link, low: 0, high: 1, marks: marksOf(svg), lines: []};
+});
+const tip = document.body.appendChild(document.createElement('div'));
+put(tip, {id: 'tip', 'aria-hidden': true}).hidden = true;
+
+// The pointer as a share of the width.
+const place = ({svg}, event) => {
+  const own = svg.getBoundingClientRect(), {paddingLeft, paddingRight} = getComputedStyle(svg), left = own.left + parseFloat(paddingLeft);
+  return (event.clientX - left) / (own.right - parseFloat(paddingRight) - left);
+};
+const clear = () => {
+  for (const {lines} of figures) for (const line of lines.splice(0)) line.remove();
+  tip.hidden = true;
+};
 const point = (figure, event) => {
-  const share = place(figure, event);
+  const {boxes, link, low, high} = figure, share = place(figure, event), across = low + share * (high - low), at = figure.x[1](across);
   clear();
   if (share < 0 || share > 1) return;
-  const at = value(figure, share);
   for (const other of figures) {
-    const s = (other.x.share(at) - other.low) / (other.high - other.low);
-    if (other.link !== figure.link || !(s >= 0 && s <= 1)) continue;
-    for (const b of other.boxes) other.lines.push(make('line', {class: 'cursor', x1: 100 * s + '%', x2: 100 * s + '%', y1: b.top, y2: b.top + b.deep}, other.svg));
+    const there = (100 * (other.x[0](at) - other.low)) / (other.high - other.low);
+    if (other.link !== link || !(there >= 0 && there <= 100)) continue;
+    for (const {top, deep} of other.boxes) other.lines.push(el('line', {class: 'cursor', x1: `${there}%`, x2: `${there}%`, y1: top, y2: top + deep}, other.svg));
   }
-  const down = event.clientY - figure.svg.getBoundingClientRect().top;
-  const here = figure.boxes.find((b) => down >= b.top - 20 && down <= b.top + b.deep + 10) || figure.boxes[0];
-  const rows = [text(at)], names = figure.boxes.flatMap((b) => b.curves.map((c) => [c.path.getAttribute('class').slice(0, 2), c.name]).filter((c) => c[1]));
+  const down = event.clientY - figure.svg.getBoundingClientRect().top, rows = [plain(at)];
+  const here = boxes.find(({top, deep}) => down >= top - 20 && down <= top + deep + 10) || boxes[0];
+  // only one panel names the curves of a style
+  const names = Object.fromEntries(boxes.flatMap(({curves}) => curves).filter(({name}) => name).map(({style, name}) => [style, name]));
   for (const curve of here.curves) {
-    curve.runs ||= points(curve.path.getAttribute('d'));
-    const y = height(curve.runs, (figure.low + share * (figure.high - figure.low)) * WIDE);
-    if (y === null) continue;
-    const style = curve.path.getAttribute('class').slice(0, 2);
-    const name = curve.name || (names.find((n) => n[0] === style) || ['', ''])[1];
-    rows.push(`${name ? name + ': ' : ''}${text(here.y.at(1 - y / DEEP))}`);
+    const y = height(curve.parts ||= partsOf(curve.d), across * WIDE), name = curve.name || names[curve.style];
+    if (y !== null) rows.push(`${name ? `${name}: ` : ''}${plain(here.y[1](1 - y / DEEP))}`);
   }
   if (rows.length < 2) return;
   tip.textContent = rows.slice(0, 7).join('\n');
   tip.hidden = false;
-  tip.style.left = Math.min(event.clientX + 14, innerWidth - tip.offsetWidth - 6) + 'px';
-  tip.style.top = Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 6) + 'px';
+  tip.style.left = `${Math.min(event.clientX + 14, innerWidth - tip.offsetWidth - 6)}px`;
+  tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 6)}px`;
 };
-// Positions are fractions of the width: the left edge of the window goes to 0 %, its right edge to 100 %.
+// The left end of the window goes to 0 %, its right end to 100 %.
 const zoom = (figure, low, high) => {
-  figure.low = low; figure.high = high;
-  for (const b of figure.boxes) b.box.setAttribute('viewBox', `${low * WIDE} 0 ${(high - low) * WIDE} ${DEEP}`);
-  for (const e of figure.ticks) {
-    e.home ||= ['x', 'x1', 'x2', 'width'].filter((k) => (e.getAttribute(k) || '').endsWith('%')).map((k) => [k, parseFloat(e.getAttribute(k))]);
-    let gone = false;
-    for (const [k, v] of e.home) {
-      if (e.tagName === 'text' && e.getAttribute('class') === 'axis') continue;
-      if (k === 'x2' && v === 100 && e.home.length === 1) continue;
-      const now = k === 'width' ? v / (high - low) : (v / 100 - low) / (high - low) * 100;
-      if (k !== 'width' && e.tagName !== 'rect' && (now < -0.1 || now > 100.1)) gone = true;
-      e.setAttribute(k, now + '%');
-    }
-    e.style.display = gone ? 'none' : '';
+  Object.assign(figure, {low, high});
+  for (const {box} of figure.boxes) put(box, {viewBox: `${low * WIDE} 0 ${(high - low) * WIDE} ${DEEP}`});
+  for (const {node, shares} of figure.marks) {
+    for (const [key, share] of shares) put(node, {[key]: `${(100 * (key === 'width' ? share : share - low)) / (high - low)}%`});
+    const [[, first]] = shares, seen = node.tagName === 'rect' || (first >= low && first <= high);
+    node.style.display = seen ? '' : 'none';
   }
 };
-for (const figure of figures) {
-  if (!figure.boxes.some((b) => b.curves.length)) continue;
-  let start = null, shade = null;
-  figure.svg.style.cursor = 'crosshair';
-  figure.svg.addEventListener('pointermove', (event) => {
+let drag = null; // the window that is drawn: its figure, the share where it begins, and its shade
+for (const figure of figures.filter(({boxes}) => boxes.some(({curves}) => curves.length))) {
+  const {svg, boxes} = figure, [{top}] = boxes, last = boxes.at(-1);
+  svg.style.cursor = 'crosshair';
+  svg.addEventListener('pointermove', (event) => {
     point(figure, event);
-    if (start === null) return;
-    const now = Math.min(Math.max(place(figure, event), 0), 1), b = figure.boxes;
-    shade ||= make('rect', {class: 'window', y: b[0].top, height: b.at(-1).top + b.at(-1).deep - b[0].top}, figure.svg);
-    shade.setAttribute('x', 100 * Math.min(start, now) + '%');
-    shade.setAttribute('width', 100 * Math.abs(now - start) + '%');
+    if (drag?.figure !== figure) return;
+    const now = limited(place(figure, event), 0, 1);
+    drag.shade ||= el('rect', {class: 'window', y: top, height: last.top + last.deep - top}, svg);
+    put(drag.shade, {x: `${100 * Math.min(drag.from, now)}%`, width: `${100 * Math.abs(now - drag.from)}%`});
   });
-  figure.svg.addEventListener('pointerleave', clear);
-  figure.svg.addEventListener('pointerdown', (event) => { if (event.pointerType === 'mouse' && !event.button) start = Math.min(Math.max(place(figure, event), 0), 1); });
-  addEventListener('pointerup', (event) => {
-    if (start === null) return;
-    const end = Math.min(Math.max(place(figure, event), 0), 1), [a, b] = [Math.min(start, end), Math.max(start, end)], wide = figure.high - figure.low;
-    start = null;
-    if (shade) { shade.remove(); shade = null; }
-    if (b - a > 0.02) for (const other of figures) if (other.link === figure.link && other.svg.dataset.x === figure.svg.dataset.x) zoom(other, figure.low + a * wide, figure.low + b * wide);
+  svg.addEventListener('pointerleave', clear);
+  svg.addEventListener('pointerdown', (event) => {
+    if (event.pointerType === 'mouse' && !event.button) drag = {figure, from: limited(place(figure, event), 0, 1)};
   });
-  figure.svg.addEventListener('dblclick', () => { for (const other of figures) if (other.link === figure.link) zoom(other, 0, 1); });
+  svg.addEventListener('dblclick', () => { for (const other of figures) if (other.link === figure.link) zoom(other, 0, 1); });
 }
-// On paper, what is folded follows the rest as an appendix.
-const main = document.querySelector('main');
-let appendix = null;
-addEventListener('beforeprint', () => {
-  appendix = main.appendChild(document.createElement('section'));
-  appendix.id = 'appendix';
-  appendix.append(Object.assign(document.createElement('h2'), {textContent: 'Appendix: the folded parts of the page'}));
-  for (const section of main.querySelectorAll('section[id]')) {
-    const folded = [...section.querySelectorAll('details:not([open])')].filter((one) => !one.closest('.map, .armbox'));
-    if (folded.length) appendix.append(section.querySelector('h2').cloneNode(true));
-    for (const details of folded) {
-      const copy = appendix.appendChild(document.createElement('div'));
-      copy.home = details;
-      details.classList.add('moved');
-      copy.append(Object.assign(document.createElement('h3'), {textContent: details.firstElementChild.textContent}), ...[...details.childNodes].slice(1));
-    }
+addEventListener('pointerup', (event) => {
+  if (!drag) return;
+  const {figure, from, shade} = drag, [a, b] = [from, limited(place(figure, event), 0, 1)].sort((u, v) => u - v), {low, high} = figure;
+  drag = null;
+  shade?.remove();
+  if (b - a < 0.02) return;
+  for (const other of figures) {
+    if (other.link === figure.link && other.svg.dataset.x === figure.svg.dataset.x) zoom(other, low + a * (high - low), low + b * (high - low));
   }
 });
+
+// On paper, what is folded follows the rest as an appendix.
+const main = document.querySelector('main'), appendix = document.createElement('section'), moved = [];
+appendix.id = 'appendix';
+addEventListener('beforeprint', () => {
+  appendix.replaceChildren(document.createElement('h2'));
+  appendix.firstChild.textContent = 'Appendix: the folded parts of the page';
+  for (const section of main.querySelectorAll('section[id]')) {
+    const folded = [...section.querySelectorAll('details:not([open])')].filter((one) => !one.closest('.armbox'));
+    if (folded.length) appendix.append(section.querySelector('h2').cloneNode(true));
+    for (const details of folded) {
+      const left = document.createElement('p');
+      left.className = 'note';
+      left.textContent = `${details.firstElementChild.textContent}: see the appendix`;
+      details.replaceWith(left);
+      details.open = true;
+      appendix.append(details);
+      moved.push([left, details]);
+    }
+  }
+  main.append(appendix);
+});
 addEventListener('afterprint', () => {
-  for (const copy of appendix.querySelectorAll('div')) {
-    if (!copy.home) continue;
-    copy.home.append(...[...copy.childNodes].slice(1));
-    copy.home.classList.remove('moved');
+  for (const [left, details] of moved.splice(0)) {
+    details.open = false;
+    left.replaceWith(details);
   }
   appendix.remove();
 });
 for (const box of document.querySelectorAll('.command')) {
-  const button = box.appendChild(document.createElement('button'));
-  button.type = 'button'; button.textContent = 'Copy';
+  const code = box.querySelector('code'), button = box.appendChild(document.createElement('button'));
+  const said = (text) => { button.textContent = text; };
+  button.type = 'button';
+  said('Copy');
   button.addEventListener('click', async () => {
-    const words = box.querySelector('code').textContent;
-    try { await navigator.clipboard.writeText(words); } catch { getSelection().selectAllChildren(box.querySelector('code')); document.execCommand('copy'); }
-    button.textContent = 'Copied';
-    setTimeout(() => { button.textContent = 'Copy'; }, 1500);
+    getSelection().selectAllChildren(code); // without a clipboard it can be copied by hand
+    await navigator.clipboard.writeText(code.textContent);
+    said('Copied');
+    setTimeout(said, 1500, 'Copy');
   });
 }
-})();
