@@ -188,7 +188,7 @@ CEILINGS = {
     "_arm": 1495,
     "_certify": 843,
     "_cli": 813,
-    "_design": 1288,
+    "_design": 1287,
     "_export": 425,
     "_files": 558,
     "_identify": 2298,

@@ -17,11 +17,10 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
-from fraclink._design.outer import Outer
 from fraclink._design.procedure import link_of, request_of
 from fraclink._design.rows import specification
 from fraclink._design.search import solved
-from fraclink._design.table import Figure, Table, Trial, tabulated
+from fraclink._design.table import Figure, Outer, Table, Trial, tabulated
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError

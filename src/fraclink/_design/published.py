@@ -21,9 +21,9 @@ from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
-from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.search import Search, Solution
+from fraclink._design.table import Outer
 from fraclink._law.design import Design, Requirement
 from fraclink._law.requirement import PAYLOADS
 from fraclink.errors import FieldError, InfeasibleError

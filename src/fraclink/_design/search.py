@@ -16,10 +16,9 @@ from scipy.optimize import minimize
 
 from fraclink._arm.box import Arm
 from fraclink._arm.controller import Controller
-from fraclink._design.outer import Outer
 from fraclink._design.request import Request
 from fraclink._design.rows import RESERVE, Row
-from fraclink._design.table import Figure, Index, Table, Trial
+from fraclink._design.table import Figure, Index, Outer, Table, Trial
 from fraclink._law.requirement import Requirement
 from fracsys.checks import Mask, Real
 
