@@ -302,3 +302,13 @@ def test_a_healthy_arm_that_trips_ends_the_campaign_at_once(bench: Bench) -> Non
     ):
         run_faults(tender, cases(tender), watch=seen.append)
     assert seen == []
+
+
+def test_bad_samples_in_isolation_last_a_second_at_any_period(bench: Bench) -> None:
+    rig = replace(bench.rig, period=0.005)
+    slower = Bench.of(fl.design(rig.model, rig, payloads=(0.020, 0.040)))
+    for each in (bench, slower):
+        trial = observe(each, Case("F02", 3, 0.03, "mid", 1)).trial
+        bad = trial.period * np.flatnonzero(trial.marks)
+        assert np.ptp(bad) == pytest.approx(1.0, abs=5.1 * trial.period)
+        assert np.diff(bad) == pytest.approx(5 * trial.period)

@@ -550,3 +550,23 @@ def test_saturation_does_not_wind_up() -> None:
         after.append(outputs.voltage[saturated:])
     # an integral that continued would add 6 V in 12 s
     np.testing.assert_allclose(after[0], after[1], atol=0.01)
+
+
+def test_no_reversal_of_the_reference_fills_the_states_of_the_feed_forward() -> None:
+    made = law()
+    poles = np.array([pole.real for pole in made.feedforward.poles])
+    assert np.all((poles > 0.0) & (poles < 1.0))
+    # at the full acceleration from one full speed to the other, in any rhythm
+    draw, largest = np.random.default_rng(3), 0.0
+    limits, most = made.limits, made.limits.acceleration_limit * made.period
+    speed = limits.motor_step / (3.0 * made.period)
+    for longest in (5, 50, 500):
+        state, at = np.zeros(poles.size), 0.0
+        for _ in range(20):
+            goal = speed * draw.choice([-1.0, 1.0])
+            for _ in range(draw.integers(1, longest)):
+                change = np.clip(goal - at, -most, most)
+                at += change
+                state = poles * state + change / made.period
+                largest = max(largest, float(np.max(np.abs(state))))
+    assert 0.4 < largest / limits.forward_limit < 0.68

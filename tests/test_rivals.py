@@ -85,7 +85,9 @@ def test_the_pd_has_its_zero_at_the_mode_and_a_notch_at_the_second(
     rival = builders(design)["PD on the tip"]()
     z = np.exp(1j * GRID * PERIOD)
     s = 2.0 / PERIOD * (z - 1.0) / (z + 1.0)
-    notch = (s**2 + 2 * 0.02 * 180.0 * s + 180.0**2) / (s**2 + 1.4 * 180.0 * s + 180**2)
+    notch = (s**2 + 2 * 0.02 * 180.0 * s + 180.0**2) / (
+        s**2 + math.sqrt(2.0) * 180.0 * s + 180**2
+    )
     wanted = (1.0 + s / abs(mode(design))) / (1.0 + s / 100.0) * notch
     response = rival.law.frequency_response(GRID)
     np.testing.assert_allclose(response, gain_of(rival) * wanted, rtol=1e-3)

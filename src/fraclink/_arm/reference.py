@@ -19,6 +19,7 @@ from fracsys.checks import Array, Between, Period, Real, checked
 from fracsys.checks.equality import compared
 
 __all__ = [
+    "SETTLE",
     "Path",
     "Reference",
     "SampledReference",
@@ -34,6 +35,9 @@ __all__ = [
 # Samples of one reference: 2 h at 4 ms; angle, velocity and acceleration take 48 MB, and
 # twice as much while they are computed.
 LONGEST = 2_000_000
+# [s] for which an arm is observed after its reference has come to rest: eight periods of
+# the paper's slowest link
+SETTLE = 5.0
 # A quintic divides by the fifth power of its duration; beyond these limits the
 # quotients overflow.
 _SHORTEST, _LARGEST = 1e-9, 1e9
@@ -381,13 +385,14 @@ def prbs(
     )
 
 
-def sampled(reference: Reference, period: float, length: float) -> Real:
+def sampled(reference: Reference, period: float, length: float | None = None) -> Real:
     """Return angle, velocity and acceleration at 0, period, 2 period ... up to `length`
-    [s], shape (3, N).
+    [s], shape (3, N); by default until 5 s after the reference's end.
 
     Raises SizeError above 2 000 000 samples, before memory is taken, and FieldError for
     a reference that is not finite.
     """
+    length = reference.duration + SETTLE if length is None else length
     # The last instant counts even if the quotient is slightly too small by rounding:
     # 4.9 ms are 48.99999999999999 periods of 0.1 ms.
     count = math.floor(length / period * (1 + 1e-12)) + 1

@@ -25,7 +25,6 @@ __all__ = ["tune_pid"]
 
 # horizon of ITAE times ω_c: six periods of an oscillation at the crossover
 HORIZON = 40.0
-MARGIN = math.radians(60.0)
 # With λ below one half an error decays like t^(−λ), beyond every horizon that ITAE
 # covers.
 _INTEGRAL_ORDERS, _DERIVATIVE_ORDERS = (0.5, 1.6), (0.1, 1.6)
@@ -38,7 +37,7 @@ Form = Literal["PI", "PD", "PID"]
 def tune_pid(
     plant: Any,
     *,
-    phase_margin: PhaseMargin = MARGIN,
+    phase_margin: PhaseMargin = math.pi / 3.0,
     gain_crossover: Frequency | None = None,
     gain_margin: Annotated[float, above(1.0, 1e3)] | None = None,
     max_sensitivity: Annotated[float, above(1.0, 100.0)] | None = None,

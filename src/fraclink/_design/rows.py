@@ -36,8 +36,7 @@ SENSITIVITY = 2.0
 # 50/(2π·10) for small ζ. The limit is the same for a link with less damping of its own:
 # with a resonance of 1/(2ζ), any gain crosses near it with a large margin, and such a
 # loop would meet every other row without damping anything.
-_PERIODS = 10
-_DAMPING = math.log(50.0) / math.hypot(math.tau * _PERIODS, math.log(50.0))
+_DAMPING = math.log(50.0) / math.hypot(10.0 * math.tau, math.log(50.0))
 # Three standard deviations of the noise leave half of the voltage for the motion.
 NOISE_SHARE = 0.5 / 3.0
 # Relative reserve that a search adds to each row, so that a payload between those of

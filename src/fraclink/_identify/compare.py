@@ -24,6 +24,7 @@ from fraclink._identify.fitting import (
     make_search,
     predicted_output,
 )
+from fraclink._identify.problem import CERTAIN
 from fraclink._identify.residual import regressed
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
@@ -33,11 +34,6 @@ from fraclink.findings import Finding
 from fracsys.checks import checked
 from fracsys.checks.equality import compared
 
-# By chance alone one superfluous parameter lowers the AIC by 8 in one log of six
-# hundred (by 4 in one of seventy). Of 510 random logs, two thirds of them with coloured
-# noise, a limit of 4 preferred a wrong structure in 13 and left one log in seven
-# undecided, a limit of 8 in 3 and one in five (benchmarks/bench_gates.py).
-_DECISIVE = 8.0
 Criteria = Mapping[str, tuple[float, float]]
 
 
@@ -327,11 +323,14 @@ def _near(criteria: Criteria) -> list[str]:
     the best.
     """
     lowest = [min(column) for column in zip(*criteria.values(), strict=True)]
+    # A superfluous parameter costs 2, and lowers 2 ln(likelihood) by the square of a
+    # normal deviate: by chance alone the AIC falls by as much in one log of a thousand.
+    decisive = CERTAIN**2 - 2.0
     return [
         name
         for name, values in criteria.items()
         if min(value - least for value, least in zip(values, lowest, strict=True))
-        < _DECISIVE
+        < decisive
     ]
 
 

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from fraclink._display import Overview, Row, displayed, number, rows_of
 from fraclink._identify.fitting import check_motion
-from fraclink._identify.problem import CERTAIN, LEAST_EACH
+from fraclink._identify.problem import CERTAIN, LEAST_EACH, MOST
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding, Judged
@@ -29,9 +29,6 @@ from fracsys.checks import Array, Between, Real, above, checked
 
 # (1 − x²)⁵: its first four derivatives vanish at the ends
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5
-# A motor model that leaves half of the acceleration unexplained compensates no
-# friction.
-_NMSE_MOST = 0.5
 
 
 @displayed
@@ -260,13 +257,13 @@ def _judged(fit: MotorFit) -> MotorFit:
             )
         )
         fit = replace(fit, inertia=None, coulomb_torque=None)
-    if fit.nmse > _NMSE_MOST:
+    if fit.nmse > MOST:
         findings.append(
             Finding(
                 "W313",
                 "error",
                 "the motor model leaves most of the acceleration unexplained",
-                {"nmse": fit.nmse, "most": _NMSE_MOST},
+                {"nmse": fit.nmse, "most": MOST},
                 "check that voltage and angle are of one recording, and give the link's torque",
             )
         )

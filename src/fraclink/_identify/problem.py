@@ -32,6 +32,8 @@ CERTAIN, QUANTILE = (float(-ndtri(chance / 2)) for chance in (LEVEL, 0.05))
 # whose model leaves more than this of an unseen motion cannot cancel more than half of the
 # vibration.
 CLEARLY_LESS = 0.25
+# Share of a power that is most of it: no two causes can each explain as much.
+MOST = 0.5
 # Half-width of an order's interval beyond which the data do not determine it: the
 # difference between two structures that people would distinguish.
 ORDER_MOST = 0.25

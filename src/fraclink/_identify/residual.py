@@ -275,9 +275,9 @@ def _input_statistic(residual: Real, motion: Real, lags: int) -> float:
 
 # --- the second mode ----------------------------------------------------------------------------------------
 
-# With a payload on a massive link, mode 2 is at least 4.4 times as high as mode 1 (6.3
-# times without payload); between 2.5 and 4 times only a misfit of the first mode would
-# be found.
+# Geometric mean of both modes, in units of the first: that of a clamped beam has its
+# second mode at 6.27, and a mass at its tip moves it farther away. A mode found below it
+# is nearer to the first, as a misfit of that one is.
 _LOWEST = 2.5
 # fraction of the Nyquist frequency: beyond it the input between the samples is not
 # known well enough

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fraclink._identify.findings import likelihood_ratio, rival_finding
-from fraclink._identify.problem import CLEARLY_LESS, QUANTILE, RESOLUTION
+from fraclink._identify.problem import CLEARLY_LESS, MOST, QUANTILE, RESOLUTION
 from fraclink._identify.structure_certainty import Certainty
 from fraclink._identify.structure_data import Lines, Signals
 from fraclink._identify.structure_fit import StructureFit
@@ -19,9 +19,6 @@ from fraclink.findings import Finding, worst_first
 # and the largest share of noise in a residual that is otherwise smooth, as from a
 # simulation: no sensor is that quiet.
 _RESOLUTION, _SMOOTH = 1e-6, 0.01
-# share of the power of lines that they have in common with their neighbours; 0 for
-# noise
-_ALIKE = 0.5
 
 
 def structure_findings(
@@ -112,12 +109,13 @@ def _of_the_residual(fit: StructureFit, data: Signals | Lines) -> Iterator[Findi
         return
     residual = fit.measured - fit.predicted
     if isinstance(data, Lines):
-        # A missed resonance shifts neighbouring lines in the same way; noise does not.
+        # A missed resonance shifts neighbouring lines in the same way; of noise they have
+        # nothing in common.
         errors = residual[: fit.fitted] + 1j * residual[fit.fitted :]
         alike = float(
             np.vdot(errors[1:], errors[:-1]).real / np.vdot(errors, errors).real
         )
-        smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
+        smooth, evidence = alike > MOST, {"alike": alike, "most": MOST}
     else:
         rest = residual[: fit.fitted]
         # The second difference of white noise has √6 times its size. The median ignores

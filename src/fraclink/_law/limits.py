@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "derive_limits"]
 
-# Largest payload, relative to the nominal one: more is a wrong unit, and its torque is
-# beyond the limits.
+# Largest payload, relative to the nominal one, and with it the flexion and the torque of
+# a move: more is a wrong unit.
 LARGEST_SCALE = 4.0
 # [s] in which the scale of the feed-forward changes by 1: within a move, but without a
 # jump
@@ -121,7 +121,7 @@ def derive_limits(
     motor_step = 3 * moves.velocity * period
     # Like that of the motor angle, the range of the torque is symmetric about zero.
     resting = abs(moves.rest_torque)
-    torque_limit = min(4 * torque + resting, CREDIBLE_SHARE * gauge_limit)
+    torque_limit = min(LARGEST_SCALE * torque + resting, CREDIBLE_SHARE * gauge_limit)
     # A vibrating link swings back within half a period. A deflection that lasts longer
     # is due to an acceleration, which is limited by the change of the reference's speed
     # from one extreme to the other.
@@ -141,11 +141,13 @@ def derive_limits(
     torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
     return Limits(
         # the correction's jump at the largest torque and reference steps, and the feed-forward
-        sum_limit=4 * flexible
+        sum_limit=LARGEST_SCALE * flexible
         + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
         # 0.15 rad: residual vibration and gauge offset in addition to the lag
         correction_limit=1.5 * (loop.lag * period * moves.velocity + 0.15),
-        # the states sum the acceleration, at most up to the speed divided by the period
+        # the states sum the acceleration with weights that decay (poles from 0 to 1), hence
+        # at most its largest sum: a reversal at full speed has 2 v/T, and half as much again
+        # is left as for the correction
         forward_limit=3 * moves.velocity / period,
         # The motor leads the tip by the flexion, at both ends of a move.
         angle_limit=reach + 2 * flexible,

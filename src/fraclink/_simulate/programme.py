@@ -28,8 +28,6 @@ __all__ = ["Programme"]
 
 Bounds = list[tuple[float, float]]
 
-# periods after the end of the reference in which a limit may still be reached
-AFTER = 25
 FIRST = 31  # stride of the rows that are in the programme from the beginning
 # Tolerance relative to the right-hand side of a row (0.1 mrad of 1 rad, 1 mV of 8 V), or
 # to PART of the largest one if that is more.
@@ -173,9 +171,6 @@ class Programme:
 
     def _rows(self, count: int, end: float, first: int, last: int) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
-        # After the reference has come to rest the loop only decays: its peaks lie
-        # before, or within the next `AFTER` periods.
-        until = min(count * self.knot + AFTER, self.length)
         step = self.knot * self.period
         # acceleration at the knots, which bound it in between
         limited = [_differences(count) / (step**2 * self.acceleration)]
@@ -188,7 +183,7 @@ class Programme:
                 np.hstack([-response, -distance]),
             ]
             sides += [np.full(len(response), end), np.full(len(response), -end)]
-            limited += [self._moved(signal, count)[:until] for signal in signals]
+            limited += [self._moved(signal, count)[:last] for signal in signals]
         every = np.pad(np.vstack(limited), ((0, 0), (0, 1)))
         rows += [every, -every]
         sides += [np.ones(2 * len(every))]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fraclink._arm.beam import model_at
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._arm.reference import Reference, sampled
+from fraclink._arm.reference import SETTLE, Reference, sampled
 from fraclink._arm.rig import Gauge, Rig
 from fraclink._law import Law
 from fraclink._law.design import Design
@@ -53,10 +53,6 @@ __all__ = ["link_at", "model_run", "simulate"]
 
 Part = TypeVar("Part", Twin, Gauge, MotorLoop)
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
-
-# [s] simulated after the reference has come to rest: eight periods of the paper's
-# slowest link
-SETTLE = 5.0
 
 
 @checked

@@ -19,7 +19,6 @@ from fraclink.lab._machine import check_machine, period_ns, real_time
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
 
 _LOOKS = 16  # polls per period: the time of arrival is known to 6 % of a period
-_NUMBERS = 2**32  # sample numbers, before they wrap around
 _STOPS = 3  # stop messages sent, since one may get lost
 
 
@@ -88,9 +87,9 @@ class ArmLine:
         if self._way.clocked:
             # The sample's own number counts, not the number of polls: a process that
             # was suspended receives the newest sample at once, and the motion since
-            # then would be taken for that of one period.
+            # then would be taken for that of one period. It has 32 bits.
             before, self._seen = self._seen, self._way.taken
-            periods = max((self._seen - before) % _NUMBERS, 1)
+            periods = max((self._seen - before) % 2**32, 1)
         return Reading(sample[1], sample[2], periods)
 
     def _awaited(self) -> tuple[int, float, float] | None:

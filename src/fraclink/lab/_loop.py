@@ -38,9 +38,6 @@ from fracsys.checks import Between, above, checked
 
 __all__ = ["run_realtime"]
 
-# [s] that a run continues after its reference has come to rest
-SETTLE = 3.0
-
 
 @checked
 def run_realtime(
@@ -80,7 +77,7 @@ def run_realtime(
     connection
         how the arm is reached.
     duration
-        time to run [s]; default: until 3 s after the reference's end.
+        time to run [s]; default: until 5 s after the reference's end.
     out
         file for the record (NPZ). A path that cannot be written is refused before the
         arm moves; if writing fails afterwards, the record goes to the folder of
@@ -144,9 +141,9 @@ def run_realtime(
     if estimator is not None:
         estimator = estimator_for(law, estimator)
     nanoseconds = period_ns(law.period)
-    length = reference.duration + SETTLE if duration is None else duration
-    Between(law.period, 1e300, "s").check("duration", length)
-    path = sampled(reference, law.period, length)
+    if duration is not None:
+        Between(law.period, 1e300, "s").check("duration", duration)
+    path = sampled(reference, law.period, duration)
     with contextlib.ExitStack() as stack:
         with controller_end(connection) as arm:
             obeyed = stack.enter_context(signals_held())

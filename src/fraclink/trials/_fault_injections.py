@@ -75,7 +75,8 @@ def reading(
     if every:
         # The law counts consecutive bad samples: any number of isolated ones must not
         # add up to a trip.
-        rows = np.arange(trial.row, trial.row + 250, every)
+        second = trial.rows(1.0)
+        rows = np.arange(second.start, second.stop, every)
     else:
         span = trial.rows(seconds)
         last = max(span.stop, min(span.start + samples, trial.count))

@@ -35,8 +35,6 @@ FRACLINK = "fraclink"
 # the filter would be the slowest lag of the loop), and below the Nyquist frequency
 # (otherwise it would not filter).
 FILTER_TIME = 0.01
-# damping ratio of a notch's poles: the widest notch without a peak of its own
-WIDE = 0.7
 KNOBS = 100  # geometric steps in the range of gains that are tried
 
 
@@ -257,11 +255,12 @@ def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
     """
     above, below = np.array([gain / link.resonance, gain]), np.array([FILTER_TIME, 1.0])
     mode = link.second_mode
-    # Above the Nyquist frequency the notch would lie at an alias.
+    # Above the Nyquist frequency the notch would lie at an alias. From a damping ratio of
+    # 1/√2 on, its poles have no peak of their own.
     if mode is not None and mode.frequency * period < math.pi:
         near, wide = (
             [1.0, 2.0 * ratio * mode.frequency, mode.frequency**2]
-            for ratio in (mode.damping_ratio, WIDE)
+            for ratio in (mode.damping_ratio, math.sqrt(0.5))
         )
         above, below = np.polymul(above, near), np.polymul(below, wide)
     # Tustin's rule for the controller canonical form, direct + c (s − A)⁻¹ e₁

@@ -12,13 +12,13 @@ from typing import Annotated
 import numpy as np
 
 from fraclink._arm.beam import DEFAULT_MASS
-from fraclink._arm.reference import Reference, smooth_step
+from fraclink._arm.reference import SETTLE, Reference, smooth_step
 from fraclink._display import Overview, Row, Table, displayed, rows_of, state_of
 from fraclink._law.design import Design
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.events import SensorFault
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import SETTLE, simulate
+from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.trials._rivals import FRACLINK, Rival, builders
 from fracsys.checks import Payload, checked, length
