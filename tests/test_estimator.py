@@ -471,6 +471,19 @@ def test_any_memory_is_healed(precision: str) -> None:
         assert again.given[-1] == pytest.approx(0.03, rel=0.06)
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_memory_that_is_begun_anew_keeps_nothing(precision: str) -> None:
+    made = bank(precision)
+    angle, torque = sensors(moved(0.03))
+    fresh = over(made, angle, torque)
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        state = rng.bytes(len(made.initial_state()))
+        found = made.run(state, angle, torque)[1]
+        for values, those in zip(fresh, found, strict=True):
+            np.testing.assert_array_equal(values, those)
+
+
 def test_no_flipped_counter_leads_beyond_the_memory() -> None:
     """Every bit of the words before the models, at every stage of a sample."""
     made = bank()
@@ -504,6 +517,14 @@ def test_a_period_that_is_reported_twice_counts_once() -> None:
     twice = over(bank(), np.repeat(angle, 2), np.repeat(torque, 2), ticks)
     for values, repeated in zip(once, twice, strict=True):
         np.testing.assert_array_equal(np.repeat(values, 2), repeated)
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_the_estimate_outlasts_a_gap_that_is_just_admitted(late: int) -> None:
+    angle, torque = (x.copy() for x in sensors(moved(0.03)))
+    torque[300 : 300 + bank().gap_limit + late] = np.nan
+    after = over(bank(), angle, torque).estimate[300 + bank().gap_limit + late]
+    assert (after == 0.0) == bool(late)
 
 
 def test_a_gauge_that_is_gone_ends_the_estimate() -> None:

@@ -85,6 +85,12 @@ def test_the_tip_follows_an_independent_solution_behind_m_of_s(
     x = 80 * PERIOD * np.arange(len(delayed))
     moved = np.convolve(np.diff(delayed, prepend=0.0), 1 - (1 + x) * np.exp(-x))
     assert np.abs(run.motor_angle - moved[: len(delayed)]).max() < 1e-10
+    # and so have its speed and acceleration, which ask for this voltage
+    steps = np.diff(delayed, prepend=0.0)
+    speed = np.convolve(steps, 80 * x * np.exp(-x))[: len(delayed)]
+    acceleration = np.convolve(steps, 80**2 * (1 - x) * np.exp(-x))[: len(delayed)]
+    voltage = (acceleration + RIG.motor.decay * speed) / RIG.motor.gain
+    np.testing.assert_allclose(run.voltage, voltage, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow

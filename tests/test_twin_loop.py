@@ -218,6 +218,18 @@ def test_obstacle_stops_the_tip_and_pushes_one_way(law):
     assert abs(run.error[-1]) < 0.02 or run.mode[-1] != 1
 
 
+def test_a_stop_without_loss_pushes_as_its_spring(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    for side in (1, -1):
+        wall = Obstacle(0.0, 0.9, side * 0.5, side=side, stiffness=300.0, damping=0.0)
+        move = fl.smooth_step(side * 1.0, duration=0.5)
+        run = fl.simulate(law, move, arm=twin, duration=0.9, events=[wall])
+        depth = 0.65 * (np.abs(run.tip_angle).max() - 0.5)
+        force = run.extras["contact_force"]
+        assert force.max() == pytest.approx(300.0 * depth, rel=0.05)
+        assert force.min() == 0.0
+
+
 def test_restart_mid_motion_has_no_bump(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[Restart(0.5)])
