@@ -1,9 +1,9 @@
-/* The payload at the tip, estimated from motor angle and gauge while the arm moves: what `law_input.payload` takes.
+/* Estimate of the payload at the tip, from motor angle and gauge while the arm moves, for `law_input.payload`.
  *
- * ISO C99 as law.c: no heap, no library, no clock, no static data; a const block and a state that the caller owns.
+ * ISO C99, like law.c: no heap, no library, no clock, no static data; the caller owns constant block and state.
  *
  *   payload_state memory;
- *   reason = payload_init(&memory, &payload_data);      once; anything but LAW_OK means: give the law 0
+ *   reason = payload_init(&memory, &payload_data);      once; unless it returns LAW_OK, give the law 0
  *   every control period, before law_step:
  *   payload_step(&memory, &payload_data, input.tick, input.motor_angle, input.torque, &estimate);
  *   input.payload = estimate.given;
@@ -29,9 +29,9 @@
 #define PAYLOAD_CHANGED 16U  /* the payload has changed: the estimator forgets and starts again */
 #define PAYLOAD_SAMPLE 32U   /* a sample was rejected and replaced by the last one */
 
-/* Model of one payload: torque over motor angle is (1 - 1/z)(b0 + b1/z + b2/z^2)/A with A = 1 + a1/z + a2/z^2 +
- * a3/z^3, a vibration and one real mode for the effect of a fractional order. Its error is filtered by A/C with C =
- * 1 + c1/z + c2/z^2 + c3/z^3, which forgets the initial state of a vibration. */
+/* Model of one payload: the transfer function from motor angle to torque is (1 - 1/z)(b0 + b1/z + b2/z^2)/A with A =
+ * 1 + a1/z + a2/z^2 + a3/z^3, a vibration and one real mode for the effect of a fractional order. The error is filtered
+ * by A/C with C = 1 + c1/z + c2/z^2 + c3/z^3, whose poles make an initial vibration decay quickly. */
 typedef struct {
     law_real a1;
     law_real a2;
@@ -43,7 +43,7 @@ typedef struct {
     law_real c2;
     law_real c3;
     law_real rest; /* share of a constant torque that remains in the error */
-    law_real power; /* of white noise of variance 1: variance of the error, and its covariances with the filter's next state */
+    law_real power; /* for white noise of variance 1: variance of the error, its covariances with the filter state */
     law_real echo0;
     law_real echo1;
     law_real echo2;
@@ -56,18 +56,18 @@ typedef struct {
     uint32_t size;
     uint32_t precision;
     uint32_t crc;
-    uint32_t together;     /* periods averaged to one sample of the models */
+    uint32_t together;     /* periods averaged into one sample of the models */
     uint32_t chunk;        /* models updated in one period */
     uint32_t quiet_limit;  /* samples without motion before the estimate is frozen */
     uint32_t gap_limit;    /* missed periods or periods without a good sample before the estimator restarts */
     law_real angle_limit;  /* largest encoder angle [rad] */
     law_real torque_limit; /* largest credible gauge torque [N m] */
-    law_real torque_moved; /* torque, measured or predicted, above which the arm moves [N m] */
-    law_real variance;     /* variance of the error of a right model [(N m)^2] */
-    law_real gain_weight;  /* `variance` over that of the gauge's gain */
+    law_real torque_moved; /* measured or predicted torque above which the arm counts as moving [N m] */
+    law_real variance;     /* variance of the error of the correct model [(N m)^2] */
+    law_real gain_weight;  /* `variance` divided by the variance of the gauge's gain */
     law_real offset_variance; /* variance of the gauge's offset before anything is known of it [(N m)^2] */
     law_real keep;         /* share of the evidence that is kept from sample to sample while the arm moves */
-    law_real surprise;     /* square of the relative torque error that a right model may have */
+    law_real surprise;     /* square of the relative torque error admitted for the correct model */
     law_real contact;      /* the same for a torque that no payload explains */
     law_real link;         /* equivalent mass of the link at its tip [kg] */
     law_real narrow;       /* largest relative standard deviation at which the law gets the estimate */
@@ -89,7 +89,7 @@ typedef struct {
     law_real v;
 } payload_memory;
 
-/* What a model makes of its sums: gain and offset of the gauge, and the cost with them. */
+/* Gain and offset of the gauge that fit a model best, and the cost with them. */
 typedef struct {
     law_real gain;
     law_real offset;
@@ -121,19 +121,19 @@ typedef struct {
     law_real drift;      /* further change of the offset according to the best model */
     law_real samples;    /* effective number of samples in the sums */
     law_real keep;       /* share of the sums that is kept in this sample */
-    law_real best_cost;  /* of the best model so far: cost, predicted torque, and error relative to that of a right model */
+    law_real best_cost;  /* best model so far: cost, predicted torque, and excess of its squared error [(N m)^2] */
     law_real best_told;
     law_real best_error;
-    law_real left[3];    /* remaining errors of the best model and those on either side */
-    law_real before_left; /* that of the previous model */
-    law_real carried[3]; /* noise in the estimate: covariance with the filter, variance, and that of white errors */
+    law_real left[3];    /* remaining errors of the best model, in the middle, and of its neighbours */
+    law_real before_left; /* remaining error of the previous model */
+    law_real carried[3]; /* noise of the estimate: covariance with the filter, variance, variance for white errors */
     law_real spread;
     law_real remaining; /* sum of the squares of the errors that remain [(N m)^2] */
     law_real white;
-    law_real sum;       /* of the values that outlast a period, of the means being formed, of the models: any other is damage */
+    law_real sum;       /* checksums: of the values that outlast a period, of the means being formed, of the models */
     law_real means;
     law_real models;
-    law_real models_found; /* of the models updated in this sample, before and after */
+    law_real models_found; /* checksums of the models updated in this sample, before and after */
     law_real models_left;
     law_real least;     /* smallest excess of the error over the limit for a contact [(N m)^2] */
     law_real deviation; /* relative standard deviation of the mass */
