@@ -40,11 +40,6 @@ _ADMITTED = {
     "delay": Between(0.0, 1e6, "s", remedy="give finite numbers in this range"),
     "coefficient": Between(-1e15, 1e15, remedy="give finite numbers in this range"),
 }
-# share of a record: an output with a longer delay is hardly visible
-_LONGEST_DELAY = 0.5
-# delay in radians at the highest line: beyond it the lines are too far apart to unwrap
-# the phase
-_TURNS = 20.0
 
 
 @checked
@@ -79,8 +74,8 @@ def identify_structure(
         values of parameters that are known; ``"offset"`` is the output's constant part.
     bounds
         ranges of parameters. By default orders lie in 0.02 to 4, coefficients of either
-        sign are 1e-12 to 1e12 in size, and delays lie in 0 s to half of the record, or
-        to 20 rad at the highest line.
+        sign are 1e-12 to 1e12 in size, and delays lie in 0 s to the length of the
+        record, or to half a turn of the phase from one line to the next.
     hold
         what the input does between samples: "zero", "first", or "auto" for "zero" where
         it jumps and rests.
@@ -122,7 +117,10 @@ def identify_structure(
     if isinstance(data, FrequencyResponse):
         samples: Signals | Lines = _lines_of(data, weighting)
         # A constant in the output is not a line of a response.
-        longest, offset = _TURNS / data.band[1], 0.0
+        offset = 0.0
+        # with a longer delay, the phase turns by more than half a turn between two lines
+        gap = np.max(np.diff(np.sort(data.frequency)), initial=0.0)
+        longest = math.pi / float(gap or data.frequency[0])
         whole, fitted = samples, data.frequency.size
     else:
         record, moved = (
@@ -137,7 +135,7 @@ def identify_structure(
             Signals.of(record, hold, count, moved)
             for count in (fitted, record.input.size)
         )
-        longest = _LONGEST_DELAY * record.period * fitted
+        longest = record.period * fitted
         # From rest on: a step at the first sample excites everything.
         check_motion(input=np.append(0.0, samples.input), output=samples.measured)
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)

@@ -10,8 +10,6 @@ from fraclink.view._words import sketch_notes
 
 __all__ = ["arm_sketch"]
 
-_ARM = (425.0, 214.0)
-
 
 def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
     """Draw hub, link, payload and gauge from above, with θm, θt and Γ; notes: of motor,
@@ -27,7 +25,7 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
         payload=payload and f": {payload}",
     )
     description = "A flexible arm from above: hub at θm, bent link with a gauge at its root, payload at θt"
-    return stand_alone(body.replace("\n", ""), *_ARM, description)
+    return stand_alone(body.replace("\n", ""), 425.0, 214.0, description)
 
 
 @figure_of.register
