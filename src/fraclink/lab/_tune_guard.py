@@ -31,7 +31,9 @@ PLANNED = 0.6
 # old: from the first share of the speed limit on, no voltage accelerates the motor
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
 RECOVERY = 5.0  # [s] at most until a swing has decayed, and the arm is at rest
-SLOW_PERIOD = 0.6  # [s]: a vibration period of a slow arm
+# [s] in which the link's ringing shows beside the gauge's noise: the standard deviation of
+# 150 samples (4 ms) scatters by 6 %, and includes vibrations of up to twice that period.
+WINDOW = 0.6
 # shares of the planned motion, tried if it reaches a limit: torque falls with size and
 # speed
 _SIZES = (1.0, 0.5, 0.25)
@@ -231,16 +233,15 @@ class Guard:
         """Keep the drive at 0 V until the link rings less than the gauge's noise [N·m],
         or `longest` [s].
         """
-        window = math.ceil(SLOW_PERIOD / self.period)
+        window = math.ceil(WINDOW / self.period)
         last = self.count + math.ceil(longest / self.period)
-        self.rest(SLOW_PERIOD)
-        # A tenth above the noise, since the standard deviation of 150 samples scatters
-        # by a twentieth.
+        self.rest(WINDOW)
+        # A tenth above the noise, so that its scatter does not pass for ringing.
         while (
             self.count < last
             and np.std([row[2] for row in self._rows[-window:]]) > 1.1 * noise
         ):
-            self.rest(SLOW_PERIOD / 4)
+            self.rest(WINDOW / 4)
 
     def sized(
         self,

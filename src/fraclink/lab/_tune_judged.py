@@ -10,7 +10,6 @@ import numpy as np
 
 from fraclink._design import Design
 from fraclink._simulate.metrics import BAND
-from fraclink.lab._tune_guard import SLOW_PERIOD
 from fracsys.checks import Real
 
 __all__ = ["Judged", "judged", "settling_band"]
@@ -61,7 +60,7 @@ def judged(
     )
     # About its final position (a mean over a vibration) and not the reference, since
     # friction of the motor leaves a small offset.
-    final = float(np.mean(tip[-round(SLOW_PERIOD / period) :]))
+    final = float(np.mean(tip[-4 * width :]))
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     middle = width // 2
     rest = round((ends + 0.5) / period) - middle

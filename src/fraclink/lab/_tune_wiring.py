@@ -31,8 +31,6 @@ __all__ = ["FAR", "Wiring", "WiringFault", "check_wiring"]
 # [s] in which the noise of the sensors is measured: the standard deviation of a hundred
 # samples (4 ms) is accurate to 7 %.
 _REST = 0.4
-_STILL = 0.004  # [rad]
-_PAUSE = 0.16  # [s] after a doublet
 # share of the voltage limit; growth: a motion that has just begun must not reach 5° at
 # the next doublet
 _FIRST, _GROWTH = (0.01, 1.25)
@@ -132,7 +130,9 @@ def check_wiring(
             for x in (still.angle, still.torque)
         )
         angle = np.ptp(_smoothed(still.angle, width))
-        if angle <= _STILL + SURE * shake / math.sqrt(width):
+        # A drift by a tenth of the doublets changes what they show by no more than the
+        # error of their fit.
+        if angle <= 0.1 * MOST + SURE * shake / math.sqrt(width):
             break
     else:
         raise WiringFault(
@@ -219,7 +219,7 @@ class _Doublets:
         for part in (self._sign, -self._sign):
             for _ in range(self.half):
                 guard.step(part * self.voltage)
-        guard.rest(_PAUSE)
+        guard.rest(4 * PULSE)
         # Signs alternate, so that each doublet cancels the remaining motion of the last
         # one.
         self._sign = -self._sign
@@ -436,8 +436,9 @@ def _refuse_swapped(guard: Guard, start: int) -> None:
 
 def _unsettled(record: Record, channel: Real) -> float:
     """The share of a channel's mean square that is motion while the motor stands."""
-    # In the second half of every pause: delay and coasting end in the first.
-    half = np.ones(round(0.5 * _PAUSE / record.period))
+    # In the second half of every pause: the delay, at most `PULSE`, and coasting end in
+    # the first.
+    half = np.ones(round(2 * PULSE / record.period))
     driven = np.convolve(record.voltage != 0.0, half)
     standing = np.flatnonzero(driven[: channel.size] == 0.0)
     pause = np.searchsorted(edges_of(record), standing, side="right")

@@ -14,9 +14,9 @@ from fraclink.errors import FieldError
 from fraclink.findings import Scope, Verdict
 from fraclink.lab._machine import PERIOD
 from fraclink.lab._tune_causes import domain
-from fraclink.lab._tune_guard import PLANNED, SLOW_PERIOD, MotionLimits
+from fraclink.lab._tune_guard import PLANNED, WINDOW, MotionLimits
 from fraclink.lab._tune_link import LinkResult
-from fraclink.lab._tune_motor import MotorResult
+from fraclink.lab._tune_motor import FIRST, MotorResult
 from fraclink.lab._tune_moves import AFTER, FirstMove
 from fraclink.lab._tune_wiring import MOST, STRONGEST, Wiring
 from fracsys.checks import Payload, checked, checked_noun
@@ -118,7 +118,7 @@ class TuningPlan:
                 "1 wiring: short pulses that grow until the motor turns by 1°, over "
                 f"{math.degrees(2.0 * MOST):.2g}° at most and within the speed limit, also with dead sensors if the "
                 f"motor accelerates by no more than {STRONGEST:g} rad/s²; no loop is closed; 8 s",
-                f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
+                f"2 motor: slow moves within ±{math.degrees(min(FIRST, PLANNED * limits.angle)):.2g}°, "
                 f"growing to {part} % of the limits where that is needed; 5 to 15 s",
                 f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "
                 "needed, and a random voltage for 2 s; 8 to 25 s",
@@ -205,13 +205,13 @@ class Tuning:
                 Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
-        # Compared with the promise instead of the arm: this scope is that of the model,
-        # which has settled before the vibration that gives the final angle.
+        # Compared with the promise instead of the arm, since this scope is that of the
+        # model. One that still vibrated would leave the band within the last window.
         last = {move.payload: move for move in self.moves}
         model = (
             Scope("passed")
             if all(
-                move.promised_settling <= move.duration + AFTER - SLOW_PERIOD
+                move.promised_settling <= move.duration + AFTER - WINDOW
                 for move in last.values()
             )
             else Scope("failed", ("the model's move does not settle",))
