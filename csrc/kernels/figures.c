@@ -372,16 +372,16 @@ static void damping_figure(const link *l)
         if (i == l->table->column[l->number] || (d[i] <= d[i - 1] && d[i] < d[i + 1])) damping_from(l, i);
 }
 
+/* The distance from -1 implies a gain margin: no search needs its gradient. */
 static void gain_margin_figure(const link *l)
 {
+    const double no_gradient[FIGURES_PARAMETERS] = {0.0};
     for (int i = 0; i + 1 < l->table->columns; i++) {
         const double half = floor((l->logs[i].im + PI) / TAU), next = floor((l->logs[i + 1].im + PI) / TAU);
         if (half == next) continue;
         const cubic f = interval(l, i);
         const place p = zero_of(&f, 1, PI * (2.0 * fmax(half, next) - 1.0));
-        /* if C turns the phase, the crossing moves, to another gain */
-        const cx factor = {-1.0, -p.slope.re / steep(p.slope.im)};
-        if (p.log.re < 0.0) set_moved(l, FIGURE_GAIN_MARGIN, -p.log.re, p.w, p.log_w, factor);
+        if (p.log.re < 0.0) set_less(l, FIGURE_GAIN_MARGIN, -p.log.re, no_gradient);
     }
 }
 

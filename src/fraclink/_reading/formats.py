@@ -52,7 +52,7 @@ _FOREIGN = (
     (b"PAR1", "Parquet", _EXPORT),
     (b"\x80\x04", "pickle", _EXPORT),
     (b"\x89MCAP", "a ROS 2 recording", _ECHO),
-    (b"SQLite format 3", "a database", _ECHO),
+    (b"SQLite format 3", "a database", f"{_EXPORT}; a ROS 2 recording: {_ECHO}"),
     (b"LabVIEW Measurement", "a LabVIEW measurement file", _TABLE),
     (b"{", "JSON", _EXPORT),
     (b"<", "HTML or XML", _EXPORT),
