@@ -128,6 +128,12 @@ def _with_notes(body: list[ast.stmt]) -> list[ast.stmt]:
     return result
 
 
+def _text(node: ast.expr) -> bool:
+    """Whether an expression is words as they stand."""
+    words = isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return words or isinstance(node, ast.JoinedStr)
+
+
 # --- where a change can be made -----------------------------------------------------------------------
 
 
@@ -292,7 +298,8 @@ class Finder(ast.NodeVisitor):
             self._set("boolean", node, "test", ast.UnaryOp(ast.Not(), node.test))
 
     def visit_IfExp(self, node: ast.IfExp) -> None:
-        self._condition(node)
+        if not (_text(node.body) and _text(node.orelse)):
+            self._condition(node)
         self.generic_visit(node)
 
     def visit_Compare(self, node: ast.Compare) -> None:
@@ -360,7 +367,7 @@ class Finder(ast.NodeVisitor):
         ):
             a, b = node.args[:2]
             plain = not isinstance(a, ast.Starred) and not isinstance(b, ast.Starred)
-            if plain and ast.dump(a) != ast.dump(b):
+            if plain and ast.dump(a) != ast.dump(b) and not (_text(a) and _text(b)):
                 self._add(
                     "swapped", node, lambda: node.args.__setitem__(slice(0, 2), [b, a])
                 )
@@ -381,7 +388,8 @@ class Finder(ast.NodeVisitor):
             self._set("constant", node, "value", value + 1)
             self._set("constant", node, "value", value - 1)
         elif isinstance(value, float):
-            self._set("constant", node, "value", value + 1.0)
+            near = value + 1.0 if abs(value) < 100.0 else 10.0 * value
+            self._set("constant", node, "value", near)
             self._set("constant", node, "value", 2.0 * value if value else -1.0)
         elif isinstance(value, complex):
             self._set("constant", node, "value", -value)
