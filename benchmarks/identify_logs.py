@@ -17,7 +17,7 @@ PERIOD = 0.004
 SAMPLES = 5000
 NOISE = 0.0052**0.5  # the paper's MSE, all of it as white noise
 TRUTH = LinkModel(stiffness=1.56, natural_frequency=10.02, order=1.92)
-FINE = 10  # inner steps of a simulated log: the motor is not linear between samples
+FINE = 10  # inner steps: the motor angle is not a straight line between two samples
 
 
 def smooth_pulse(time: NDArray[np.float64], rise: float = 0.3) -> NDArray[np.float64]:
@@ -44,14 +44,14 @@ def clean_log(
 
 
 def noisy_log(seed: int, noise: float = NOISE, **options: object) -> Experiment:
-    """The same with white noise on the torque."""
+    """An experiment from `clean_log` with white noise on the torque."""
     angle, torque = clean_log(**options)  # type: ignore[arg-type]
     noisy = torque + np.random.default_rng(seed).normal(0, noise, torque.size)
     return Experiment(period=PERIOD, motor_angle=angle, output=noisy)
 
 
 def recorded(*parts: str) -> Path | None:
-    """A recorded file, None where the folder is not there."""
+    """A recorded file; None if it does not exist."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     path = Path(os.environ.get("FRACLINK_SHARED", str(default))).joinpath(*parts)
     return path if path.exists() else None
@@ -73,8 +73,8 @@ def merced() -> Experiment | None:
 
 
 def ist(name: str) -> Experiment | None:
-    """IST Lisbon's bar, calibrated as its README says; the strain channel's sign is
-    opposite.
+    """IST Lisbon's bar, calibrated as its README says; the deflection is its α with
+    the sign reversed.
     """
     path = recorded("ist_flexbar", f"2_lab_{name}.csv")
     if path is None:

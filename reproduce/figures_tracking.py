@@ -1,5 +1,5 @@
-"""Figs. 11 to 16: moves for four readings of the controllers, with offset and noise of
-the gauge.
+"""Figs. 11 to 16: moves for four interpretations of the controllers, with offset and
+noise of the gauge.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _tracking(number: int, payload: float) -> Picture:
                 elif reason.startswith(
                     "unstable"
                 ):  # close enough to −1 that noise makes it oscillate
-                    reason = f"noise rings a loop of {loop.margin:.1f}°:{reason.removeprefix('unstable:')}"
+                    reason = f"noise, at a margin of {loop.margin:.1f}°:{reason.removeprefix('unstable:')}"
                 if not run.verdict.passed:
                     moves.append(f"{pair.name}, {line}: {reason}")
             axes.plot(
@@ -100,18 +100,14 @@ def _tracking(number: int, payload: float) -> Picture:
 
 
 def _end(loops: list[str], moves: list[str]) -> str:
-    """State what a plot of five seconds may hide: unstable loops, and moves that do not
-    hold.
-    """
+    """State what a plot of five seconds may hide: unstable loops and failed moves."""
     flag = (
         f"**Unstable loops**: {'; '.join(loops)}."
         if loops
         else "All eight loops are stable."
     )
     held = (
-        f" Moves that do not hold: {'; '.join(moves)}."
-        if moves
-        else " All eight moves hold."
+        f" Moves that fail: {'; '.join(moves)}." if moves else " All eight moves pass."
     )
     return (
         flag

@@ -16,7 +16,7 @@ using Ticks = Read<std::uint32_t, -1>;
 
 nb::bytes bytes_of(const std::vector<std::uint64_t> &words, int size) { return nb::bytes(words.data(), std::size_t(size)); }
 
-// Bytes of parameters and state, whose kinds follow each other in law_port.
+// Sizes [bytes] of parameters and state, which are neighbours in law_port.sizes.
 nb::tuple sizes_of(bool single, int params) {
     const int *const sizes = port_of(single).sizes;
     return nb::make_tuple(sizes[params], sizes[params + 1]);
@@ -38,7 +38,7 @@ nb::bytes run_law(const nb::bytes &params, const nb::bytes &before, Ticks ticks,
     const auto block = words_of(params, port.sizes[LAW_PARAMS], "params");
     auto state = words_of(before, port.sizes[LAW_STATE], "state");
     const std::size_t n = ticks.size();
-    require(inputs.shape(1) == n && outputs.shape(1) == n && marks.shape(1) == n, "rows need one length");
+    require(inputs.shape(1) == n && outputs.shape(1) == n && marks.shape(1) == n, "rows must have the same length");
     {
         const nb::gil_scoped_release release;
         for (std::size_t k = 0; k < n; k++) {
@@ -56,7 +56,7 @@ nb::bytes run_law(const nb::bytes &params, const nb::bytes &before, Ticks ticks,
 std::uint32_t check_wiring(const nb::bytes &params, Signal angle, Signal torque, bool single) {
     const law_port &port = port_of(single);
     const auto block = words_of(params, port.sizes[LAW_PARAMS], "params");
-    require(angle.size() == torque.size(), "angle and torque need one length");
+    require(angle.size() == torque.size(), "angle and torque must have the same length");
     return port.wiring(block.data(), angle.data(), torque.data(), std::int64_t(angle.size()));
 }
 
@@ -67,7 +67,7 @@ nb::bytes run_estimate(const nb::bytes &params, const nb::bytes &before, Ticks t
     const auto block = words_of(params, port.sizes[PAYLOAD_PARAMS], "params");
     auto state = words_of(before, port.sizes[PAYLOAD_STATE], "state");
     const std::size_t n = ticks.size();
-    require(angle.size() == n && torque.size() == n && flags.size() == n && outputs.shape(1) == n, "rows need one length");
+    require(angle.size() == n && torque.size() == n && flags.size() == n && outputs.shape(1) == n, "rows must have the same length");
     {
         const nb::gil_scoped_release release;
         for (std::size_t k = 0; k < n; k++) {

@@ -11,7 +11,7 @@
 /* One exact step of the linear twin; transition is column-major with `stride` rows, the rest is padded by 0. */
 typedef struct {
     int states;
-    int stride; /* states rounded up to a multiple of 8, so that every loop below is whole vectors */
+    int stride; /* states rounded up to a multiple of 8, so that every loop over them consists of whole vectors */
     const double *transition;
     const double *hub;     /* state change per unit of hub input (net torque, reference or velocity) */
     const double *tip;     /* state change per newton on the tip */
@@ -65,7 +65,7 @@ typedef struct {
 } twin_law;
 
 /* matrix <- e^matrix, size x size by rows; `work` has room for two more. Plain arithmetic in one order, so that an arm's
- * step has the same bits on every machine, and in a browser: a library's would follow its BLAS. */
+ * step has the same bits on every machine, and in a browser: the result of a library would depend on its BLAS. */
 void twin_exponential(int size, double *matrix, double *work);
 
 /* Columns of the inputs of one control period. */

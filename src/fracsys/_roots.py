@@ -283,7 +283,7 @@ def symmetric(zeros: Complex, reach: Real) -> tuple[Complex, Real]:
 
 def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
     """Newton's method for the simple zero of D^(m−1) near z."""
-    # Newton's method converges quadratically: from 1e-2, four rounds pass rounding.
+    # Newton's method converges quadratically: from 1e-2, four steps reach rounding error.
     for _ in range(4):
         values, _ = sum_.derivatives(np.array([z]), m + 1)
         if values[m, 0] == 0:

@@ -29,7 +29,7 @@ PidOrder = Annotated[float, above(0.0, 2.0, high_open=True)]
 @checked
 @dataclass(frozen=True)
 class FractionalPid(Saved):
-    """A PI^λD^μ controller of an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f
+    """A PI^λD^μ controller that acts on an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f
     s)^n``.
 
     n is 1 for μ ≤ 1 and 2 above it, the least that keeps C proper; λ = μ = 1 is the
@@ -40,7 +40,8 @@ class FractionalPid(Saved):
     proportional
         k_p, >= 0, in units of the output over those of the error.
     integral, derivative
-        k_i and k_d, >= 0, in these units times s^(-λ) and s^μ; 0 leaves a part out.
+        k_i and k_d, >= 0, in these units times seconds^(-λ) and seconds^μ; 0 leaves a
+        part out.
     integral_order, derivative_order
         λ and μ, > 0 and < 2.
     filter_time
@@ -110,10 +111,10 @@ class FractionalPid(Saved):
         return self.transfer()(1j * np.asarray(frequency, float))
 
     def transfer(self) -> FractionalTransferFunction:
-        """Return C(s) as a fractional transfer function, for every other function of
-        the package.
+        """Return C(s) as a fractional transfer function, as the rest of the package
+        takes it.
         """
-        # Adding 0·s^0 makes the sum a transfer function even for k_p = 0.
+        # Adding 0·s^0 makes the sum a transfer function even if there is only k_p.
         whole = self.proportional + s**0 * 0.0
         if self.integral:
             whole = whole + self.integral / s**self.integral_order

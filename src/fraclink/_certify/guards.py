@@ -56,8 +56,8 @@ def _least_limits(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
     """(field, least value) of every guard, as derived for the moves of the claim."""
     c, loop = s.coefficients, _followed(s)
     period = float(c["period"])
-    # Doubled for payloads beyond the nominal one; within it neither gauge nor trip may
-    # limit the move.
+    # Largest torque of the moves, doubled for payloads above the nominal one: up to it,
+    # neither the gauge nor the trip may limit a move.
     push = 2 * s.stiffness * abs(complex(link.lead(link.resonance))) * s.acceleration
     limits = derive_limits(
         link,
@@ -69,8 +69,9 @@ def _least_limits(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
         kick=abs(c["direct"]),
         heaviest=s.payload_high / s.nominal_payload,
     )
-    # A slightly different resonance may round to another number of periods. The moves
-    # of the claim need no margin for a command three times as fast.
+    # block_limit: a slightly different resonance may round to another number of periods.
+    # residual_angle: the moves of the claim need no margin for a command three times as
+    # fast.
     step = s.velocity * period
     least = asdict(limits) | {
         "block_limit": limits.block_limit - 1,
@@ -135,7 +136,7 @@ def _bounded_parts(
         yield "coulomb_voltage", c["coulomb_voltage"], 0.0, 1.05 * s.friction
         slope = 1.05 / (COULOMB_SPEED * period)
         yield "coulomb_slope", c["coulomb_slope"], 0.0, slope
-        if c["torque_voltage"]:  # 0: a gauge with too much delay compensates nothing
+        if c["torque_voltage"]:  # 0: no compensation, as the gauge's delay is too long
             # relative to the reading of the gauge, whose gain the compensation must
             # undo
             ratio = c["torque_voltage"] / s.coupling

@@ -55,7 +55,7 @@ class _Group(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; its module is imported here and not before."""
         # Only for the program itself: the commands of a group came with its module, and
-        # `export c` must not look for a stage of that name.
+        # `export c` must not look for a command `fraclink c`.
         if ctx.parent is None and cmd_name not in self.commands:
             # For an unknown name all are loaded, which is slow but ends in an error
             # anyway: typer looks for similar names among them ("did you mean").

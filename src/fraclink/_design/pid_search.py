@@ -133,7 +133,7 @@ class PidProblem:
         # differ only there could not be separated by any root finder.
         places[:, :2] = np.round(places[:, :2], 4)
         low, high = self.spans[4]
-        if low < high:  # an offered margin is a round number of degrees
+        if low < high:  # an offered margin is a multiple of `OFFER`
             places[:, 4] = OFFER * np.round(places[:, 4] / OFFER)
         if not self.flat or (self.integral and self.derivative):
             return self._at(places)

@@ -34,8 +34,8 @@ __all__ = ["NOISE_SHARE", "RESERVE", "ROWS", "SENSITIVITY", "Row", "specificatio
 SENSITIVITY = 2.0
 # A vibration that takes more than ten periods to decay to 2 % counts as ringing: ζ = ln
 # 50/(2π·10) for small ζ. The limit is the same for a link with less damping of its own:
-# with a resonance of 1/(2ζ), any gain crosses near it with a large margin, and such a
-# loop would meet every other row without damping anything.
+# with a resonance peak of 1/(2ζ), any gain crosses near it with a large margin, and such
+# a loop would meet every other row without damping anything.
 _DAMPING = math.log(50.0) / math.hypot(10.0 * math.tau, math.log(50.0))
 # Three standard deviations of the noise leave half of the voltage for the motion.
 NOISE_SHARE = 0.5 / 3.0
@@ -86,8 +86,8 @@ class Row:
     def measured(
         self, trial: Trial, request: Request, wanted: float, payloads: Real
     ) -> list[Requirement]:
-        """Return the worst value that a trial achieves, with the payload [kg] of that link;
-        one for each mode in the row of the modes.
+        """Return the worst value over the links of a trial, with the payload [kg] of the
+        worst link; one for each mode in the row of the modes.
         """
         table, figure = trial.table, self.figure(request)
         value, judged = trial.value(figure), table.empty == self.empty
@@ -129,7 +129,7 @@ def _own(key: str) -> Callable[[Request], float | None]:
 
 
 def _crossed_beyond(frequency: float) -> tuple[Figure, Figure]:
-    """ln of the ratio of the crossover, or of the resonance without one, to a frequency
+    """ln of the ratio of the crossover (of the resonance if there is none) to a frequency
     [rad/s]; and ln|L| at the resonance, which must be positive for a crossover.
     """
     return Figure("reach", offset=-math.log(frequency)), Figure("level")

@@ -31,11 +31,11 @@ __all__ = ["Search", "Solution", "beside", "solved"]
 _SHARES = np.array([0.75, 0.25, 0.0, 0.5])
 _LEAST_ORDER = 0.05  # β → 0 gives a constant Ĉ, which (28) excludes
 _WIDTH, _DEPTH = 0.3, 0.1  # first guess of a notch: ζ of its poles and of its zeros
-# Largest relative violation that counts as met, half of the reserve of a row; a cost must
-# fall by more than this to count as a gain.
+# Largest relative violation with which a row counts as kept, half of its reserve; a cost
+# must fall by more than this to count as a gain.
 _KEPT = 0.5 * RESERVE
-# Range of a descent in each parameter, a logarithm or an order: the rows are smooth over
-# about one; farther away, a descent has lost its way.
+# Largest change of a parameter (a logarithm or an order) in one descent: the rows are
+# smooth over about 1; farther away, a descent has lost its way.
 _REACH = 1.0
 
 
@@ -147,14 +147,14 @@ class Entries:
 
     @staticmethod
     def of(figures: Sequence[tuple[Figure, Mask]], table: Table) -> Entries:
-        """Return some figures, each of some links of a table."""
+        """Return the entries of figures, each at the given links of a table."""
         places = [table.places[figure.rows, links].ravel() for figure, links in figures]
         factors = [[figure.factor, figure.offset] for figure, _ in figures]
         repeated = np.repeat(np.array(factors), [*map(len, places)], axis=0)
         return Entries(np.concatenate(places), *repeated.T)
 
     def at(self, trial: Trial) -> tuple[Real, Real]:
-        """Return (their values, their gradients (P, M)); 1 where a link has none."""
+        """Return (values, gradients (P, M)); the value is 1 if a link has no such figure."""
         value = self.factor * trial.figures.ravel()[self.place] + self.offset
         value[np.isnan(value)] = 1.0
         gradients = trial.gradients.reshape(len(trial.gradients), -1)
@@ -177,7 +177,7 @@ class Search:
 
     @cached_property
     def table(self) -> Table:
-        """The loops without Ĉ of these links."""
+        """The loops of these links, without Ĉ."""
         return self.request.arms.table.rows(np.array(self.links))
 
     @cached_property
@@ -186,8 +186,8 @@ class Search:
         request = self.request
         own = request.spec.get("filter_time")
         highest = min(request.model.order, 2.0 if own == 0.0 else self.filter_order)
-        # a filter that decays to e^-2π within a period has no effect in the law, and one
-        # with its corner below the frequencies of the table is a mere gain
+        # a filter that decays to e^-2π within a period has no effect in the law; with its
+        # corner below the frequencies of the table, δ only changes the gain
         shortest = request.rig.period / math.tau
         delta = math.log(shortest), -math.log(self.table.w.min())
         if own is not None:
@@ -206,11 +206,11 @@ class Search:
         return low_ends, high_ends
 
     def outer(self, x: Real) -> Outer:
-        """Return Ĉ of some parameters."""
+        """Return Ĉ with the given parameters."""
         return Outer(x, self.request.reference, self.filter_order)
 
     def trial(self, x: Real) -> Trial:
-        """Return these links under Ĉ of some parameters."""
+        """Return the trial of Ĉ with the given parameters at these links."""
         return _trial(self, tuple(x))
 
     @cached_property
@@ -234,7 +234,7 @@ class Search:
 
     @cached_property
     def _eased(self) -> int:
-        """How many of these slacks, the first ones, may be eased."""
+        """How many of the slacks may be eased; they are the first ones."""
         return sum(
             self.table.places[figure.rows, asked].size
             for key, figure, asked in self.figures
@@ -267,7 +267,7 @@ class Search:
         [rad/s] at the heaviest payload, and meet the phase at the lightest.
 
         β lies between the least that the phase needs without a filter and its upper
-        limit; the filter costs the phase that such a β has to spare.
+        limit; the filter uses up the phase that β adds beyond this least value.
         """
         request, loop = self.request, self.request.arms.loops[0]
         low, high = request.natural_frequencies
@@ -310,7 +310,7 @@ class Search:
         return solution
 
     def descended(self, start: Real, *, once: bool = False) -> Solution:
-        """Return where the rows are eased least or, if none is, the noise is least."""
+        """Return the point of least easing or, if no row needs any, of least noise."""
         x, end = lowest(self.easing, start, *self.bounds, enough=0.0, once=once)
         if end.missed > 0.0 or end.largest > _KEPT:
             return Solution(self, x, end.missed, end.largest)
@@ -319,10 +319,10 @@ class Search:
         )
 
 
-# one entry, as the noise is lowered from the point where the easing ended
+# one entry: the descent in noise begins at the point where the one in easing ended
 @lru_cache(maxsize=1)
 def _trial(search: Search, x: tuple[float, ...]) -> Trial:
-    """The links of a search under Ĉ of some parameters."""
+    """The trial of Ĉ with the given parameters at the links of a search."""
     return Trial(search.table, search.outer(np.array(x)))
 
 
@@ -349,8 +349,8 @@ class Solution:
 
     def equals(self, other: Solution) -> bool:
         """Whether neither is lost and both ease the rows equally, both with a notch or
-        both without: a notch that fills up ends where the search without one did, which
-        says nothing about a deeper one.
+        both without: a notch that becomes flat ends where the search without a notch did,
+        which says nothing about deep notches.
         """
         return (
             self.x.size == other.x.size
@@ -366,7 +366,7 @@ class Solution:
         return float(frequencies[0, heavy]), float(frequencies[0, light])
 
     def worst_arm(self, key: str) -> Arm:
-        """Return the arm on which a row is kept least."""
+        """Return the arm on which the slack of a row is least."""
         _, link = self._worst[key]
         arms = self.search.request.arms
         return arms.cases[arms.table.arm[link]].arm
@@ -419,8 +419,8 @@ class Solution:
         return worst
 
     def wider(self) -> Search | None:
-        """Return the search with the links that are worse than its own; None where there
-        are none.
+        """Return the search with added links that are worse than those searched; None if
+        there are none.
         """
         search, easing = self.search, self.easing
         soft = search.request.soft
@@ -445,7 +445,7 @@ class Solution:
         )
 
     def tightened(self, reserves: dict[str, float]) -> Solution:
-        """Return the solution with more in reserve for some rows."""
+        """Return the solution with additional reserves for some rows."""
         own = self.search.reserves
         more = {key: own.get(key, 0.0) + value for key, value in reserves.items()}
         search = replace(self.search, reserves={**own, **more})
@@ -465,9 +465,11 @@ def beside(request: Request, controller: Controller) -> Solution:
 
 
 def solved(request: Request, near: Solution | None = None) -> Solution:
-    """Return the solution of a request, or the nearest one: from `near`, if that leads to
-    one that keeps every row; or else with every n without a notch, then with one, from
-    each start until one keeps every row, or two ease them equally.
+    """Return the solution of a request, or the nearest one.
+
+    `near` is tried first. Unless it leads to a solution that keeps every row, each n is
+    searched, first without a notch, then with one, from each start until a solution keeps
+    every row, or two of them ease the rows equally.
     """
     known = (
         []
@@ -477,8 +479,8 @@ def solved(request: Request, near: Solution | None = None) -> Solution:
     if known and known[0].kept:
         return known[0]
     # A loop that crosses below the resonance does not affect the vibration. From an
-    # unreachable crossover a descent may fail to meet the rows that may not be eased: the
-    # next ones then begin halfway to the slowest crossover.
+    # unreachable crossover a descent may fail to meet the rows that may not be eased: then
+    # all begin once more at the geometric mean of the fastest and the slowest crossover.
     slowest = request.arms.resonance
     fastest = max(request.reference, slowest)
     for crossover in dict.fromkeys((fastest, math.sqrt(fastest * slowest))):

@@ -361,9 +361,7 @@ def _plain_body(layout: Layout) -> Layout:
         if seconds:
             name = layout.names[place]
             units[name] = "s"
-            remarks.append(
-                f"{name} holds a clock's stamps: seconds since {first[place]}"
-            )
+            remarks.append(f"{name} holds time stamps: seconds since {first[place]}")
     body = "".join("\t".join(row) + "\n" for row in rows).encode()
     return replace(
         layout, separator="\t", body=body, units=units, remarks=tuple(remarks)

@@ -78,7 +78,7 @@ class Run(Saved):
     extras
         signals that only some arms have, by name, e.g. the twin's "contact_force" [N].
     finished
-        False where the arm left every bound and the run was cut.
+        False if the arm diverged and the run was cut short.
 
     Examples
     --------
@@ -141,8 +141,8 @@ class Run(Saved):
         if law_payload == "estimated":
             estimate = float(self.extras["payload_estimate"][-1])
             return f"{payload}, estimated {quantity(estimate, 'g') if estimate else 'not yet'}"
-        # If the given value equals the payload it is the same as "told"; any other
-        # number is a wrong payload given to the law, and both are shown.
+        # Any number other than the payload is a wrong one given to the law, and both are
+        # shown.
         if isinstance(law_payload, str) or law_payload == self.payload:
             return f"{payload}, given"
         return f"{payload}, given {quantity(law_payload, 'g')}"
@@ -200,8 +200,8 @@ def judged_run(
         of the vibration [1/s], where a longer run than this one measured it.
     """
     block = Signals.of(signals, period, ended, vibration_period)
-    # A campaign follows a growing vibration for twice as long; its replay must reach
-    # the same verdict, not that of four seconds.
+    # A campaign follows a growing vibration for twice as long; a replay of the shorter
+    # run must reach the same verdict.
     metrics = (
         measure(block) if growth is None else replace(measure(block), growth=growth)
     )

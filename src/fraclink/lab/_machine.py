@@ -36,7 +36,7 @@ __all__ = [
 # alive (99)
 PRIORITY = 80
 Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priority")]
-# A desktop computer cannot run a loop faster than this; a slower loop does not need
+# A desktop computer cannot keep a period below 50 µs; a period above 1 s does not need
 # real time.
 PERIOD = Between(
     5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
@@ -71,8 +71,8 @@ class Spread(NamedTuple):
 @compared
 @dataclass(frozen=True, eq=False)
 class WakeUps:
-    """How late this machine woke a loop that does nothing else: `latency` [s] of every
-    wake-up, shape (N,).
+    """How late this machine woke a loop that only sleeps: `latency` [s] of every wake-up,
+    shape (N,).
 
     period: the requested one [s]; scheduling, memory: what the machine granted.
 
@@ -199,8 +199,8 @@ def period_ns(period: float) -> int:
 
 @contextlib.contextmanager
 def real_time() -> Iterator[None]:
-    """Run the block under SCHED_FIFO with its memory locked, if the machine grants it;
-    `WakeUps.check` rejects one that cannot keep the period otherwise.
+    """Run the block under SCHED_FIFO with its memory locked, if the machine grants it; if
+    it does not and misses the period, `WakeUps.check` rejects it.
     """
     before = _kernels.realtime_prepare(PRIORITY, 1)
     try:
@@ -214,8 +214,8 @@ def signals_held() -> Iterator[threading.Event]:
     """Hold every signal that would end or stop the process until the block ends, in any
     thread.
 
-    A signal received meanwhile then takes its course, unless the yielded event was set,
-    which means that it was obeyed already. A closed terminal sends two signals some
+    A signal received meanwhile is raised at the end, unless the block has set the yielded
+    event because it already obeyed. A closed terminal sends two signals some
     milliseconds apart, and users press Ctrl-C repeatedly.
     """
     check_machine()

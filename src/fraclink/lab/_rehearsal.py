@@ -49,6 +49,6 @@ def rehearse(
             "reference",
             f"{REASONS[int(run.reason[row])]} at {run.time[row]:.3g} s",
             "trips the law on its own model; the arm has not moved",
-            "a move that the model makes",
+            "a move that the law completes on its model",
             "ask for a slower or a smaller move (--move-time, --amplitude)",
         )

@@ -76,7 +76,7 @@ class RealtimeRun:
     Parameters
     ----------
     time
-        of the period's deadline after the first one [s].
+        of the period's deadline, counted from the first one [s].
     latency
         from the deadline to the wake-up [s].
     work
@@ -88,7 +88,7 @@ class RealtimeRun:
         its outputs: θm* [rad], voltage and compensation [V], θm − Γ/c [rad], error
         [rad].
     tick
-        number of the period, from 1; more than one further where periods were missed.
+        number of the period, from 1; missed periods leave gaps.
     mode, reason, flags
         of the law, see law.h.
     period
@@ -100,7 +100,7 @@ class RealtimeRun:
     stopped
         "finished", "signal", "law off" or "connection failed".
     lost_commands
-        how many the connection did not take.
+        how many commands the connection did not accept.
     scheduling, memory
         what the machine granted.
     origin
@@ -182,14 +182,14 @@ class RealtimeRun:
 
     @property
     def missed(self) -> int:
-        """Periods in which the law did not run: of the planned ones where the run went to
-        its end, else up to the last one that ran.
+        """Periods in which the law did not run: among all planned ones if the run
+        finished, otherwise among those before the last one that ran.
         """
         return self.unfinished + self._last - len(self.tick)
 
     @property
     def unfinished(self) -> int:
-        """Planned periods after the last one that ran, of a run that went to its end."""
+        """Planned periods after the last one that ran; 0 if the run was stopped."""
         return self.planned - self._last if self.stopped == "finished" else 0
 
     @property

@@ -38,7 +38,7 @@ MOVES: dict[str, Reference] = {
     "move": MOVE,
     # The move back, ten seconds after the first one, would be spoilt by a wound-up loop.
     "there and back": MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2)),
-    # The paper's gauge, with a noise of 0.01 N·m, needs 0.24 rad in this time
+    # With the paper's gauge (noise 0.01 N·m) the test needs 0.24 rad in this time
     # (`Law.wiring_angle`).
     "self-test": smooth_step(0.35, duration=0.12, start=0.1),
 }
@@ -120,8 +120,8 @@ class FaultTrial:
         self.period = bench.law.period
         # The fault's own random numbers depend on seed and name.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
-        # A separate stream: if a fault drew from it, the noise after it would change, and
-        # clean and faulty run would differ by more than the fault.
+        # A separate stream: a fault that drew from the same one would change the noise, so
+        # that the clean and the faulty run would differ by more than the fault.
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(
             self.twin.gauge, reference, self.period, duration, noise
@@ -191,16 +191,16 @@ def end_of(run: Run) -> tuple[str, str]:
 
 
 def execute(trial: FaultTrial) -> tuple[Run, bytes]:
-    """Run a trial on the twin; return the run, whose reference is the one before the
+    """Run a trial on the twin; return the run, with the reference as it was without the
     fault, and the law's memory at its end.
     """
     arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
     actions: Mapping[int, Sequence[Action]] = trial.actions
     steps = None
     if trial.shifts is not None:
-        # The length of a period is the distance of its two sampling instants. The arm
-        # has exact steps of 1 ms, so an early sample is a period with fewer steps, and
-        # every period is a separate call.
+        # A period lasts from one sampling instant to the next. The arm has exact steps of
+        # 1 ms, so an early sample is a period with fewer steps, and every period is a
+        # separate call.
         steps = arm.count + np.diff(trial.shifts, append=0)
         actions = {row: actions.get(row, ()) for row in range(trial.count)}
 

@@ -104,8 +104,7 @@ def open_guards(law: Law) -> Law:
     """Return the law with guards that never act, so that all rivals are compared by
     their control alone.
     """
-    # All thresholds except the fade, which is not a threshold: the values are angles,
-    # torques and speeds.
+    # All real-valued limits except the rate of the fade, which is not a guard.
     thresholds = (
         name
         for name, value in asdict(law.limits).items()
@@ -128,7 +127,7 @@ def builders(design: Design) -> dict[str, Builder]:
     Parameters
     ----------
     design
-        whose rig, model and Ms all are tuned for.
+        all rivals are tuned for its rig, its model and its Ms.
     """
     link = design.model.at_payload(design.rig.payloads.nominal)
     bare = motor_alone(open_guards(design.law()))
@@ -170,8 +169,8 @@ def builders(design: Design) -> dict[str, Builder]:
 def _by_law(rule: str, controller: Controller, tuned_for: Design) -> Rival:
     law = discretize(controller, tuned_for.rig.period)
     peak = sensitivity_peak(tuned_for, law.frequency_response)
-    # The same motor loop for all: a law equipped for its own controller would have its
-    # own guards, and thus its own limits.
+    # The motor loop of fraclink's law for all rivals: they differ only in what they
+    # command.
     law = open_guards(replace(law, motor_loop=tuned_for.law().motor_loop))
     c = controller
     knob = (
@@ -236,7 +235,7 @@ def _tuned(
             remedy="no tuning value in the range stabilises the nominal arm",
         )
     good = np.append(peaks <= target, False)
-    index, remark = int(np.argmin(peaks)), " (that Ms is out of reach: the smallest)"
+    index, remark = int(np.argmin(peaks)), " (least Ms; the design's is out of reach)"
     if good.any():
         first = int(np.argmax(good))
         index, remark = first + int(np.argmin(good[first:])) - 1, ""
