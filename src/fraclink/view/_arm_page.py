@@ -90,7 +90,7 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
                 "a few samples in a period of the vibration",
                 "shorten period in the rig file and design again, or identify the model again: see its ω₀",
             )
-        style = squeezed("palette.css") + arm.style + squeezed("arm.css")
+        style = squeezed("palette.css") + squeezed("report.css") + arm.style
         page = rendered(
             "arm.html",
             arm=arm,

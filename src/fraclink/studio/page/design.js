@@ -2,7 +2,7 @@
 import {Plot, digits, ends, joined, ring} from './plot.js';
 import {Around} from './around.js';
 import {$, capital, change, make, button, emptied, on, table, findings, say, symbol} from './dom.js';
-import {limited, plain} from './svg.js';
+import {degrees, limited, plain} from './svg.js';
 
 const grams = (kg) => 1e3 * kg;
 const KINDS = ['light', 'nominal', 'heavy'];
@@ -15,8 +15,8 @@ const sensitivity = (gain, phase) => gain.map((g, k) => {
 
 /** A circle in the complex plane about a centre on the negative real axis, as phases and decibels. */
 const disk = (centre, r) => {
-  const points = ring(centre, r), phases = points.map(([x, y]) => (Math.atan2(y, x) * 180) / Math.PI);
-  return [phases.map((p) => (p > 0 ? p - 360 : p)), points.map((p) => 20 * Math.log10(Math.hypot(...p)))];
+  const [x, y] = ring(centre, r), phases = x.map((real, k) => degrees(Math.atan2(y[k], real)));
+  return [phases.map((p) => (p > 0 ? p - 360 : p)), x.map((real, k) => 20 * Math.log10(Math.hypot(real, y[k])))];
 };
 
 export class Design {
@@ -52,13 +52,7 @@ export class Design {
     const asked = this.last?.asked || {};
     return key === 'payloads' ? (this.app.axes.rated || [0.02, 0, 0.04])[i === '1' ? 2 : 0] : asked[key] ?? null;
   }
-  /** Set a value that is not part of a gesture: from a field or a key. */
-  put(name, value) {
-    this.app.begin();
-    this.set(name, value);
-    this.app.change();
-    this.app.end();
-  }
+  put(name, value) { this.app.once(() => this.set(name, value)); }
   set(name, value) {
     const [key, i] = name.split('.');
     if (i === undefined) this.app.state = {...this.app.state, [key]: value};
@@ -166,8 +160,8 @@ export class Design {
 
   preview(answer) {
     this.searching = false;
-    $('step-design').classList.toggle('stale', !answer.ok);
     if (!answer.ok) { this.refuse(answer); return; }
+    $('step-design').classList.remove('stale');
     $('refused').hidden = true;
     this.app.refuse(false);
     this.last = answer;
@@ -190,11 +184,16 @@ export class Design {
     this.moves();
     say('budget-at', `[°] at the crossover of ${names[0]}`);
     say('assumed', answer.assumed);
-    const said = JSON.stringify(answer.findings);
-    if (said !== this.found) { this.found = said; findings($('design-findings'), answer.findings); }
+    this.findings(answer.findings);
     $('requirements').classList.add('preview');
   }
 
+  /** Shown only if they change, since a drag brings them at every move. */
+  findings(list) {
+    const said = JSON.stringify(list);
+    if (said !== this.found) findings($('design-findings'), list);
+    this.found = said;
+  }
   /** A preview is grey and marked with ≈ until the exact answer replaces it. */
   facts(answer, preview) {
     const place = $('controller'), sign = preview ? '≈ ' : '';
@@ -207,52 +206,43 @@ export class Design {
   }
   exact(answer) {
     if (this.last) this.facts(this.last, false);
-    this.found = JSON.stringify(answer.design.findings);
-    findings($('design-findings'), answer.design.findings);
+    this.findings(answer.design.findings);
     $('requirements').classList.remove('preview');
     this.around.mapped();
     $('step-design').classList.remove('stale');
   }
   took(answer) {
-    const found = answer.design;
-    if (found) {
-      table($('requirements'), found.requirements.header, found.requirements.lines, 'Requirements');
-      table($('moves-table'), found.moves.header, found.moves.lines, 'Moves of the model with the exact law');
-    }
+    if (!answer.design) return;
+    const {requirements, moves} = answer.design;
+    table($('requirements'), requirements.header, requirements.lines, 'Requirements');
+    table($('moves-table'), moves.header, moves.lines, 'Moves of the model with the exact law');
   }
   /** Doubts about rig, model and payloads are known before anything is searched for. */
   doubted(doubts) {
     this.doubts = doubts || [];
     if (this.searching) this.late();
   }
-  /** No answer yet: the curves belong to an earlier request. */
+  /** The curves belong to an earlier request: say why. */
+  unmet(head, text) {
+    const place = emptied('refused');
+    place.hidden = false;
+    make('b', '', head, place);
+    place.append(text);
+    $('step-design').classList.add('stale');
+    this.app.refuse(true);
+    return place;
+  }
+  /** No answer yet. */
   late() {
-    const place = emptied('refused');
     this.searching = true;
-    place.hidden = false;
-    for (const {message, remedy} of this.doubts) make('b', '', `${capital(message)} (${remedy}). `, place);
-    place.append('Searching for a controller that meets this request …');
-    $('step-design').classList.add('stale');
-    this.app.refuse(true);
+    this.unmet(this.doubts.map(({message, remedy}) => `${capital(message)} (${remedy}). `).join(''), 'Searching for a controller that meets this request …');
   }
-  /** Use the nearest feasible request of a refusal. */
-  use(nearest) {
-    this.app.begin();
-    this.app.state = {...this.app.state, ...nearest};
-    this.app.change();
-    this.app.end();
-  }
-  refuse(answer) {
-    const place = emptied('refused');
-    place.hidden = false;
-    make('b', '', answer.condition ? `${capital(answer.condition)}: ` : 'Not possible. ', place);
-    place.append(answer.explanation || answer.error);
-    if (Object.keys(answer.nearest || {}).length) {
-      button('Use the nearest feasible request', '', place, () => this.use(answer.nearest));
+  refuse({condition, explanation, error, nearest = {}}) {
+    const place = this.unmet(condition ? `${capital(condition)}: ` : 'Not possible. ', explanation || error);
+    if (Object.keys(nearest).length) {
+      button('Use the nearest feasible request', '', place, () => this.app.once(() => { this.app.state = {...this.app.state, ...nearest}; }));
     }
-    $('step-design').classList.add('stale');
-    this.app.refuse(true);
-    this.app.say(answer.error);
+    this.app.say(error);
   }
 
   drawBudget(shares) {

@@ -41,7 +41,7 @@ async function painted(text) {
 /** Save a plot as an SVG or PNG file under its caption. */
 export async function savePlot(plot, told, kind) {
   const caption = plot.svg.closest('figure').querySelector('figcaption').cloneNode(true);
-  for (const part of caption.querySelectorAll('button, small, .key')) part.remove();
+  for (const part of caption.querySelectorAll('.tools, small, .key')) part.remove();
   const title = caption.textContent.replace(/\s+/g, ' ').trim();
   const text = drawing(plot, told, title), name = title.split(' [')[0].toLowerCase().replace(/\W+/g, '-');
   saveAs(kind === 'svg' ? new Blob([text], {type: 'image/svg+xml'}) : await painted(text), `${name}.${kind}`);

@@ -15,8 +15,8 @@ export const ends = (list) => ({low: list[0], high: list[list.length - 1]});
 export const spark = (ys, width, y) => pathOf(ys.length, (i) => (width * i) / Math.max(1, ys.length - 1), (i) => y(ys[i]));
 /** Rows joined to one curve with gaps between them. */
 export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
-/** A circle about a point of the real axis. */
-export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre + r * Math.cos((Math.PI * k) / 60), r * Math.sin((Math.PI * k) / 60)]);
+/** A circle about a point of the real axis: its real and imaginary parts. */
+export const ring = (centre, r) => [(v) => centre + r * Math.cos(v), (v) => r * Math.sin(v)].map((part) => Array.from({length: 121}, (_, k) => part((Math.PI * k) / 60)));
 
 /** The event of a pointer move: at once where the browser offers that, else once a frame. */
 const MOVED = 'onpointerrawupdate' in window ? 'pointerrawupdate' : 'pointermove';
@@ -66,7 +66,6 @@ const WHOLE = 1e6; // a share of the axes that exceeds every plot
 const ROWS = 14; // of a table of numbers
 const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are left out of the readings and tables
 
-let clips = 0;
 /** @type {Plot[]} */ const plots = [];
 
 export class Plot {
@@ -76,12 +75,10 @@ export class Plot {
     Object.assign(this, {svg, x: axisOf(x), y: axisOf(y), height: Number(height) || 210, names: {}, flagged: [], grid: null, along: null, later: 0});
     this.home = [{...this.x}, {...this.y}];
     this.desc = el('desc', {}, svg);
-    this.clip = `clip-${++clips}`;
     this.frame = el('g', {class: 'frame', 'aria-hidden': 'true'}, svg);
-    this.rect = el('rect', {}, el('clipPath', {id: this.clip}, el('defs', {}, svg)));
-    this.inside = el('g', {'clip-path': `url(#${this.clip})`, 'aria-hidden': 'true'}, svg);
+    this.inside = el('svg', {'aria-hidden': 'true'}, svg); // which clips its curves
     this.over = el('g', {'aria-hidden': 'true'}, svg);
-    this.reader = el('g', {'clip-path': `url(#${this.clip})`, class: 'reader', 'aria-hidden': 'true'}, svg);
+    this.reader = el('svg', {class: 'reader', 'aria-hidden': 'true'}, svg);
     this.grips = el('g', {}, svg);
     this.curves = new Map();
     this.handles = [];
@@ -89,12 +86,13 @@ export class Plot {
     const figure = svg.closest('figure'), caption = figure.querySelector('figcaption');
     this.numbers = make('div', 'tablebox');
     svg.after(this.numbers);
-    this.opener = button('▦', 'chip tool numbers', null, () => this.open(this.opener.ariaExpanded !== 'true'), `${caption.firstChild.textContent.trim()}: the numbers as a table, and the plot as a file`);
-    this.saves = ['SVG', 'PNG'].map((kind) => button(kind, 'chip tool', null, () => savePlot(this, this.told(), kind.toLowerCase()), `Save the plot as ${kind}`));
-    caption.prepend(this.opener, ...this.saves);
-    this.open(false);
+    this.tools = make('details', 'tools');
+    put(make('summary', 'chip tool', '▦', this.tools), {'aria-label': `${caption.firstChild.textContent.trim()}: the numbers as a table, and the plot as a file`});
+    for (const kind of ['SVG', 'PNG']) button(kind, 'chip tool', this.tools, () => savePlot(this, this.told(), kind.toLowerCase()), `Save the plot as ${kind}`);
+    caption.prepend(this.tools);
     plots.push(this);
     on(svg, 'pointermove', (event) => { if (!event.buttons) this.point(this.spot(event)[0]); });
+    on(this.tools, 'toggle', () => this.tell());
     on(svg, 'pointerleave', () => this.point(NaN));
     on(svg, 'wheel', (event) => { if (event.ctrlKey) { event.preventDefault(); this.zoom(2 ** (event.deltaY / 200), ...this.parts(event)); } });
     on(svg, 'dblclick', () => this.zoom(WHOLE));
@@ -102,12 +100,6 @@ export class Plot {
     new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
-  /** Show the numbers and the buttons that save the plot, or hide them. */
-  open(is) {
-    put(this.opener, {'aria-expanded': is});
-    for (const save of this.saves) save.hidden = !is;
-    this.tell();
-  }
   /** Set new ends of the axes: only after another log, model or move is opened, never during a drag. */
   axes(x, y) {
     const home = [{...this.home[0], ...x}, {...this.home[1], ...y}];
@@ -137,7 +129,7 @@ export class Plot {
     [this.Y, this.ofY] = scaleOf(this.y, height - FOOT, TOP);
     put(this.svg, {viewBox: `0 0 ${W} ${height}`, height});
     const inside = {x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT};
-    put(this.rect, inside);
+    for (const part of [this.inside, this.reader]) put(part, {...inside, viewBox: Object.values(inside).join(' ')});
     emptied(this.reader);
     this.frame.replaceChildren();
     el('rect', {class: 'ground', ...inside}, this.frame);
@@ -340,7 +332,7 @@ export class Plot {
     const at = (list, unit) => plain(list, 3) + unit, least = (ys, pick) => at(ys.reduce((a, v) => pick(a, v)), y.unit);
     this.desc.textContent = told.map(({name, xs, ys}) => `${name} from ${at(ys[0], y.unit)} at ${at(xs[0], x.unit)} to ${at(ys[ys.length - 1], y.unit)} at ${at(xs[xs.length - 1], x.unit)}, least ${least(ys, Math.min)}, most ${least(ys, Math.max)}`).join('; ');
     emptied(this.numbers);
-    if (this.opener.ariaExpanded !== 'true') return;
+    if (!this.tools.open) return;
     const alike = new Map(), add = (...rest) => table(make('div', '', '', this.numbers), ...rest);
     for (const c of told) { const key = Object.values({...ends(c.xs), n: c.xs.length}).join(); alike.set(key, [...(alike.get(key) || []), c]); }
     for (const same of alike.values()) add([x.name, ...same.map(({name}) => `${name}: ${y.name}`)], spread(same[0].xs.length, ROWS).map((i) => [plain(same[0].xs[i], 3), ...same.map(({ys}) => plain(ys[i], 3))]));

@@ -11,6 +11,7 @@ export class Proof {
     this.app = app;
     this.arm = arm;
     this.cells = {};
+    this.proved = null;
     for (const verb of JOBS) on(verb, 'click', () => this.work(verb));
     on('cancel', 'click', () => this.app.ask('cancel'));
     this.swept = new Plot('p-swept');
@@ -29,14 +30,28 @@ export class Proof {
     const answer = await this.app.need(verb, {}, 'proof-said');
     busy(false);
     if (!answer) return;
-    this.result(answer);
-    if (verb === 'arms') this.open();
+    this.result(answer); // the loop over payload and delay takes longer
+    this.open();
   }
   /** Show the results of the study so far. */
   async open() {
     this.draw();
     const answer = await this.app.ask('proof');
     if (answer.ok) this.result(answer);
+  }
+  result(answer) {
+    const {proved, spread, failures, faults, cells, swept} = answer;
+    this.proved = proved;
+    if (proved) say('proof-said', proved.text);
+    if (spread) table($('spread'), spread.header, spread.lines, `${failures.count} of ${failures.runs} arms failed`);
+    if (faults) table($('faults-table'), faults.header, faults.lines, answer.faults_said);
+    if (cells) {
+      this.matrix();
+      for (const cell of cells) this.cell(cell);
+    }
+    this.swept.lay();
+    if (swept) { this.sweep(answer); this.fan(answer.curves); }
+    this.draw();
   }
   /** Show what the board needs for this law, and how to switch it on. */
   async board() {
@@ -52,10 +67,10 @@ export class Proof {
     }
   }
   sweep({swept, curves}) {
-    const {payloads: x, delays: y} = swept, {box} = this;
+    const {payloads: x, delays: y} = swept, {proved} = this;
     this.swept.axes(ends(x), ends(y));
     this.swept.cells(x, y, swept.near, [-9, -0.6, -0.5, -0.3, 0], (v, n) => (v > 0 ? 'unstable' : plain(-v, n)));
-    if (box) this.swept.box('proved', 'proved', box.payloads, box.delays);
+    if (proved) this.swept.box('proved', 'proved', proved.payloads, proved.delays);
     else this.swept.remove('proved');
     this.plane.curve('sweep', 'fan', joined(curves.sweep_x), joined(curves.sweep_y));
     ['light', 'nominal', 'heavy'].forEach((kind, i) => this.plane.curve(kind, kind, curves.sweep_x[2 * i], curves.sweep_y[2 * i]));
@@ -85,22 +100,8 @@ export class Proof {
     failed.title = words;
     square.replaceWith(failed);
   }
-  result(answer) {
-    if (answer.proved) say('proof-said', answer.proved.text);
-    if (answer.spread) table($('spread'), answer.spread.header, answer.spread.lines, `${answer.failures.count} of ${answer.failures.runs} arms failed`);
-    if (answer.faults) table($('faults-table'), answer.faults.header, answer.faults.lines, answer.faults_said);
-    if (answer.cells) {
-      this.matrix();
-      for (const cell of answer.cells) this.cell(cell);
-    }
-    this.modulus = answer.proved?.modulus ?? this.modulus;
-    this.box = answer.proved || this.box;
-    this.swept.lay();
-    if (answer.swept) { this.sweep(answer); this.fan(answer.curves); }
-    this.draw();
-  }
   took(answer) {
-    if (!answer.certificate) this.modulus = this.box = undefined;
+    if (!answer.certificate) this.proved = null;
     say('proof-said', answer.proof_said);
     const files = Object.entries(answer.files || {});
     say('board-said', answer.board_said);
@@ -109,19 +110,14 @@ export class Proof {
   }
 
   draw() {
-    const points = ring(-1, this.modulus);
-    if (this.modulus) this.plane.curve('disk', 'disk', points.map((p) => p[0]), points.map((p) => p[1])); else this.plane.remove('disk');
+    if (this.proved) this.plane.curve('disk', 'disk', ...ring(-1, this.proved.modulus)); else this.plane.remove('disk');
     this.plane.cross('critical', -1, 0);
   }
 
-  async export(target, force = false) {
-    const answer = await this.app.ask('export', {target, precision: precision(), force});
-    if (answer.ok) {
-      this.app.took(answer);
-      say('board-said', answer.export_command);
-      this.app.toast(`Wrote ${Object.keys(answer.written).length} files`);
-    } else if (/already|exists|overwrit/i.test(answer.error) && !force) {
-      this.app.replace(answer.error, () => this.export(target, true));
-    } else say('board-said', answer.error);
+  export(target) {
+    this.app.write('export', {target, precision: precision()}, ({written, export_command}) => {
+      say('board-said', export_command);
+      this.app.toast(`Wrote ${Object.keys(written).length} files`);
+    });
   }
 }

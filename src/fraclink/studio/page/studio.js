@@ -54,6 +54,13 @@ export const app = {
     app.began = null;
     app.change();
   },
+  /** A gesture in one step, from a field, a key or a button. */
+  once(act) {
+    app.begin();
+    act();
+    app.change();
+    app.end();
+  },
   /** After the end of a gesture: add the state to the history and request the exact answer. */
   settle() {
     app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
@@ -189,21 +196,21 @@ export const app = {
     design.axes(app.axes);
     if (answer.frequencies) { app.change(); await app.exact(); }
   },
-  async keep(force = false) {
-    const answer = await app.ask('keep', {force});
+  keep: () => app.write('keep', {}, ({kept, folder}) => app.toast(`Kept ${kept.length} files in ${folder}`)),
+  /** Write files; ask before others are replaced. */
+  async write(verb, given, written, force = false) {
+    const answer = await app.ask(verb, {...given, force});
     if (answer.ok) {
       app.took(answer);
-      app.toast(`Kept ${answer.kept.length} files in ${answer.folder}`);
-    } else if (answer.field === 'folder') app.replace(answer.error, () => app.keep(true));
-    else app.toast(answer.error);
-  },
-  /** Ask before a file is replaced. */
-  replace(why, then) {
-    const dialog = $('replace');
-    say('replace-said', why);
-    dialog.onclose = () => { if (dialog.returnValue === 'yes') then(); };
-    dialog.returnValue = '';
-    dialog.showModal();
+      written(answer);
+    } else if (force || !(answer.field === 'folder' || /already|exists|overwrit/i.test(answer.error))) app.toast(answer.error);
+    else {
+      const dialog = $('replace');
+      say('replace-said', answer.error);
+      dialog.onclose = () => { if (dialog.returnValue === 'yes') app.write(verb, given, written, true); };
+      dialog.returnValue = '';
+      dialog.showModal();
+    }
   },
 };
 const axesOf = ({frequencies, payloads, rated}) => (frequencies ? {frequencies, payloads, rated} : {});
@@ -237,7 +244,7 @@ async function hello() {
 }
 
 function listen() {
-  const open = palette(app), clicked = {next: () => app.show(STEPS[STEPS.indexOf(app.step) + 1]), undo: () => app.go(app.at - 1), redo: () => app.go(app.at + 1), keep: () => app.keep(), 'help-open': () => $('help').showModal(), 'palette-open': open, theme: () => {
+  const open = palette(app), clicked = {next: () => app.show(STEPS[STEPS.indexOf(app.step) + 1]), undo: () => app.go(app.at - 1), redo: () => app.go(app.at + 1), keep: app.keep, 'help-open': () => $('help').showModal(), 'palette-open': open, theme: () => {
     const root = document.documentElement, dark = root.dataset.theme ? root.dataset.theme === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
     sessionStorage.setItem('theme', root.dataset.theme = dark ? 'light' : 'dark');
   }};
@@ -252,18 +259,15 @@ function listen() {
     }
   };
   for (const id in clicked) on(id, 'click', clicked[id]);
+  // with Ctrl anywhere, else where nothing is typed
+  const held = {z: (event) => app.go(app.at + (event.shiftKey ? 1 : -1)), k: open, s: app.keep}, pressed = {'/': open, '?': clicked['help-open']};
+  STEPS.forEach((step, i) => { pressed[i + 1] = () => app.show(step); });
   on(document, 'keydown', (event) => {
-    const held = event.ctrlKey || event.metaKey, key = event.key.toLowerCase();
-    if (held && key === 'z') { event.preventDefault(); app.go(app.at + (event.shiftKey ? 1 : -1)); return; }
-    if (held && key === 'k') { event.preventDefault(); open(); return; }
-    if (held && key === 's') { event.preventDefault(); app.keep(); return; }
-    const typing = event.target.closest('input:not([type=range]), select, textarea, dialog');
-    if (held || event.altKey || typing) return;
-    if (/^[1-7]$/.test(key)) app.show(STEPS[Number(key) - 1]);
-    else if (key === '/') open();
-    else if (key === '?') $('help').showModal();
-    else return;
+    const typing = event.altKey || event.target.closest('input:not([type=range]), select, textarea, dialog');
+    const act = event.ctrlKey || event.metaKey ? held[event.key.toLowerCase()] : !typing && pressed[event.key];
+    if (!act) return;
     event.preventDefault();
+    act(event);
   });
 }
 

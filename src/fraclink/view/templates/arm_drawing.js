@@ -42,7 +42,7 @@ function layOne(law, place, cx, cy, floor) {
   }
   if (!rival) one.past = el('path', {class: 'past'}, g);
   one.shadow = el('path', {class: 'shadow', 'stroke-width': arm.thick + 4}, g);
-  one.link = el('path', {class: 'link'}, g);
+  one.link = el('path', {class: 'link', 'stroke-width': 0.8 * arm.thick}, g);
   one.shine = el('path', {class: 'shine', 'stroke-width': 1.5}, g);
   one.gauge = el('path', {class: 'gauge', 'stroke-width': arm.thick + 4}, g);
   drawHub(one);
@@ -131,22 +131,11 @@ const bent = (from, to, base, bend) => Array.from({length: 25}, (_, i) => {
   return spot(base + bend * x * x, arm.L * x);
 });
 
-function blade(points) {
-  const sides = [[], []];
-  points.forEach(([x, y], i) => {
-    const [ax, ay] = points[Math.max(0, i - 1)], [bx, by] = points[Math.min(points.length - 1, i + 1)];
-    const size = Math.hypot(bx - ax, by - ay) || 1, half = (arm.thick * (1 - 0.45 * (i / (points.length - 1)))) / 2;
-    sides[0].push([x - ((by - ay) / size) * half, y + ((bx - ax) / size) * half]);
-    sides[1].unshift([x + ((by - ay) / size) * half, y - ((bx - ax) / size) * half]);
-  });
-  return `${line([...sides[0], ...sides[1]])}Z`;
-}
-
 function drawArm(k) { for (const one of arm.pair) drawOne(one, k); }
 
 function drawOne({law: {tip, motor, mode}, ...one}, k) {
   const base = motor[k], bend = tip[k] - motor[k], points = bent(0, 1, base, bend);
-  one.link.setAttribute('d', blade(points));
+  one.link.setAttribute('d', line(points));
   one.shine.setAttribute('d', line(bent(0.08, 0.97, base, bend)));
   one.shadow.setAttribute('d', line(points));
   one.past?.setAttribute('d', past.tip ? line(bent(0, 1, past.motor[k], past.tip[k] - past.motor[k])) : '');
