@@ -1,5 +1,6 @@
 """A flexible arm in MuJoCo (multibody dynamics that nobody here wrote), tuned and then
-moved by the law that ships: the true motion of the tip against the printed worst.
+moved by the law that ships: the true settling time of the tip against the printed one of
+the worst case.
 
 The link is a chain of rigid segments with springs between them, on a hub with friction,
 an encoder in counts and a gauge that reads the first spring late. MuJoCo is no
@@ -136,7 +137,7 @@ def main() -> None:
         tried(SimpleNamespace(ARMS=ARMS, Arm=Arm), name, False) for name in names
     ]
     line(
-        "arms in MuJoCo with a law, and no told move later than the printed worst",
+        "arms in MuJoCo with a law, and no move with a given payload later than printed",
         f"{sum(map(bool, results))} of {len(results)} arms",
         "all",
         all(results),

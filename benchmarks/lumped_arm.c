@@ -71,7 +71,7 @@ static void push_voltage(arm_state *s, double voltage)
     s->voltage[0] = voltage;
 }
 
-/* A period with its samples; `given` [kg] is told to the law, and below zero the estimator is asked. */
+/* A period with its samples; the law gets the payload `given` [kg] or, if that is negative, the estimated one. */
 static void control(arm_state *s, const law_params *law, const payload_params *bank, const arm_params *p, uint32_t tick,
                     double reference, double acceleration, double given, const double *stuck)
 {
@@ -126,8 +126,9 @@ void arm_run(const law_params *law, const payload_params *bank, const arm_params
 }
 
 /* Flip bits `first` to `last` of the memory (the estimator's behind the law's), each in every second period from
- * `from` to `to`, and follow the arm for `rest` periods. worst[w]: largest distance of the tip from the clean arm's
- * [rad] of a word, of the runs that are not off within ten periods; counts[0] runs, counts[1] those beyond `bound`. */
+ * `from` to `to`, and follow the arm for `rest` periods. worst[w]: largest distance [rad] of the tip from that of the
+ * clean arm, over the flips in word w after which the law is not off within ten periods; counts[0]: runs, counts[1]:
+ * those of them that exceed `bound`. */
 void arm_flips(const law_params *law, const payload_params *bank, const arm_params *p, int32_t count,
                const double *reference, const double *acceleration, double given, int32_t from, int32_t to,
                int32_t rest, int32_t first, int32_t last, double bound, double *worst, int64_t *counts)

@@ -53,12 +53,12 @@ def _count(
     name: str,
     change: Callable[[_Case], _Case] | None = None,
 ) -> Reading:
-    """Count the random loops for which a statement holds; `change` adds to the loop
-    what the statement leaves out.
+    """Count the random loops for which a statement holds; `change` replaces each loop by
+    one that the statement does not cover.
     """
     good = sum(kept(change(case) if change else case) for case in _cases())
     verdict = HOLDS if good == _TRIALS else NOT if good == 0 else PART
-    return Reading(name, f"{good} of {_TRIALS} random loops keep it", verdict)
+    return Reading(name, f"{good} of {_TRIALS} random loops satisfy it", verdict)
 
 
 def _with_motor(case: _Case) -> _Case:
@@ -167,7 +167,7 @@ def _remark_1(published: Published) -> Evidence:
 def _theorem_2(published: Published) -> Evidence:
     own = _theorem(
         _condition_stays,
-        "ω₀ > 1 is asked for, but the unit of time could be chosen otherwise",
+        "the condition ω₀ > 1 depends on the unit of time, which is arbitrary",
     )
     return _beyond(own, [_count(_condition_stays, "ω₀ < 1: not stated", _slow)])
 
@@ -205,7 +205,7 @@ def _margin_and_damping(published: Published) -> Evidence:
     ]
     text = ", ".join(f"ζ = {zeta:g}: {margin:.1f}°" for zeta, margin in second)
     good = judged(abs(margin - 100 * zeta) < 10 for zeta, margin in second)
-    rows.append(Reading("second order, what the rule was made for", text, good))
+    rows.append(Reading("second-order loop, for which the rule was made", text, good))
     found = [(name, margin, zeta) for name, margin, zeta, _ in _rules_of_thumb()]
     text = ", ".join(
         f"{name}: φ_m = {margin:.1f}°, ζ = {zeta:.2f}" for name, margin, zeta in found

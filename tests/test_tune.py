@@ -555,7 +555,7 @@ def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:
     assert len(fl.load(tmp_path / "new" / "log.npz").motor_angle) > 1000
     with pytest.raises(FieldError, match="already there"):
         fl.tune(arm().callback, PLAN, out=tmp_path / "new", clock="none")
-    with pytest.raises(FieldError, match="without a law to move"):
+    with pytest.raises(FieldError, match="without a law to try"):
         fl.tune(arm().callback, PLAN, out=tmp_path / "other", resume=True, clock="none")
 
 

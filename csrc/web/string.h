@@ -1,4 +1,4 @@
-/* What of C's strings the loop and the twin need: WebAssembly copies and fills memory by itself. */
+/* The part of <string.h> that the loop and the twin need: WebAssembly has instructions that copy and fill memory. */
 #ifndef FRACLINK_WEB_STRING_H
 #define FRACLINK_WEB_STRING_H
 

@@ -2,7 +2,7 @@
 a model on a rig.
 
 `Rig.warnings` reports values that differ by more than measurements do. The doubts here
-are larger: a wrong unit, or the values of another arm.
+concern larger differences: a wrong unit, or the values of another arm.
 """
 
 from __future__ import annotations

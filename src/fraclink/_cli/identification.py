@@ -50,7 +50,7 @@ RigFile = Annotated[
 ]
 ModelOut = Annotated[
     Path | None,
-    "File to write the model to; default: model.json, of a transfer function structure.json",
+    "File to write the model to; default: model.json, or structure.json for a transfer function",
 ]
 Output = Annotated[
     str | None,
@@ -232,7 +232,7 @@ def _transfer_function(
     period_ms: Annotated[
         float | None,
         above(0.0, 1e6, "ms"),
-        "Transfer function: sampling period of a file without stamps",
+        "Transfer function: sampling period of a file without time stamps",
     ] = None,
     ring_down: Annotated[
         bool,
@@ -325,8 +325,8 @@ def identify(
     ],
     structure: Annotated[
         str | None,
-        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, for a log with the voltage; driven, of a "
-        "frequency response with the motor; or a transfer function, such as "
+        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, for a log with the voltage; driven, for a "
+        "frequency response to the motor's voltage; or a transfer function, such as "
         '"k/(T*s**a + 1)*exp(-L*s)". Default: the link that the log supports',
     ] = None,
     **options: Annotated[Any, *map(Keywords, _FITS.values())],

@@ -119,7 +119,9 @@ def claims_text(law: Law, proof: Proof | None) -> str:
             "... --prove` proves it for this one, and more.\n"
         )
         stability = (
-            "Stability of the loop is the design's matter.\n" if law.has_gauge else ""
+            "The stability of the loop, which the design computes.\n"
+            if law.has_gauge
+            else ""
         )
         return f"## Claimed\n{claimed}\n## Not claimed\n{not_claimed}{stability}"
     proved = [claim for claim in proof.claims if claim.status == "proved"]

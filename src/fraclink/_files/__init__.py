@@ -75,7 +75,7 @@ U = TypeVar("U")
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # every zip archive starts with this
-# The keys of a document; the digest would cover any other key as well.
+# The keys of a document; any other is refused, although the digest covers it.
 _ENVELOPE = {"fraclink", "format", "tool", "units", "period", "sources"}
 _ENVELOPE |= {"summary", "arrays", "sha256", "content"}
 

@@ -9,7 +9,7 @@
     Mapping          an object
     NDArray[dtype]   a list, or {"array": name} where the document keeps its arrays as members of an archive
     dataclass, NamedTuple   an object with a key for each field
-    A | B            the first that fits; of several dataclasses with "type": the class's name
+    A | B            the first that fits; several dataclasses state their class as "type": name
 
 The hints are those by which `fracsys.checks` checks arguments; here they serve two
 forms, to write and to read the values of a file. What does not fit raises Refused,

@@ -191,7 +191,7 @@ def parse_json(text: str, *, source: str = "json") -> Any:
     """Parse JSON that may be hostile: keys given twice, NaN, infinity and endless
     digits are FileFormatErrors.
 
-    `source`, such as the file's name, is what an error about the text as a whole names.
+    An error about the text as a whole names `source`, such as the file's name.
 
     >>> parse_json('{"a": 1}')
     {'a': 1}

@@ -42,8 +42,8 @@ _VALLEYS = (
     2  # valleys of the broad scan: the lowest need not be that of a narrow resonance
 )
 # ζ, each a third of the previous one, for the vibration that continues from before a
-# cut; steps in ln Ω of a fifth of ζ, since free gain and phase at the cut leave a fifth
-# of the resonance's width.
+# cut; steps in ln Ω of a fifth of ζ, since with gain and phase free at the cut a valley
+# is only a fifth as wide as the resonance.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 8
 
 
@@ -276,8 +276,8 @@ class Search:
         return self._valleys(self._ends(FRACTIONAL, self._scanned))
 
     def _ends(self, name: str, starts: Iterable[Real]) -> list[Solution]:
-        """The ends of those descents that explain the log nearly as well as the best of
-        them after their first steps, from starts (K, 5) of one resonance each.
+        """The ends of descents from starts (K, 5), one resonance each; only those that
+        after their first steps explain the log nearly as well as the best are continued.
         """
         first: list[Solution] = []
         for rows in starts:
@@ -350,7 +350,8 @@ class Search:
             lower,
             upper,
             *self.known,
-            # Enough for an undamped link on a damped log, by a third per step.
+            # Enough even for an undamped link on a damped log, whose error falls by
+            # a third per step.
             FIRST_STEPS if first else ROUNDS,
         )
         return Solution(

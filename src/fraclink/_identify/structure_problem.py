@@ -55,7 +55,7 @@ class StructureProblem(Problem):
         """
         # No two values are equal, and no sum of two equals another; all are positive
         # where the limits allow it, since a negative base has no real powers. The
-        # points lie in general position, and there are more than parameters.
+        # points lie in general position, and outnumber the parameters.
         values: dict[str, Any] = {
             name: np.clip(0.6 + 0.17 * k, *self.limits[name])
             for k, name in enumerate(self.names)
@@ -86,7 +86,7 @@ class StructureProblem(Problem):
         )
         power = np.einsum("mr,mr->m", responses, responses)
         gain = np.nan_to_num(responses @ self._centred(self._aim) / power)[:, None]
-        # A coordinate is a logarithm with a sign; (−1)^exponent of an odd one is −1.
+        # A coordinate is a logarithm with a sign; an odd exponent reverses the sign.
         shift = np.log(np.where(gain == 0, 1.0, np.abs(gain))) * self._scaling
         turned = (gain < 0) & (np.round(self._scaling) % 2 == 1)
         scaled = places + np.sign(places) * shift

@@ -244,7 +244,7 @@ def shape(
         raise FieldError(
             "payloads",
             payload,
-            f"one with which the loop is not stable on the {on} of the link “{words}”",
+            f"a payload with which the loop is not stable on the {on} of the link “{words}”",
             "a payload that the law holds on every arm of the set",
             "narrow the range, or design for it",
         )

@@ -102,9 +102,9 @@ def tune(
             output_path(out / name, force=force)
     out.mkdir(parents=True, exist_ok=True)
     line = partial(open_line, connection, plan.period, clock=clock)
-    # Until the record is saved, not only while the arm moves: closing a terminal sends
-    # a second signal, and a signal during a computation ends the tuning at the next
-    # motion, or after the last one.
+    # Signals are held until the record is saved, not only while the arm moves: closing a
+    # terminal sends a second one, and a signal during a computation ends the tuning at
+    # the next motion, or after the last one.
     with signals_held() as obeyed:
         # Before there is a session there is no state to save: an error goes to the
         # caller.
@@ -145,7 +145,7 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
         raise FieldError(
             "resume",
             str(out),
-            "without a law to move",
+            "without a law to try",
             "the folder of a tuning that ended with a law",
             "leave --resume out",
         )
@@ -209,7 +209,9 @@ class _Session:
         """
         for number, candidate in enumerate(laws):
             if number:
-                self.begin("the arm refused that law, which is withheld; the next one")
+                self.begin(
+                    "that law failed on the arm and is withheld; writing the next one"
+                )
                 self._wrote(candidate, link)
             why = self._refusal(candidate)
             if not why:
@@ -339,7 +341,7 @@ class _Session:
         for name, part in zip(LAW_FILES, parts, strict=True):
             if built.passed and part is not None:
                 part.save(place / name)
-            else:  # no failed result must remain to be run
+            else:  # a failed result must not be left where it could be run
                 (place / name).unlink(missing_ok=True)
         proof = built.certificate
         self._write(
@@ -402,8 +404,8 @@ class _Session:
 
 
 def _lateness(guard: Guard) -> str:
-    """The note on lost samples for the reason of an end: a busy machine looks like
-    another arm.
+    """A note on lost samples, to be added to the reason for stopping: on a busy machine
+    an arm seems to be another one.
     """
     if guard.lost <= LOST_SHARE * guard.count:
         return ""

@@ -215,7 +215,7 @@ def follow(
         angle, acceleration, voltage = rows[row]
         reading = guard.reading
         # With the number of periods since the last sample, so that the law counts lost
-        # samples in the way of its own guards.
+        # samples as its own guards do.
         law_s = runs.step(
             origin + angle, acceleration, reading.angle, guard.torque, reading.periods
         )
@@ -243,8 +243,7 @@ def random_moves(
         # To the other side each time: only reversals of the motor separate friction
         # from damping.
         to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
-        # The last move ends at the start, so that the next stage has room on both
-        # sides.
+        # The last move ends at 0, so that the next stage has room on both sides.
         last = total > max(duration - 1.0, 3.0 * least)
         to = 0.0 if last else to
         # 15/8 is the ratio of peak to mean speed of the quintic.
@@ -311,8 +310,8 @@ def calm(
 
         θm = -k ω z/c,    z'' + 2ζω z' + ω² z = 2ζω Γ
 
-    At ω z is ∫Γ dt, which damps θt'' = ω² Γ/c; at a second mode it is ω/ω₂ times less,
-    as ∫Γ dt itself would drive a sharp one. An error of a quarter in stiffness or
+    At ω, z is ∫Γ dt, which damps θt'' = ω² Γ/c; at a second mode it is ω/ω₂ times less,
+    as ∫Γ dt itself would drive a lightly damped one. An error of a quarter in stiffness or
     resonance [rad/s], or a gauge delay of 20 ms, changes the damping by no more than
     that.
     """
@@ -335,8 +334,8 @@ def calm(
             and np.std(guard.record(guard.count - window).torque) <= 1.2 * noise
         ):
             return
-        # A tenth of a second between two checks: the standard deviation is that of half
-        # a second anyway.
+        # A tenth of a second (at 4 ms) between two checks: the standard deviation is that
+        # of half a second anyway.
         for _ in range(_LOOK):
             reading = guard.reading
             push = 2.0 * _FILTER * resonance * (guard.torque - zero - speed)

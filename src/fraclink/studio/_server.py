@@ -111,8 +111,8 @@ class Studio:
 
 
 class _Guard:
-    """Rejects requests for another host (DNS rebinding: 421) and sockets of other
-    origins (403).
+    """Rejects requests for another host (DNS rebinding: 421) and from another origin
+    (403).
     """
 
     def __init__(self, app: Any, studio: Studio) -> None:

@@ -6,7 +6,7 @@ import {el, put} from './svg.js';
 const LOOK = ['fill', 'fill-opacity', 'stroke', 'stroke-width', 'stroke-opacity', 'stroke-dasharray', 'stroke-linejoin', 'opacity', 'paint-order', 'font-family', 'font-size', 'font-weight'];
 const look = (node, shown) => put(node, Object.fromEntries(LOOK.map((name) => [name, getComputedStyle(shown).getPropertyValue(name)])));
 const LINE = 16, SAMPLE = 22; // [pixels] height of a line of text, and length of a line in the legend
-const SHARP = 2; // pixels of a PNG for each of the page, for print
+const SHARP = 2; // PNG pixels per pixel of the page, for print
 
 /** The text of an SVG file: the title above the plot, the legend below. @param {import('./plot.js').Plot} plot */
 function drawing({svg, W, height}, told, title) {
