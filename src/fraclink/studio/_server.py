@@ -177,7 +177,10 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     style = squeezed("palette.css") + squeezed("arm_box.css")
     contents["/arm_box.css"] = (style.encode(), "text/css")
     contents["/arm_box.js"] = (_arm_module().encode(), "text/javascript")
-    contents["/svg.js"] = (squeezed("svg.js").encode(), "text/javascript")
+    contents |= {
+        f"/{name}": (squeezed(name).encode(), "text/javascript")
+        for name in ("svg.js", "plots.js")
+    }
     return contents
 
 

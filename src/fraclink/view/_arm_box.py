@@ -71,7 +71,7 @@ def arm_box(
         return None
     return ArmBox(
         _json(data),
-        scoped(*ARM_SCRIPTS),
+        scoped("plots.js", *ARM_SCRIPTS),
         squeezed("arm_box.css"),
         data["twin"] is not None,
     )

@@ -48,7 +48,12 @@ def scoped(*names: str) -> str:
     """Return scripts as one, behind the helpers of drawings that they use, with names
     that no other script of the page sees.
     """
-    body = "".join(map(squeezed, ("svg.js", *names))).replace("export const", "const")
+    body = re.sub(
+        r"^(import .*\n|export )",
+        "",
+        "".join(map(squeezed, ("svg.js", *names))),
+        flags=re.MULTILINE,
+    )
     return f"(async () => {{\n'use strict';\n{body}}})();\n"
 
 

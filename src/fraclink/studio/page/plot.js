@@ -1,9 +1,9 @@
 // Plots in screen pixels with fixed axes, curves from arrays, handles that are accessible sliders, and tables.
-import {$, button, change, emptied, make, on, table} from './dom.js';
+import {$, button, emptied, make, on, table} from './dom.js';
 import {savePlot} from './picture.js';
-import {el, limited, pathOf, plain, put, scaleOf, steps, tenth} from './svg.js';
+import {Axes, FOOT, LEFT, RIGHT, TOP} from './plots.js';
+import {el, limited, pathOf, plain, put, scaleOf, tenth} from './svg.js';
 
-/** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
 /** @typedef {Slider & {get: () => number, set: (v: number) => void, at: () => [number, number], line?: boolean}} Placed */
 /** @typedef {Placed & {toAxis?: (v: number) => number, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
@@ -20,14 +20,6 @@ export const ring = (centre, r) => [(v) => centre + r * Math.cos(v), (v) => r * 
 
 /** The event of a pointer move: at once where the browser offers that, else once a frame. */
 const MOVED = 'onpointerrawupdate' in window ? 'pointerrawupdate' : 'pointermove';
-const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
-const decades = (low, high) => {
-  const found = [];
-  for (let p = Math.floor(Math.log10(low)); p <= Math.ceil(Math.log10(high)); p++) {
-    for (const m of [1, 2, 5]) if (m * 10 ** p >= low * 0.999 && m * 10 ** p <= high * 1.001) found.push(m * 10 ** p);
-  }
-  return found;
-};
 /** An axis from its text in the page: name; low, high and "log"; ticks; unit after a number. @returns {Axis} */
 const axisOf = (text) => {
   const [name, range, ticks, unit = ''] = text.split('; '), [low, high, log] = range.split(' ');
@@ -68,21 +60,14 @@ const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are lef
 
 /** @type {Plot[]} */ const plots = [];
 
-export class Plot {
+export class Plot extends Axes {
   /** @param {string} id of an svg in a figure, whose axes are its `data-x` and `data-y` */
   constructor(id) {
-    const svg = $(id), {x, y, height} = svg.dataset;
-    Object.assign(this, {svg, x: axisOf(x), y: axisOf(y), height: Number(height) || 210, names: {}, flagged: [], grid: null, along: null, later: 0});
-    this.home = [{...this.x}, {...this.y}];
-    this.desc = el('desc', {}, svg);
-    this.frame = el('g', {class: 'frame', 'aria-hidden': 'true'}, svg);
-    this.inside = el('svg', {'aria-hidden': 'true'}, svg); // which clips its curves
-    this.over = el('g', {'aria-hidden': 'true'}, svg);
+    const svg = $(id), {x, y, height, equal} = svg.dataset;
+    super(svg, axisOf(x), axisOf(y), Number(height) || 210, equal !== undefined);
+    Object.assign(this, {names: {}, grid: null, along: null, later: 0, handles: [], desc: el('desc', {}, svg)});
     this.reader = el('svg', {class: 'reader', 'aria-hidden': 'true'}, svg);
     this.grips = el('g', {}, svg);
-    this.curves = new Map();
-    this.handles = [];
-    this.W = 0;
     const figure = svg.closest('figure'), caption = figure.querySelector('figcaption');
     this.numbers = make('div', 'tablebox');
     svg.after(this.numbers);
@@ -97,17 +82,18 @@ export class Plot {
     on(svg, 'wheel', (event) => { if (event.ctrlKey) { event.preventDefault(); this.zoom(2 ** (event.deltaY / 200), ...this.parts(event)); } });
     on(svg, 'dblclick', () => this.zoom(WHOLE));
     on(figure, 'keydown', (event) => { const factor = {'+': 0.5, '-': 2, 0: WHOLE}[event.key]; if (factor && !event.ctrlKey) this.zoom(factor); });
-    new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
-  /** Set new ends of the axes: only after another log, model or move is opened, never during a drag. */
-  axes(x, y) {
-    const home = [{...this.home[0], ...x}, {...this.home[1], ...y}];
-    if (JSON.stringify(home) === JSON.stringify(this.home)) return;
-    this.home = home;
-    Object.assign(this.x, x);
-    Object.assign(this.y, y);
-    this.lay();
+  lay() {
+    super.lay();
+    if (!this.W) return;
+    put(emptied(this.reader), this.area);
+    this.place();
+  }
+  curve(...given) {
+    super.curve(...given);
+    clearTimeout(this.later);
+    this.later = setTimeout(() => this.tell(), 500);
   }
   /** Show this share of the axes about a place of the plot; plots over the same axis follow. */
   zoom(share, across = 0.5, up = 0.5) {
@@ -117,109 +103,6 @@ export class Plot {
     };
     ends(this.y, this.home[1], up);
     for (const plot of plots) if (plot.x.name === this.x.name) { ends(plot.x, plot.home[0], across); plot.lay(); }
-  }
-
-  lay() {
-    this.W = this.svg.clientWidth;
-    if (!this.W) return; // hidden: laid out when it is seen, as its width changes then
-    const {W} = this, [x, y] = this.home;
-    if ('equal' in this.svg.dataset) this.height = TOP + FOOT + ((W - LEFT - RIGHT) * (y.high - y.low)) / (x.high - x.low);
-    const {height} = this;
-    [this.X, this.ofX] = scaleOf(this.x, LEFT, W - RIGHT);
-    [this.Y, this.ofY] = scaleOf(this.y, height - FOOT, TOP);
-    put(this.svg, {viewBox: `0 0 ${W} ${height}`, height});
-    const inside = {x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT};
-    for (const part of [this.inside, this.reader]) put(part, {...inside, viewBox: Object.values(inside).join(' ')});
-    emptied(this.reader);
-    this.frame.replaceChildren();
-    el('rect', {class: 'ground', ...inside}, this.frame);
-    const across = this.ticks(this.x, x, W / 75);
-    let last = -Infinity; // a label that would touch the one before it is left out
-    for (const t of across) {
-      const x = this.X(t);
-      el('line', {class: 'grid', x1: x, x2: x, y1: TOP, y2: height - FOOT}, this.frame);
-      if (x - last < 34) continue;
-      last = x;
-      el('text', {x, y: height - 5, 'text-anchor': x > W - 25 ? 'end' : 'middle'}, this.frame, plain(t) + this.x.unit);
-    }
-    last = Infinity;
-    for (const t of this.ticks(this.y, y, height / 40)) {
-      const y = this.Y(t);
-      el('line', {class: t ? 'grid' : 'grid zero', x1: LEFT, x2: W - RIGHT, y1: y, y2: y}, this.frame);
-      if (last - y < 12) continue;
-      last = y;
-      el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, plain(t) + this.y.unit);
-    }
-    for (const c of this.curves.values()) c.draw();
-    this.flagged.forEach(({at, severity, code, message}, i) => {
-      const flag = el('g', {class: `flag ${severity}`, transform: `translate(${tenth(this.X(at))} ${TOP + 14 * i})`}, this.frame);
-      el('title', {}, flag, message);
-      el('path', {d: `M0 ${height - FOOT - TOP - 14 * i}V0l11 5l-11 5`}, flag);
-      el('text', {x: 13, y: 9}, flag, code);
-    });
-    this.place();
-  }
-
-  /** The ticks: those of the page for the whole axis, round numbers for a part of it. */
-  ticks({low, high, log, ticks}, home, count) {
-    if (ticks && low === home.low && high === home.high) return ticks;
-    const round = log ? decades(low, high) : [];
-    return round.length > 2 ? round : steps(low, high, count);
-  }
-
-  /** The path of that name, and what draws it. */
-  named(name) {
-    if (!this.curves.has(name)) this.curves.set(name, {path: el('path', {}, this.inside)});
-    return this.curves.get(name);
-  }
-  /** A named curve; redrawn only if its numbers change. */
-  curve(name, kind, xs, ys, label = '') {
-    const c = this.named(name);
-    if (label) c.tag ||= el('text', {class: `end ${kind}`}, this.over);
-    if (kind !== c.kind) put(c.path, {class: `curve ${c.kind = kind}`});
-    Object.assign(c, {xs, ys});
-    clearTimeout(this.later);
-    this.later = setTimeout(() => this.tell(), 500);
-    c.draw = () => {
-      const {X, Y} = this;
-      put(c.path, {d: pathOf(xs.length, (i) => X(xs[i]), (i) => Y(ys[i]))});
-      if (c.tag) this.label(c, label, kind === 'heavy' ? 14 : -5);
-    };
-    if (this.W) c.draw();
-  }
-  /** The label of a curve at its last visible point, below the labels that are there already. */
-  label(c, text, beside) {
-    const {X, Y} = this, {xs, ys} = c, most = this.W - RIGHT - 30, foot = this.height - FOOT;
-    const [x, at] = Array.from(xs, (v, i) => [X(v), Y(ys[i])]).findLast(([x, y]) => y > TOP + 10 && y < foot && x > LEFT + 30 && x < most) || [0, Infinity];
-    c.spot = null;
-    const others = [...this.curves.values()].filter((o) => o.spot && Math.abs(o.spot[0] - x) < 42);
-    let y = at + beside, near;
-    while ((near = others.find((o) => Math.abs(o.spot[1] - y) < 12))) y = near.spot[1] + 13; // always further down
-    change(c.tag, 'textContent', y < foot ? text : '');
-    if (y >= foot) return;
-    c.spot = [x, y];
-    put(c.tag, {transform: `translate(${tenth(x)} ${tenth(y)})`});
-  }
-  mark(name, kind, d) {
-    const c = this.named(name);
-    put(c.path, {class: kind});
-    c.draw = () => { const now = d(); if (now !== c.now) put(c.path, {d: c.now = now}); };
-    if (this.W) c.draw();
-  }
-  /** A rectangle between values of the axes; null stands for the whole axis. */
-  box(name, kind, x, y) {
-    this.mark(name, kind, () => {
-      const [left, right] = (x || [this.x.low, this.x.high]).map((v) => tenth(this.X(v))), [foot, top] = (y || [this.y.low, this.y.high]).map((v) => tenth(this.Y(v)));
-      return `M${left} ${top}H${right}V${foot}H${left}Z`;
-    });
-  }
-  cross(name, x, y) { this.mark(name, 'critical', () => `M${tenth(this.X(x) - 6)} ${tenth(this.Y(y))}h12m-6-6v12`); }
-  remove(name) {
-    const c = this.curves.get(name);
-    if (!c) return;
-    c.path.remove();
-    c.tag?.remove();
-    this.curves.delete(name);
   }
 
   /** @param {Handle} h @param {Hand} given */

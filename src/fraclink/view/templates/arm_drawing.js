@@ -161,83 +161,48 @@ function drawOne({law: {tip, motor, mode}, ...one}, k) {
 
 // --- curves ------------------------------------------------------------------------------------------------
 
-const LEFT = 46;
-const END = () => (plots.W < 560 ? 14 : 78); // room for the labels at the ends of the curves
-const plots = {W: 0};
-const across = (k) => LEFT + ((plots.W - LEFT - END()) * k) / (N - 1);
+const times = Float64Array.from({length: N}, (_, k) => TS * k);
+const [plotTip, plotGauge, plotVoltage] = [['tip', 190], ['gauge', 116], ['voltage', 116]].map(([name, height]) => (
+  new Axes($(`plot-${name}`), {low: 0, high: times[N - 1], unit: ' s'}, {low: -1, high: 1, unit: ''}, height)
+));
 
-function blank(id, height) {
-  const svg = put($(id), {viewBox: `0 0 ${plots.W} ${height}`, height});
-  svg.replaceChildren();
-  return svg;
+// The ranges of a plot follow the settings; a curve without values is left out.
+function drawPlot(plot, [low, high], curves) {
+  plot.flagged = broken().map(({id, name}) => ({at: times[state.faults[id]], severity: 'error', message: name, code: plot === plotTip ? name : ''}));
+  for (const kind in curves) if (curves[kind]) plot.curve(kind, kind, times, curves[kind]); else plot.remove(kind);
+  plot.axes({}, {low, high});
+  plot.lay();
 }
 
-// One plot: axes, curves with their names at their ends, and the cursor. Its ranges follow the settings, and a curve that
-// leaves them is cut at the edge.
-function drawPlot(id, height, [low, high], ticks, curves) {
-  const last = id === 'plot-voltage', svg = blank(id, height), foot = height - (last ? 22 : 6), top = 8, right = plots.W - END();
-  const y = (value) => top + ((foot - top) * (high - value)) / (high - low);
-  for (const tick of ticks) {
-    el('line', {class: tick ? 'grid' : 'grid zero', x1: LEFT, x2: right, y1: tenth(y(tick)), y2: tenth(y(tick))}, svg);
-    el('text', {x: LEFT - 7, y: tenth(y(tick) + 4), 'text-anchor': 'end'}, svg, plain(tick));
-  }
-  for (const t of steps(0, TS * (N - 1), plots.W / 100)) {
-    const x = tenth(across(t / TS));
-    el('line', {class: 'grid', x1: x, x2: x, y1: foot, y2: foot + 4}, svg);
-    if (last) el('text', {x, y: height - 5, 'text-anchor': 'middle'}, svg, `${plain(t)} s`);
-  }
-  for (const [kind, , values] of curves) {
-    el('path', {class: `curve ${kind}`, d: pathOf(N, across, (k) => (values[k] > high || values[k] < low ? NaN : y(values[k])))}, svg);
-  }
-  const names = curves.filter(([, name]) => name).map(([kind, name, values]) => ({kind, name, at: y(limited(values[N - 1] || 0, low, high)) + 4}));
-  if (END() > 40) {
-    names.sort((a, b) => a.at - b.at).forEach((one, i) => {
-      one.at = Math.max(Math.min(one.at, foot - 15 * (names.length - 1 - i)), i ? names[i - 1].at + 15 : 0);
-      el('text', {class: `name ${one.kind}`, x: right + 7, y: tenth(one.at)}, svg, one.name);
-    });
-  }
-  broken().forEach((fault, row) => {
-    const x = across(state.faults[fault.id]), before = x < 0.6 * plots.W;
-    el('line', {class: 'since', x1: tenth(x), x2: tenth(x), y1: top - 4, y2: foot}, svg);
-    if (id === 'plot-tip') el('text', {class: 'since-what', x: tenth(x + (before ? 6 : -6)), y: height - 12 - 16 * row, 'text-anchor': before ? 'start' : 'end'}, svg, fault.name);
+function drawPlots() {
+  const a = degrees(amplitude()), room = Math.max(8, 0.45 * Math.abs(a)), inDegrees = (values) => values && Array.from(values, degrees);
+  // the same in both directions: as far as the values reach, but at least and at most so far
+  const both = (values, least, most) => {
+    const reach = Math.min(roundUp(1.05 * values.reduce((x, y) => Math.max(x, Math.abs(y)), least)), most);
+    return [-reach, reach];
+  };
+  drawPlot(plotTip, [Math.min(0, a) - room, Math.max(0, a) + room], {
+    past: inDegrees(past.tip), wanted: inDegrees(reference), alone: inDegrees(alone.shown && alone.tip), hub: inDegrees(motor), tip: inDegrees(tip),
   });
-  return {cursor: el('line', {class: 'cursor', y1: 2, y2: foot}, svg), y, svg};
+  plotTip.box('band', 'band', [0, times[N >> 1]], [0.98 * a, 1.02 * a].sort((x, y) => x - y));
+  drawPlot(plotGauge, both(torque, 0.3 * DATA.torque, 4 * DATA.torque), {measured: gauge, true: torque});
+  drawPlot(plotVoltage, both(voltage, 1, roundUp(DATA.voltage || 10)), {volts: voltage});
+  drawRibbon();
 }
 
 function drawRibbon() {
-  const height = 24, svg = blank('ribbon', height);
-  for (let from = 0, k = 1; k <= N; k++) {
+  const height = 24, {W, X} = plotTip, svg = put($('ribbon'), {viewBox: `0 0 ${W} ${height}`, height});
+  svg.replaceChildren();
+  for (let from = 0, k = 1; W && k <= N; k++) {
     if (k < N && mode[k] === mode[from]) continue;
-    const x = across(from), wide = across(Math.min(k, N - 1)) - x, name = DATA.modes[mode[from]];
+    const x = X(times[from]), wide = X(times[Math.min(k, N - 1)]) - x, name = DATA.modes[mode[from]];
     el('rect', {class: `mode ${name}`, x: tenth(x), y: 2, width: tenth(Math.max(1, wide)), height: height - 4}, svg);
     if (name === 'degraded') el('rect', {class: 'hatched', x: tenth(x), y: 2, width: tenth(wide), height: height - 4}, svg);
     if (wide > 10 * name.length) el('text', {class: `on ${name}`, x: tenth(x + wide / 2), y: 16.5, 'text-anchor': 'middle'}, svg, name);
     from = k;
   }
-  return {cursor: el('line', {class: 'cursor', y1: 0, y2: height}, svg)};
-}
-
-function drawPlots() {
-  plots.W = Math.max(280, $('plots').clientWidth);
-  const narrow = plots.W < 560, a = degrees(amplitude()), room = Math.max(8, 0.45 * Math.abs(a));
-  $('plots').classList.toggle('narrow', narrow);
-  const angles = [Math.min(0, a) - room, Math.max(0, a) + room], inDegrees = (kind, name, values) => [kind, name, Array.from(values, degrees)];
-  // the same in both directions: as far as the values reach, but at least and at most so far
-  const both = (values, least, most) => Math.min(roundUp(1.05 * values.reduce((x, y) => Math.max(x, Math.abs(y)), least)), most);
-  const torques = both(torque, 0.3 * DATA.torque, 4 * DATA.torque), volts = both(voltage, 1, roundUp(DATA.voltage || 10));
-  plots.drawn = [
-    drawPlot('plot-tip', narrow ? 180 : 200, angles, steps(...angles, 5), [
-      ...(past.tip ? [inDegrees('past', '', past.tip)] : []), inDegrees('wanted', 'reference', reference),
-      ...(alone.shown ? [inDegrees('alone', 'PID alone', alone.tip)] : []), inDegrees('hub', 'motor', motor), inDegrees('tip', 'tip', tip),
-    ]),
-    drawRibbon(),
-    drawPlot('plot-gauge', 104, [-torques, torques], [-torques, 0, torques], [['measured', 'gauge', gauge], ['true', 'true', torque]]),
-    drawPlot('plot-voltage', 112, [-volts, volts], [-volts, 0, volts], [['volts', 'voltage', voltage]]),
-  ];
-  const band = 0.02 * Math.abs(a), {y, svg} = plots.drawn[0];
-  svg.prepend(el('rect', {class: 'band', x: LEFT, width: tenth(across(Math.floor(N / 2)) - LEFT), y: tenth(y(a + band)), height: tenth(Math.max(1, y(a - band) - y(a + band)))}));
 }
 
 function drawCursor(k) {
-  for (const {cursor} of plots.drawn) put(cursor, {x1: tenth(across(k)), x2: tenth(across(k))});
+  for (const plot of [plotTip, plotGauge, plotVoltage]) plot.box('now', 'cursor', [times[k], times[k]], null);
 }

@@ -216,8 +216,7 @@ function changed({target: {id, value}}) {
 
 function scrub(event) {
   if (!event.target.closest('svg') || (event.type === 'pointermove' && !event.buttons)) return;
-  const x = event.clientX - $('plots').getBoundingClientRect().left;
-  seek(((x - LEFT) / (plots.W - LEFT - END())) * (N - 1));
+  seek(plotTip.ofX(event.clientX - $('plot-tip').getBoundingClientRect().left) / TS);
 }
 
 function typed(event) {
@@ -244,6 +243,7 @@ function listen() {
   for (const type of ['pointerdown', 'pointermove']) $('plots').addEventListener(type, scrub);
   document.addEventListener('keydown', typed);
   new IntersectionObserver((entries) => { clock.seen = entries.some((entry) => entry.isIntersecting); }).observe(box);
+  new ResizeObserver(drawRibbon).observe($('ribbon')); // as wide as the plot above it
   let width = innerWidth;
   addEventListener('resize', () => { if (innerWidth !== width) { width = innerWidth; renew({layout: true}); } });
 }
