@@ -34,7 +34,7 @@ function layArm() {
 function layOne(law, place, cx, cy, floor) {
   const rival = law === alone, g = el('g', {class: rival ? 'alone' : 'ours', transform: `translate(${cx} ${cy})`}, arm.svg), one = {law, g, rival};
   if (floor) drawFloor(g);
-  one.trail = [0, 1, 2, 3, 4, 5].map((i) => el('path', {class: 'trail', 'stroke-opacity': (0.07 + 0.09 * i).toFixed(2)}, g));
+  one.trail = el('path', {class: 'trail'}, g);
   if (floor) {
     one.ghost = el('g', {class: 'ghost'}, g);
     el('line', {x1: 0, y1: 0, x2: 0, y2: -arm.L}, one.ghost);
@@ -146,13 +146,8 @@ function drawOne({law: {tip, motor, mode}, ...one}, k) {
   const [x, y] = points[24], aside = (payloadRadius() + 20) / arm.L;
   one.load.setAttribute('transform', `translate(${tenth(x)} ${tenth(y)})`);
   if (!one.rival) put(arm.weight, {x: tenth(-y * aside), y: tenth(x * aside + 4)});
-  const span = Math.round(0.5 / TS / one.trail.length);
-  one.trail.forEach((piece, i) => {
-    const b = k - span * (one.trail.length - 1 - i), a = Math.max(0, b - span);
-    const step = Math.max(1, Math.floor(span / 24)), trace = [];
-    for (let j = a; j <= b; j += step) trace.push(spot(tip[j], arm.L));
-    piece.setAttribute('d', b > 0 && trace.length > 1 ? line(trace) : '');
-  });
+  const begin = Math.max(0, k - Math.round(0.5 / TS)); // the last half second
+  one.trail.setAttribute('d', pathOf(k - begin, (i) => spot(tip[begin + i], arm.L)[0], (i) => spot(tip[begin + i], arm.L)[1]));
   const breaks = (part) => broken().some((fault) => fault.part === part && k >= state.faults[fault.id]);
   one.gauge.classList.toggle('broken', breaks('gauge'));
   one.housing.classList.toggle('broken', breaks('encoder'));

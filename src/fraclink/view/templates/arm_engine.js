@@ -187,7 +187,6 @@ function breakSensors(always = false) {
 }
 
 const periodsLate = () => state.delay + (state.late ? EXTRA_DELAY : 0);
-let milliseconds = 0;
 
 function runModel() {
   const link = numbers.links[state.payload], rig = numbers.rig.slice();
@@ -215,9 +214,7 @@ function run(both = true) {
     alone.mode.set(mode);
     alone.shown = true;
   }
-  const begin = performance.now();
   runLaw(numbers.blocks[Number(state.single)]);
-  milliseconds = performance.now() - begin;
 }
 
 // CRC-32 of the tip's bytes, as zlib.crc32(run.tip_angle.tobytes()) gives it.

@@ -40,43 +40,34 @@ function showPayloads() {
   Object.assign($('designed').style, {left: `${low}%`, width: `${high - low}%`});
 }
 
+// What the law does in a mode that is not its usual one.
+const REACTIONS = {
+  degraded: 'the law ignores the gauge and continues without it.',
+  hold: 'the law holds the motor in place.',
+  off: 'the law switches the drive off.',
+};
+// How the move went, in a sentence.
+function moved(o) {
+  if (!state.move && o.away <= o.band) return `No move: the tip stays within ${fixed(degrees(o.away), 2)}° of its position.`;
+  if (!state.move) return `No move, yet the tip moves ${fixed(degrees(o.away), 1)}° from its position.`;
+  if (Number.isNaN(o.settles)) return `The tip does not come to rest within 2 % in ${fixed(DATA.half, 1)} s.`;
+  const back = Number.isNaN(o.returns) ? 'it does not settle after the move back' : `after the move back, settled after ${o.returns.toFixed(2)} s`;
+  return `Settled after ${o.settles.toFixed(2)} s (within 2 %) with ${fixed(100 * o.overshoot, 1)} % overshoot; ${back}.`;
+}
 function say() {
-  const o = outcome({tip, mode}), said = $('outcome');
-  let text = '';
-  if (o.changed >= 0) {
-    const name = DATA.modes[o.worst], after = {
-      degraded: 'the law ignores the gauge and continues without it.',
-      hold: 'the law holds the motor in place.',
-      off: 'the law switches the drive off.',
-    }[name] || '';
-    text = `${name[0].toUpperCase()}${name.slice(1)} at ${(TS * o.changed).toFixed(2)} s (${o.why}): ${after} `;
-  }
-  const placed = state.move || o.away <= o.band;
-  if (o.worst < 3 && !state.move) {
-    text += placed
-      ? `No move: the tip stays within ${fixed(degrees(o.away), 2)}° of its position.`
-      : `No move, yet the tip moves ${fixed(degrees(o.away), 1)}° from its position.`;
-  } else if (o.worst < 3) {
-    if (Number.isNaN(o.settles)) text += `The tip does not come to rest within 2 % in ${fixed(DATA.half, 1)} s.`;
-    else {
-      text += `Settled after ${o.settles.toFixed(2)} s (within 2 %) with ${fixed(100 * o.overshoot, 1)} % overshoot`;
-      text += Number.isNaN(o.returns) ? '; it does not settle after the move back.' : `; after the move back, settled after ${o.returns.toFixed(2)} s.`;
-    }
-  }
-  if ('reversed' in state.faults && o.worst <= 1) {
-    text += ' The law has no guard against a gauge wired backwards: it keeps running. The wiring test before the first move finds this.';
-  }
-  const rests = placed && !Number.isNaN(o.settles);
-  if (rests && o.worst <= 1 && state.noise) {
+  const o = outcome({tip, mode}), name = DATA.modes[o.worst], texts = [], said = $('outcome');
+  const rests = (state.move || o.away <= o.band) && !Number.isNaN(o.settles), undisturbed = o.worst <= 1;
+  if (o.changed >= 0) texts.push(`${name[0].toUpperCase()}${name.slice(1)} at ${(TS * o.changed).toFixed(2)} s (${o.why}): ${REACTIONS[name] || ''}`);
+  if (o.worst < 3) texts.push(moved(o));
+  if ('reversed' in state.faults && undisturbed) texts.push('The law has no guard against a gauge wired backwards: it keeps running. The wiring test before the first move finds this.');
+  if (rests && undisturbed && state.noise) {
     const last = Array.from(voltage.slice(Math.round(0.9 * N), N)), mean = last.reduce((a, v) => a + v, 0) / last.length;
-    text += ` At rest the gauge's noise moves the motor's voltage by ${fixed(Math.hypot(...last.map((v) => v - mean)) / Math.sqrt(last.length), 2)} V rms.`;
+    texts.push(`At rest the gauge's noise moves the motor's voltage by ${fixed(Math.hypot(...last.map((v) => v - mean)) / Math.sqrt(last.length), 2)} V rms.`);
   }
   for (const one of arm.pair) one.fate.textContent = fate(one.law);
-  said.textContent = text;
-  const good = rests && o.worst <= 1 && !Number.isNaN(o.returns);
-  said.className = good ? 'good' : o.worst > 2 || !rests ? 'bad' : 'fair';
+  said.textContent = texts.join(' ');
+  said.className = rests && undisturbed && !Number.isNaN(o.returns) ? 'good' : o.worst > 2 || !rests ? 'bad' : 'fair';
   $('python').textContent = inPython();
-  $('speed-of-run').textContent = `${fixed(TS * DATA.periods, 1)} s of motion took ${milliseconds.toFixed(2)} ms to compute.`;
 }
 
 // The previous run, drawn as a ghost next to this one: the run before the settings began to change.
