@@ -119,8 +119,8 @@ class Verdict:
     promise: the requirements of the design, and their proof where one was asked for.
     model: simulated moves of the identified model. twin: the arm with distributed mass
     under the law as it ships, varied arms, and faults if they were
-    injected. arm: records of what the real one did; "not run" until there is one, which
-    does not lower the whole. remarks do not change the verdict.
+    injected. arm: records of the real arm; "not run" until there is one, which does not
+    worsen the whole. remarks do not change the verdict.
 
     >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
     'not run'

@@ -45,7 +45,7 @@ def integral(t: Samples, y: Samples, order: IntegralOrder) -> Real:
     Raises
     ------
     FieldError
-        Times that are not uniform, another number of samples, an order out of range.
+        Times that are not uniform, t and y of different lengths, an order out of range.
 
     References
     ----------
@@ -88,7 +88,7 @@ def derivative(
     Raises
     ------
     FieldError
-        Times that are not uniform, another number of samples, an order out of range.
+        Times that are not uniform, t and y of different lengths, an order out of range.
 
     Notes
     -----

@@ -183,8 +183,8 @@ class DiscreteFits:
 
 
 def _grid(band: tuple[float, float], count: int) -> Real:
-    """Logarithmic over the band and linear in its upper three quarters, where the
-    discrete error ripples.
+    """Frequencies spaced logarithmically over the band, and linearly over its upper
+    three quarters, where the error ripples.
     """
     low, high = band
     return np.unique(

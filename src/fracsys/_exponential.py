@@ -50,8 +50,8 @@ class ExponentialSum:
         return np.sign(self.coefficients)
 
     def derivatives(self, z: Complex, count: int) -> tuple[Complex, Real]:
-        """D, D', …, D^(count−1) at z divided by the largest term, and the sums of
-        moduli of each.
+        """D, D', …, D^(count−1) at z, divided by the largest term, and for each the sum
+        of the moduli of its terms.
         """
         column = (-1, *[1] * np.ndim(z))
         exponents = np.asarray(

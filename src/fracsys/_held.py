@@ -21,7 +21,7 @@ from fracsys.checks import Real
 # Times at which the modes are compared with the contour integral.
 _CHECKS = 9
 _SWING = 6.0  # The error oscillates in ln t, and nine times need not hit its maximum.
-# Jumps of the input whose errors may add up; the errors of the other jumps alternate in
+# Number of jumps of the input whose errors may add up; those of all others alternate in
 # sign.
 _ADDED = 4.0
 # Error relative to the peak above which the modes cancel, and one contour per lag is

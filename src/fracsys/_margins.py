@@ -180,8 +180,8 @@ def margins(
         frequency.
     unstable_poles
         Number of poles of L with Re s > 0, conjugates counted, which a callable cannot
-        tell. With it the encirclements of −1 decide `stable`; of a transfer function
-        the number is known.
+        tell. With it the encirclements of −1 decide `stable`; for a transfer function
+        it is computed.
 
 
     Raises

@@ -67,7 +67,7 @@ class Target:
         return parts.reshape(*errors.shape[:-1], -1)
 
     def columns(self, fractions: PartialFractions) -> Real:
-        """The basis of some fractions as real columns."""
+        """The basis of the fractions as real columns."""
         return self.rows(self.whole * fractions.basis(self.omega)).T
 
 

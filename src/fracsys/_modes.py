@@ -111,8 +111,8 @@ class DiscreteModes:
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:
-    """Whole periods of delay, rounded up, and the time by which the sample is then
-    ahead of the delayed input [s].
+    """Whole periods of delay, rounded up, and the time [s] by which a sample then
+    follows the delayed input.
     """
     steps = delay / period
     # 3 · 0.1 s is 3.0000000000000004 periods of 0.1 s; rounded up to four, it would

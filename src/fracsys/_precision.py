@@ -9,7 +9,7 @@ EPSILON = sys.float_info.epsilon
 # Rounding of a sum relative to the moduli of its terms: six terms of three roundings
 # each, or the same numbers added in another sequence, stay below half of it.
 ROUNDING = 64 * EPSILON
-# How far that rounding can part a double zero into two. Also the relative step of an
+# How far that rounding can split a double zero. Also the relative step of an
 # iteration of second order after which its error is below that rounding.
 BLUR = math.sqrt(ROUNDING)
 # The step of a central difference that loses as much to rounding as to curvature.

@@ -337,7 +337,7 @@ def grid(count: int, period: float) -> Real:
     return period * np.arange(count, dtype=np.float64)
 
 
-# Points evaluated together: about 100 numbers of each take 6 MB.
+# Points evaluated together: about 100 complex numbers for each take 6 MB in all.
 TOGETHER = 4096
 # bytes per sample of a response: input, output, time and the arrays of the hold
 BYTES = 40

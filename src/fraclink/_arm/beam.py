@@ -50,7 +50,8 @@ __all__ = [
 # eigenvalues to 1e-8.
 ELEMENTS = 48
 
-# [kg] mass of the link where the rig states none: a carbon rod, 3 mm thick and 1 m long
+# [kg] mass of the link where the rig states none: a carbon rod, 3 mm thick and 0.65 m
+# long
 DEFAULT_MASS = 0.00735
 
 
@@ -209,13 +210,15 @@ _STIFFNESS = np.array(
 
 
 def mass_matrix(beam: Beam) -> Real:
-    """Mass matrix [kg] of the clamped beam; its slopes are times the element length."""
+    """Mass matrix [kg] of the clamped beam; its slope coordinates are times the element
+    length.
+    """
     mass = _unloaded(beam.with_payload(1.0))[0].copy()
     mass[-2, -2] += beam.payload
     return mass
 
 
-@lru_cache(maxsize=16)  # called with the same payload for all: one entry per link
+@lru_cache(maxsize=16)  # called with a payload of 1 kg only: one entry per link
 def _unloaded(beam: Beam) -> tuple[Real, Real, Real]:
     """(M, L⁻¹, L⁻¹ M L⁻ᵀ) of a clamped beam without its payload: its mass matrix [kg]
     and the factor of its stiffness matrix K = L Lᵀ [N/m].
@@ -325,8 +328,8 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
 
 def assumed_ratio(model: LinkModel) -> float | None:
     """The damping ratio of the modes that a model does not include: that of its second
-    mode if the power law gives less, an assumed one if the model has no damping, None
-    if its law defines it.
+    mode if the power law gives less, an assumed one if the model has no damping, or
+    else None: the model's damping law applies.
     """
     mode = model.second_mode
     if mode is not None and mode.damping_ratio > -math.cos(math.pi / model.order) > 0.0:

@@ -199,8 +199,8 @@ def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
     model.
 
     The interval of ω₀ widens a range of payloads and adds no corners; for the gain of a
-    second mode the larger end is taken, which is the worse one at every frequency of
-    the mode.
+    second mode only the larger end is taken, the worse one whatever the mode's
+    frequency.
     """
     names = (
         "order",

@@ -58,7 +58,7 @@ class Experiment:
     findings
         what the reader noticed (codes W2xx).
     start_time
-        stamp of the first sample [s].
+        time stamp of the first sample [s].
     voltage
         at the amplifier's input, shape (N,) [V], or None.
     notes
@@ -128,9 +128,9 @@ class Experiment:
         dict of arrays.
 
         `columns` states which column is what, in which unit and with which sign: the
-        rig's ``[log]`` table, or a text for each. Steps of the stamps must be below 1 s;
-        raises LogError for gaps, repeats or strong jitter in them, FieldError for an
-        unknown unit, LogError for a column that is not there.
+        rig's ``[log]`` table, or a text for each. Steps between time stamps must be
+        below 1 s; raises LogError for gaps, repeats or strong jitter in them,
+        FieldError for an unknown unit, LogError for a column that is not there.
 
         >>> frame = {"t": [0.0, 0.01, 0.02], "pot": [0.0, 5.0, 9.0], "gauge": [0.0, 0.1, 0.3]}
         >>> stated = {"time": "t [s]", "motor_angle": "pot [deg]", "torque": "- gauge [Nm]"}

@@ -89,8 +89,8 @@ class GaugedLink:
     def denominator(
         self, frequency: ArrayLike, natural_frequency: ArrayLike
     ) -> Complex:
-        """Return the denominators of G and H at jω, as a share of ω₀²: B times this has
-        no pole.
+        """Return the product of the denominators of G and H at jω, over ω₀²: B times
+        this has no pole.
         """
         w = np.asarray(frequency)
         inertia, elastic = self._link_terms(np.log(w), natural_frequency)
@@ -100,7 +100,7 @@ class GaugedLink:
     def parts(
         self, w: Real, natural_frequency: ArrayLike
     ) -> tuple[Complex, Real, Real]:
-        """Return (B, |X|, unwrapped arg X) of X = g e^{-jωτ_g} Γ/(c θm), B = 1 − X.
+        """Return (B, |X|, unwrapped arg X) for X = g e^{-jωτ_g} Γ/(c θm), B = 1 − X.
 
         Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root,
         so its own principal phase is continuous and the delay adds a straight line.

@@ -421,8 +421,8 @@ class LinkModel:
         """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload),
         eq. (5), and μ by m/payload, since the material stays the same.
 
-        The paper's Table 3 keeps μ as well: its damped structures would need a material
-        that damps more under a heavier payload. Needs a known `payload`.
+        The paper's Table 3 keeps μ constant: its damped structures would need a
+        material that damps more under a heavier payload. Needs a known `payload`.
 
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0

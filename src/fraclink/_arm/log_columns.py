@@ -70,7 +70,7 @@ class Channel:
         its name in the log, or two names with ``" - "`` or ``" + "`` between them, each
         after its factor, if it has one (``"enc - 179 * tip"``). ``"#2"`` is the second
         column where the log names none; as the time ``"#row"`` is the number of the
-        sample, for a log without stamps: its scale is the period.
+        sample, for a log without time stamps: its scale is the period.
     unit
         unit of the scaled value: s, ms, us, ns; rad, mrad, deg, rev; Nm, mNm; V, mV.
     sign
@@ -121,7 +121,7 @@ class LogColumns:
     Parameters
     ----------
     time
-        stamps of the samples.
+        time stamps of the samples.
     motor_angle
         θm, angle of the gear's output.
     torque
@@ -220,8 +220,8 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         )
     if unit in _ACCELERATIONS and angle:
         return "an accelerometer measures no angle: fit it by identify --structure, as k*s**2/(s**a + w)/(T*s + 1)"
-    # Its scale need not be known: frequency and order of a link do not depend on the
-    # gain of the gauge.
+    # The gauge's scale need not be known: frequency and order of a link do not depend
+    # on it.
     if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in (
         "torque",
         "deflection",

@@ -127,8 +127,8 @@ class Loop(GaugedLink):
     ) -> Loop:
         """Return the loop without Ĉ, for a controller that runs at `period` [s].
 
-        `ratio` is the true over the stated gain of the motor or, if its loop is ideal,
-        pole of that loop.
+        `ratio` is true over stated: the motor's gain or, if its loop is ideal, the pole
+        of that loop.
         """
         correction = motor_loop.correction(motor, period, ratio=ratio)
         return replace(
@@ -275,7 +275,8 @@ class Loop(GaugedLink):
         low, high = 1e-4, 1e4
         if self.order > 0.0:
             # Up to a quarter of the mode |L| < 2 k ω^β, far above it at most k ω₀²
-            # ω^(β-λ): all crossings of |L| = 1 lie between those of these bounds.
+            # ω^(β-λ): all crossings of |L| = 1 lie between the crossings of these
+            # bounds.
             first = -math.log(2.0 * self.gain) / self.order
             low = min(
                 0.25, math.exp(min(max(first, -300.0), 300.0)) / float(mode.max())

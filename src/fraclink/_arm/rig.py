@@ -158,7 +158,7 @@ class Rig:
 
     @staticmethod
     def load(path: Path | str) -> Rig:
-        """Read a rig file; every fault of it is listed at once.
+        """Read a rig file; all its faults are listed at once.
 
         Raises FileFormatError (not TOML, or over its limits), FieldError (a value) or
         FileFaults (several).

@@ -80,7 +80,7 @@ class Moves:
         the other limits.
     vibration
         of the tip [rad], > 0: if a vibration exceeds it on both sides and does not
-        decay, the motor is held. None: one of 0.05 rad is only flagged.
+        decay, the motor is held. None: a vibration of 0.05 rad is only flagged.
     centre
         what the encoder reads in the middle of `angle` [rad].
     rest_torque
@@ -354,8 +354,9 @@ class Gauge:
 class DesignDefaults:
     """Defaults of a design for this rig: the `[design]` table.
 
-    `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload
-    range; `filter_time` δ [s] is 0 for no filter and None to choose it with the controller.
+    `gain_crossover` [rad/s] and `phase_margin_deg` [°] are minima over the payload
+    range; `filter_time` δ [s] is 0 for no filter and None to choose it with the
+    controller.
 
     >>> round(DesignDefaults(gain_crossover=12.0, phase_margin_deg=50.0).phase_margin, 6)
     0.872665

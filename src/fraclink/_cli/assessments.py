@@ -110,7 +110,8 @@ def assess(
     """
     design = Design.load(design_file)
     low, high = design.payloads
-    # Both ends and their geometric mean, which is that of ω₀ ∝ 1/√m as well.
+    # Both ends and their geometric mean, at which ω₀ ∝ 1/√m also has its geometric
+    # mean.
     payloads = (high, math.sqrt(low * high), low)
     assessment = Assessment(
         design,

@@ -278,7 +278,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         if faults := getattr(error, "faults", ()):
             lines = [f"error: {fault}" for fault in faults]
             parts = parts | {"faults": [_describe(fault) for fault in faults]}
-        # such as the file that it is in
+        # such as the name of the file that the error is in
         notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
         lines = [f"{line}{notes}" for line in lines]
     # Separately: one stream may have a reader although the other has none.

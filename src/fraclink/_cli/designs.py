@@ -274,7 +274,8 @@ def certify(
         )
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
-        # No file: a failed certificate must not lie where the next stage looks for one.
+        # No file: a failed certificate must not lie where the next command looks for
+        # one.
         return Answer(
             certificate, passed=False, values={"out": None}, following=following
         )

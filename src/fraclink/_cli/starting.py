@@ -91,8 +91,8 @@ def _ask(question: Question) -> str:
     examples.
     """
     tell(question.text)
-    # Choices are not numbered: 1 before "36.8 deg" would look like one of several, and
-    # "2" like the column #2.
+    # Choices are not numbered: numbers would make examples such as "36.8 deg" look like
+    # the only choices, and "2" look like the column #2.
     choices = ", ".join(question.choices)
     column = question.part == "column"
     tell(

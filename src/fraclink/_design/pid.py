@@ -175,7 +175,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "warning",
                 "the shipped law was not checked: a plant with a delay inside its own loop has no modes",
                 {"delay, s": max(term.delay for term in made.plant.denominator)},
-                "keep a larger margin, or simulate the law on the arm's own software",
+                "keep a larger margin, or simulate the law with your own model of the plant",
             ),
         )
     # The limits do not affect the linear loop: any finite values will do, since the

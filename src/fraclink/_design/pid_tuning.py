@@ -229,8 +229,9 @@ class PidTuning(Saved):
     ) -> Law:
         """Return the law that runs the controller, by `fraclink.extend.discretize_pid`.
 
-        What is left out is what the tuning was given; the law's filter is fitted from
-        1/200 of the crossover to fifty times it, if the period allows.
+        An argument that is left out takes the value given to the tuning; the law's
+        filter is fitted from 1/200 of the crossover to fifty times it, if the period
+        allows.
         """
         values = {
             "period": self.period if period is None else period,
@@ -273,8 +274,8 @@ class PidTuning(Saved):
         """Return every margin of the sampled loop that `law` closes, one period of
         computation included.
 
-        The plant behind its zero-order hold is exact (`discrete_modes`), the law is that
-        of its coefficients.
+        The plant after its zero-order hold is exact (`discrete_modes`), and the law is
+        computed from its coefficients.
         """
         # exact from ω_c/1000 upwards
         modes = discrete_modes(
@@ -301,7 +302,7 @@ class PidTuning(Saved):
         (default `horizon`).
 
         Without `law` it is that of C(s) in continuous time. With it law.c runs, period
-        by period, on the plant behind its hold: with its limit, its anti-windup and a
+        by period, on the plant after its hold: with its limit, its anti-windup and a
         period of computation. A plant with a delay in a loop without sampling is
         inverted numerically, which takes seconds.
         """

@@ -375,8 +375,8 @@ def _arm_of_box(solution: Solution, made: Design, worst: Requirement) -> str:
 
 
 def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]:
-    """The nearest request in the user's own quantities, rounded to three digits
-    towards the less demanding; empty if no such request passes with the law that ships.
+    """The nearest request in the user's own quantities, rounded to three digits towards
+    the less demanding side; empty if no such request passes with the law that ships.
     """
     # The bound on the gain at a mode is not eased: above a gain of one, only the phase of
     # the mode would keep the loop from -1.

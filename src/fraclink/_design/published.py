@@ -65,7 +65,7 @@ class ClosedForm:
         """Name the first condition of Theorem 1 that fails, None if all are met.
 
         The exact condition is to lie right of the peak of |L|: the denominator of (49)
-        is minus the slope times a positive factor, so its sign determines that ω_c
+        is minus the slope times a positive factor, so its sign determines whether ω_c
         rises and φ_m falls with ω₀. (39) is only sufficient.
         """
         # β < λ is a condition of Theorem 1, and β < 2 holds for every controller; for λ

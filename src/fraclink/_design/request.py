@@ -144,7 +144,9 @@ class Arms:
 
     @property
     def highest(self) -> float:
-        """The highest allowed crossing: the pole of the motor loop."""
+        """The highest allowed crossing: the pole of the motor loop, and at most 0.9 of
+        the Nyquist frequency.
+        """
         return min(self.rig.motor_loop.pole, 0.9 * math.pi / self.rig.period)
 
     @cached_property
@@ -359,8 +361,8 @@ class Request:
 
     @property
     def notches(self) -> tuple[tuple[float, float] | None, ...]:
-        """The intervals of a notch to try: none first, then about the second mode, up
-        to half way to the first, if it is below the Nyquist frequency.
+        """The intervals of a notch to try: none first, then, if the second mode lies
+        below half of the Nyquist frequency, one about it (above it if it may be loud).
         """
         second = self.model.second_mode
         if second is not None:

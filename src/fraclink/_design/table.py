@@ -35,8 +35,8 @@ _DENSITY = 28
 _NEAR = np.geomspace(1e-4, 0.2, 12)  # on both sides of a sharp resonance
 # Roots of 1 + L up to this distance from the resonance, in ln ω, are vibrations of the
 # link. Those farther away belong to its second mode, to the motor loop, or to the delay of
-# the gauge: with any payload the second mode lies above that of a beam that is pinned at
-# its tip, at 15.42/3.516 times the resonance of the empty arm.
+# the gauge: with any payload the second mode lies above the first mode of a beam pinned
+# at its tip, which is 15.42/3.516 = 4.4 times the resonance of the arm without payload.
 _REGION = math.log(4.4)
 # Radius in ln ω of the expansions about the axis, in which roots are looked for: with a
 # damping ratio of more than sin 0.6 = 0.56 nothing vibrates. The factors of the loop have

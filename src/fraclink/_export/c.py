@@ -48,7 +48,7 @@ def export_c(
 
     law.h and law.c are the files that were simulated, to the byte; law_data.h holds the
     coefficients as hex floats; law_selftest.c prints a hash to compare on the target;
-    law.json is the law itself; README.md tells the call sequence, memory in [B],
+    law.json is the law itself; README.md states the call sequence, memory in [B],
     limits in [rad], [N·m] and [V], and what is claimed.
 
     Parameters
@@ -57,7 +57,7 @@ def export_c(
         From `discretize`; a design stands for its `law()`. With the motor loop of a
         rig (`equip`) it closes the motor loop too.
     folder
-        Made where it is missing; an existing one that is not empty needs `force`.
+        Created if it is missing; an existing one that is not empty needs `force`.
     precision
         Arithmetic of the law, by default its own.
     prove

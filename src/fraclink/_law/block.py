@@ -185,7 +185,9 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
 
 
 def framed(version: int, body: bytes, precision: Precision) -> bytes:
-    """Return a block behind its header: version, size, width of a real, CRC-32."""
+    """Return a block with its header in front: version, size, width of a real,
+    CRC-32.
+    """
     width = struct.calcsize(real_type(precision))
     header = (version, 16 + len(body), width, zlib.crc32(body))
     return struct.pack("<IIII", *header) + body
@@ -285,7 +287,7 @@ class DiscreteMotorLoop:
     voltage_limit: float  # [V]
     torque_voltage: float  # compensation of the coupling torque, 1/(K n) [V/(N·m)]
     coulomb_voltage: float  # compensation of Coulomb friction, Γc/K [V]
-    # reference speed below which it fades to zero [rad/s]
+    # speed of the motor model [rad/s] below which this compensation decreases to zero
     coulomb_speed: float = COULOMB_SPEED
 
 
@@ -401,7 +403,8 @@ def _motor_loop(
             2 / (pole * loop.period) + 1.5
         ) * limits.motor_step + limits.residual_angle
         credible = loop.direct * error
-    # no motor: the largest error, plus the same again held by the integral against it
+    # a PID without a motor: the largest error, and as much again that the integral may
+    # hold against it
     else:
         error = limits.motor_limit + limits.angle_limit
         credible = (
@@ -424,8 +427,8 @@ def _motor_loop(
         motor_loop.voltage_limit,
         motor_loop.torque_voltage,
         friction,
-        # The slope of the softened sign function, per reference angle in a period; 0
-        # without friction compensation.
+        # The slope of the softened sign function, per angle that the motor model turns
+        # in a period; 0 without friction compensation.
         1 / (motor_loop.coulomb_speed * loop.period)
         if motor_loop.coulomb_voltage > 0
         else 0.0,

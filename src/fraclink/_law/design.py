@@ -291,7 +291,7 @@ class Design(Saved):
         """Return the design with the errors among `findings`, such as those of the fit
         that it rests on.
         """
-        # Errors only, each once: its warnings belong to the report of the fit.
+        # Errors only, each once: the fit's warnings belong to its own report.
         return replace(
             self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings)))
         )

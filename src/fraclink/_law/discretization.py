@@ -57,7 +57,7 @@ STICTION = 3.0
 # changes the margin by 1.2° where |Ĉ| is 0.4; a third of 0.5° of Ĉ changes it by 0.2°.
 # The largest weight that keeps C within 0.1 dB is used.
 EMPHASES = (3.0, 2.0, 1.0)
-# factor on either side of the nominal crossover: a range of 5 in ω_c is one of 15 or
+# factor on either side of the nominal crossover: a range of 6 in ω_c is one of 15 or
 # more in payload
 REACH = 2.5
 # weight of the relative error of Ĉ inside its notch, relative to 0.1 dB and 0.5°: 1 dB
@@ -95,8 +95,8 @@ def discretize_controller(
     the reference's known acceleration.
 
     Without a filter Ĉ is improper: no sampled controller can follow it to the Nyquist
-    frequency, and the band ends at 300 rad/s (600 with a filter). The errors
-    reached stand in `Law.correction_error`.
+    frequency, and the band ends at 300 rad/s (600 with a filter). The errors reached
+    are in `Law.correction_error`.
 
     Parameters
     ----------

@@ -9,8 +9,8 @@ y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ, v = (B_k/C_k)(1
 w = A_k(1)/C_k(1): least squares over x and y, with the rig's uncertainty of the gain,
 gives the cost of the model. The curve through the costs of seven neighbouring models gives the payload,
 since the bank is too coarse for a parabola. The variance of the estimate follows from
-that of the same sum of errors due to the gauge's gain and to its noise, which A_k/C_k
-correlates.
+the variance that the gauge's gain and its noise, which A_k/C_k correlates, cause in the
+same sum of errors.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ NOT_STATED = 0.01
 # offset before the arm has stood still, relative to the largest credible torque
 OFFSET_DOUBT = 0.1
 MOVED = 4.0  # standard deviations of a sample: a larger torque counts as motion
-# Limit on the square of the torque's relative error, a fifth: the right model never
-# exceeds it, one for half or twice the payload does.
+# Limit on the square of the torque's relative error, for an error of about a fifth: the
+# right model never exceeds it, one for half or twice the payload does.
 SURPRISE = 0.05
 # Largest relative standard deviation at which an estimate is better for the law than
 # none.
@@ -372,7 +372,7 @@ def _model(
     link: LinkModel, frequencies: Real, shares: Real, corner: float, sample: float
 ) -> tuple[float, ...]:
     """One row of the bank without its mass: A, B and C at samples of `sample` [s], A(1)/C(1)
-    and the covariances of white noise behind A/C.
+    and the covariances of white noise filtered by A/C.
 
     frequencies, shares: of the modes of its beam (`modal_shares`). Those above the first
     hardly vibrate in a move, but their inertia is in the torque. corner: of the spectrum
@@ -430,8 +430,8 @@ def _model(
         np.concatenate([target.real, target.imag]),
         rcond=None,
     )[0]
-    # The autocovariance of white noise behind A/C; its covariance with the filter's state
-    # follows by the filter's recursion.
+    # The autocovariance of white noise filtered by A/C; its covariance with the
+    # filter's state follows by the filter's recursion.
     power, *later = np.fft.irfft(
         abs(np.fft.rfft([1.0, *above], CIRCLE) / np.fft.rfft(below, CIRCLE)) ** 2
     )[:4]

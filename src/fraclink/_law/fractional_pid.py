@@ -1,5 +1,4 @@
-"""A fractional PID as a law of law.c: the motor loop's PI behind the outer law's
-filter.
+"""A fractional PID as a law of law.c: the motor loop's PI after the outer law's filter.
 
 law.c computes θm* = θt* + Ĉ(z) (θt* − θte) and u = P(z) (θm* − θm). A law without a
 gauge has θte = θm, so that u = P(z) (1 + Ĉ(z)) (θt* − θm): with the measurement y in
@@ -60,8 +59,8 @@ def discretize_pid(
     precision: Precision = "single",
     band: Band | None = None,
 ) -> Law:
-    """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y), in
-    the C of every law.
+    """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y),
+    computed by law.c like any other law.
 
     On `band` C(z) meets C(jω) to 0.1 dB and 0.5° where 8 states can
     (`Law.correction_error` is the error reached); below it k_i/s^λ turns into an

@@ -108,7 +108,8 @@ def derive_limits(
     `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. `heaviest`: ratio of the heaviest
     payload to the link's, by which a lasting deflection grows. Largest torque of a move: c a
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
-    as it was placed, with its delay. The reason for each number stands beside it in the source.
+    as it was placed, with its delay. The reason for each number is given beside it in
+    the source.
     """
     resonance = link.resonance
     flexible = float(abs(link.lead(resonance))) * moves.acceleration
@@ -145,9 +146,9 @@ def derive_limits(
         + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
         # 0.15 rad: residual vibration and gauge offset in addition to the lag
         correction_limit=1.5 * (loop.lag * period * moves.velocity + 0.15),
-        # the states sum the acceleration with weights that decay (poles from 0 to 1), hence
-        # at most its largest sum: a reversal at full speed has 2 v/T, and half as much again
-        # is left as for the correction
+        # the states sum the acceleration with weights that decay (poles from 0 to 1),
+        # so they stay below its largest sum, 2 v/T for a reversal at full speed; half
+        # as much again is in reserve, as for the correction
         forward_limit=3 * moves.velocity / period,
         # The motor leads the tip by the flexion, at both ends of a move.
         angle_limit=reach + 2 * flexible,
@@ -200,7 +201,7 @@ def derive_limits(
 def _stuck_torque(
     link: LinkModel, period: float, largest: float, quantum: float
 ) -> float:
-    """The torque of the model from which a constant reading means a stuck gauge.
+    """The torque of the model above which a constant reading means a stuck gauge.
 
     The reading of a sound gauge stays constant while the motor turns by less than one
     quantum, q/c. With the jerk j of the reference this takes (6q/cj)^(1/3); the torque

@@ -24,9 +24,9 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     the law's band.
 
     Least squares of |C - C_law|/|C| on a logarithmic grid, with the poles of `law`: it
-    takes a fraction of a millisecond, the minimax fit of `discretize` fifty. The result
-    is a preview without a verdict: its guards are those of `law`, and it is never saved
-    or exported.
+    takes a fraction of a millisecond, the minimax fit of `discretize` fifty
+    milliseconds. The result is a preview without a verdict: its guards are those of
+    `law`, and it is never saved or exported.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")

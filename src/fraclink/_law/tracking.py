@@ -40,7 +40,7 @@ __all__ = [
 FLEXIBLE = 0.2
 _STEPS = 4096  # length of the impulse responses
 # A natural frequency this close to eq. (5) was computed from it, without the mass of
-# the link; an identified one includes it.
+# the link; an identified one includes that mass.
 COMPUTED = 1e-3
 SLOWEST = 0.995  # pole of the motor model: a loop that settles in a thousand periods
 # a negative pole represents a delay of a fraction of a period; beyond this limit it
@@ -174,7 +174,7 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
 
 
 def held_reference(reach: float, back: Complex) -> Complex:
-    """Return M(s) = 1/(1 + s/p)² behind a hold, exactly, for pT = `reach` at z⁻¹ =
+    """Return M(s) = 1/(1 + s/p)² after a hold, exactly, for pT = `reach` at z⁻¹ =
     `back`.
     """
     keep = math.exp(-reach)
@@ -185,7 +185,7 @@ def held_reference(reach: float, back: Complex) -> Complex:
 def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
     """The best model with two real poles; its DC gain is 1 by its form.
 
-    The poles are searched on a grid, which cannot leave the stable ones: a free fit of
+    The poles are searched on a grid, which holds only stable ones: a free fit of
     the paper's motor loop with its delay ends at a pole of 1.3.
     """
     poles = np.linspace(FASTEST, SLOWEST, 30)

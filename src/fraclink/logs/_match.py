@@ -231,13 +231,13 @@ class _Matching:
     # --- time ---
 
     def time(self) -> Channel | None:
-        """The channel of the stamps."""
+        """The channel of the time stamps."""
         statement = self.statement("time")
         scale = statement.scale or 1.0
         if statement.column == ROW_NUMBER:
             unit = statement.unit or "s"
             value = f"one sample every {scale:g} {unit}"
-            self.conclude("time", value, "stated", "the log has no stamps")
+            self.conclude("time", value, "stated", "the log has no time stamps")
             return Channel(ROW_NUMBER, unit, scale=scale)
         column = statement.column or self.table.clock()
         if not column:
@@ -256,7 +256,7 @@ class _Matching:
                 "column of time",
                 self.label(place),
                 "the same in most samples",
-                "stamps that rise",
+                "time stamps that rise",
                 "state another column, or --period-ms 4",
             )
         rate = f"a sample every {step * scale:.6g}"

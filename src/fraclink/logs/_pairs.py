@@ -1,5 +1,5 @@
 """Which columns of a log share the vibration of one link: its motor angle, and its
-output or the motor angle minus that.
+output or the motor angle minus the output.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def start(
         an output is not calibrated: it is scaled so that its gain on the motor angle is
         1.
     period
-        sampling period Ts [s] of a log without stamps.
+        sampling period Ts [s] of a log without time stamps.
     payload
         m [kg] that the arm carried, if it is known.
     resample, interpolate

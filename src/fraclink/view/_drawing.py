@@ -53,7 +53,7 @@ _ROW = 15.0  # dots between two lines of text
 class Panel:
     """The drawing over one vertical scale, with its label above it.
 
-    scale: the vertical one; by default that of everything drawn.
+    scale: the vertical scale; by default it covers everything drawn.
     """
 
     label: str
@@ -88,9 +88,9 @@ class Figure:
     """Stacked panels with a common horizontal scale.
 
     name: unique on its page. description: text for readers who cannot see it. link:
-    figures of one link share their cursor. scale: the horizontal one; by default that
-    of everything drawn, from end to end, with a logarithmic axis where `log`. left:
-    dots for the vertical scale's texts.
+    figures of one link share their cursor. scale: the horizontal scale; by default it
+    covers exactly what is drawn, and is logarithmic if `log`. left: dots for the
+    vertical scale's texts.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Figure:
             )
             return text.replace(' role="img"', f' id="fig-{self.name}" role="img"', 1)
         body, height, right = self._body()
-        # The script under the pointer converts dots back to values with these ends;
+        # The script for the pointer converts dots back to values with these ends;
         # nine digits are finer than the dots of a screen at any zoom.
         scale = f"{self.x.low:.9g} {self.x.high:.9g}{' log' if self.x.log else ''}"
         data = f'data-x="{scale}" data-link="{escaped(self.link or self.name)}"'
@@ -251,7 +251,8 @@ def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
     # Lines that end at the same place keep the order in which they were drawn.
     placed = sorted(ends, key=lambda end: round(end[0] / 8))
     # With the rows subtracted, the places need only keep their order: isotonic
-    # regression gives the nearest ones that do, and clipping those inside the panel.
+    # regression gives the nearest places in that order, and clipping keeps them inside
+    # the panel.
     rows = _ROW * np.arange(len(placed))
     low, high = frame.top + 5, frame.top + frame.height - 2 - rows[-1]
     order = isotonic_regression(np.array([end[0] for end in placed]) - rows).x

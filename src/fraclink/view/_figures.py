@@ -302,7 +302,7 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     """Draw the responses of log and model with the noise's 95 % band; None if fewer
     than two frequencies contain information about the link.
     """
-    # With the same windows, which affect a sharp resonance in the same way.
+    # Both use the same windows, which affect a sharp resonance in the same way.
     (w, measured, coherence), (_, predicted, _) = (
         averaged_response(log.motor_angle, output, log.period)
         for output in (log.output, fit.predicted)

@@ -86,8 +86,8 @@ class Response:
         size = np.abs(self.values)
         # Across a pole on the axis the phase falls by π, whatever sign rounding gave
         # the jump; a rise of 2.8 rad between two neighbours of a refined grid is such a
-        # jump, not a steep curve. It counts as a pole only if both sides are large, since at a zero the
-        # phase rises.
+        # jump, not a steep curve. It counts as a pole only if both sides are large: at
+        # a zero the phase rises.
         over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
         turns[over] -= math.tau
         first = float(np.angle(self.values[0]))
@@ -205,8 +205,8 @@ def bode(
     Parameters
     ----------
     *systems
-        transfer functions, functions of s = jω, python-control systems, designs, whose
-        loop is drawn at the heaviest payload, and measured frequency responses.
+        transfer functions, functions of s = jω, python-control systems, designs (their
+        loops at the heaviest payload), and measured frequency responses.
     ax
         Magnitude and phase axes to draw into; by default new ones.
     labels

@@ -35,7 +35,7 @@ def envelope(
     count = len(values)
     if count <= 2 * points:
         return time, values
-    # Stretches of equal length, up to one sample, of at least two samples each:
+    # Stretches equal in length to within one sample, each of at least two:
     # reduceat of an empty one would repeat its first value.
     edges = np.linspace(0, count, points + 1).astype(int)[:-1]
     low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)

@@ -144,7 +144,7 @@ def view(result: Any) -> Overview:
 
 
 def doubted(overview: Overview, findings: tuple[Finding, ...]) -> Overview:
-    """`overview`, preceded by the errors of its input, after which nothing has passed."""
+    """`overview`, preceded by the errors of its input, with which it cannot pass."""
     if not findings:
         return overview
     failed = overview.state == "failed"
