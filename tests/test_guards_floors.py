@@ -199,7 +199,7 @@ CEILINGS = {
     "logs": 697,
     "studio": 1056,
     "trials": 1264,
-    "view": 1128,
+    "view": 1127,
 }
 
 

@@ -155,7 +155,10 @@ def _bent(x: Real, values: Complex, *, keep_top: bool) -> tuple[Real, Complex]:
 
 
 def bracketed_roots(
-    function: Callable[[Real], Real], low: ArrayLike, high: ArrayLike
+    function: Callable[[Real], Real],
+    low: ArrayLike,
+    high: ArrayLike,
+    ends: tuple[Real, Real] | None = None,
 ) -> Real:
     """Return the root of a continuous function in each bracket [low, high], to
     rounding.
@@ -171,6 +174,8 @@ def bracketed_roots(
         the two ends.
     low, high
         ends of the brackets, of one shape.
+    ends
+        values of the function at `low` and `high`, where they are known.
 
     Examples
     --------
@@ -178,7 +183,7 @@ def bracketed_roots(
     [1.414213562373, 1.732050807569]
     """
     a, b = np.array(low, float), np.array(high, float)
-    at_a, at_b = function(a), function(b)
+    at_a, at_b = ends or (function(a), function(b))
     # A bracket of four units in the last place cannot be narrowed any further.
     size = np.abs(a) + np.abs(b)
     tolerance, settled = 4e-16 * size, np.zeros(a.shape, bool)
@@ -265,5 +270,10 @@ def zeros_of(
     # next to a pole on the axis is not a number.
     x = np.where(np.abs(at_a) < np.abs(at_b), a, b)
     changes = at_a * at_b < 0
-    x[changes] = bracketed_roots(lambda x: tendency(loop, x), a[changes], b[changes])
+    x[changes] = bracketed_roots(
+        lambda x: tendency(loop, x),
+        a[changes],
+        b[changes],
+        (at_a[changes], at_b[changes]),
+    )
     return list(zip(x.tolist(), loop(x).tolist(), strict=True))

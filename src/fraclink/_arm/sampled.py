@@ -54,7 +54,10 @@ class SampledPlant:
         s = 1j * (w[..., None] + rate * np.arange(-aliases, aliases + 1))
         # 1/s comes from the integral of the hold; its factor 1 − e^(−sT) is the same
         # for every alias and is factored out of the sum.
-        total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
+        total = np.sum(
+            self.response(s) / s * (np.exp(-self.delay * s) if self.delay else 1.0),
+            axis=-1,
+        )
         # The factor 1 − z⁻¹ of the hold by expm1: at low frequencies the alias sum is
         # large and this factor small.
         response = -np.expm1(-1j * self.period * w) / self.period * total
@@ -97,15 +100,23 @@ def sampled_plant(
     lag, spring = 1.0 / (motor_loop.pole * ratio), model.natural_frequency**2
 
     def response(s: Complex) -> Complex:
-        ideal = (1.0 + lag * s) ** 2
         # With the sampled PID, the hold drives the bare motor, and the PID comes before
         # the hold (`before`).
-        drive = s * (s + motor.decay) / (motor.gain * ratio) if sampled else ideal
+        drive = (
+            s * (s + motor.decay) / (motor.gain * ratio)
+            if sampled
+            else (1.0 + lag * s) ** 2
+        )
         ln_s = np.log(s)
         inertia: Complex = np.exp(model.order * ln_s)
-        drag: Complex = np.asarray(model.damping * np.exp(model.damping_order * ln_s))
+        # Most links have no damping, and many no late gauge: each exponential of every
+        # alias is a quarter of the work.
+        drag: Complex = np.asarray(
+            model.damping * np.exp(model.damping_order * ln_s) if model.damping else 0.0
+        )
         whole = inertia + drag + spring
-        gauge = model.gauge_gain * np.exp(-model.gauge_delay * s)
+        late = np.exp(-model.gauge_delay * s) if model.gauge_delay else 1.0
+        gauge: Complex = np.asarray(model.gauge_gain * late)
         # One fraction: far above the resonance Γ/(c θm) is close to 1, and its
         # difference from 1 would cancel.
         bracket = (drag + spring + inertia * (1.0 - gauge)) / whole

@@ -55,19 +55,18 @@ class Expression:
     @np.errstate(all="ignore")
     def response(self, values: Mapping[str, Any], points: Complex) -> Complex:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
-        # The principal branch, computed once for all powers: s^a is then the same
-        # function at every point, with its cut along the negative real axis.
-        logarithm = np.log(points)
+
+        def power(_: Complex, order: Any) -> Complex:
+            # Of many candidates few differ in this order: each power is computed once.
+            orders, row = np.unique(order, return_inverse=True)
+            # The principal branch: s^a is then the same function at every point, with
+            # its cut along the negative real axis.
+            rows = np.exp(orders[:, None] * np.log(points))
+            return rows[row.reshape(np.shape(order)[:-1])]
+
         arrays = {name: np.asarray(value, np.float64) for name, value in values.items()}
-        leaves = _Leaves(
-            self.text,
-            points,
-            lambda _, order: np.exp(order * logarithm),
-            np.exp,
-            arrays,
-        )
         # a candidate may overflow: its cost is infinite, and it is dropped
-        return _value(self.tree, leaves)
+        return _value(self.tree, _Leaves(self.text, points, power, np.exp, arrays))
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError if there is none for these values (a

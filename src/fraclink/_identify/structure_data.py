@@ -33,8 +33,7 @@ def _of_many(
 ) -> Complex:
     """G at points (K,) for parameters (M, 1), shape (M, K)."""
     count = max(np.shape(value)[0] for value in values.values())
-    response = structure.response(values, points)
-    return np.broadcast_to(response, (count, points.size))
+    return np.broadcast_to(structure.response(values, points), (count, points.size))
 
 
 @dataclass(frozen=True, eq=False)

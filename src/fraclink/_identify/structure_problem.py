@@ -215,8 +215,9 @@ class StructureProblem(Problem):
         steps = self._steps(places).T[:, :, None]
         ahead = places + steps * np.eye(len(steps))[:, None, :]
         rows = np.concatenate([places, *ahead])
-        response = self.data.response(self.structure, self.values(rows))
-        columns = response.reshape(1 + len(steps), len(places), -1)
+        columns = self.data.response(self.structure, self.values(rows)).reshape(
+            1 + len(steps), len(places), -1
+        )
         columns[1:] = np.nan_to_num((columns[1:] - columns[0]) / steps)
         return columns.transpose(1, 0, 2)
 

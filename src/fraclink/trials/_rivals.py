@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -120,9 +121,10 @@ def motor_alone(law: Law) -> Law:
     return replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
 
 
+@lru_cache(maxsize=1)  # tuned once for all moves and payloads of a comparison
 def builders(design: Design) -> dict[str, Builder]:
     """Return a function for every contender, by name, fraclink first; it tunes its
-    rival from the design when it is called.
+    rival from the design when it is first called.
 
     Parameters
     ----------
@@ -149,18 +151,22 @@ def builders(design: Design) -> dict[str, Builder]:
             bare,
             impulses,
         ),
-        "PD on the tip": lambda: _tuned(
-            "zero at the nominal mode, notch at the second where it is known",
-            lambda gain: pd_correction(link, gain, design.rig.period),
-            # from a loop without effect to one that is unstable on every arm
-            (1e-3, 10.0),
-            design,
+        "PD on the tip": cache(
+            lambda: _tuned(
+                "zero at the nominal mode, notch at the second where it is known",
+                lambda gain: pd_correction(link, gain, design.rig.period),
+                # from a loop without effect to one that is unstable on every arm
+                (1e-3, 10.0),
+                design,
+            )
         ),
-        "LQG": lambda: _tuned(
-            "integer model, offset state in the Kalman filter, weight of the tip",
-            lambda weight: lqg_correction(link, design, weight),
-            (1e-4, 1e4),
-            design,
+        "LQG": cache(
+            lambda: _tuned(
+                "integer model, offset state in the Kalman filter, weight of the tip",
+                lambda weight: lqg_correction(link, design, weight),
+                (1e-4, 1e4),
+                design,
+            )
         ),
         "the paper's procedure": lambda: _published(design),
     }

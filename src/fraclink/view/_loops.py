@@ -186,11 +186,12 @@ def margins_figure(design: Design) -> Figure:
     margin: list[Mark] = [Band(1e3 * payloads, *fan, 1)] if fan is not None else []
     margin += [Zone(1e3 * low, 1e3 * high), Across(0.0, limit=False)]
     for kind, line, name in kinds:
-        curve = margin_curve(design, payloads, kind=kind).phase_margin
-        margin.append(Curve(1e3 * payloads, np.degrees(curve), line, name))
+        curve = margin_curve(design, payloads, kind=kind)
+        margin.append(Curve(1e3 * payloads, np.degrees(curve.phase_margin), line, name))
     margin.append(Across(math.degrees(design.phase_margin), "requested"))
-    at = design.sampled_at if design.has_law else design.at
-    rate = np.array([_or_nan(at(float(m)).gain_crossover) for m in payloads])
+    rate = curve.gain_crossover  # of the last, the law in its sampled loop
+    if not design.has_law:
+        rate = np.array([design.at(float(m)).gain_crossover for m in payloads])
     crossover: list[Mark] = [
         Zone(1e3 * low, 1e3 * high),
         Curve(1e3 * payloads, rate, 1),
@@ -226,7 +227,3 @@ def margin_band(design: Design, payloads: Real) -> tuple[Real, Real] | None:
     )
     angles = np.degrees([loop.margins(w0)[1] for loop in loops])
     return np.min(angles, axis=0), np.max(angles, axis=0)
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None or not math.isfinite(value) else value
