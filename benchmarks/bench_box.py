@@ -124,8 +124,8 @@ def distance(case: Case, point: Real, frequency: Real) -> Real:
 def on_motor(
     case: Case, plant: SampledPlant, delay: float, gain: float
 ) -> SampledPlant:
-    """The link behind the PID of the rig, around a motor of this gain, late by any part
-    of a period.
+    """The link driven by the rig's PID on a motor of this gain, delayed by any part of
+    a period.
     """
     rig, settings = case.design.rig, case.design.motor_loop
     pid, decay, pole = (
@@ -225,8 +225,8 @@ def _downhill(at, start: Real, varied: NDArray[np.bool_]) -> tuple[float, Real]:
 
 
 def random_case(rng: np.random.Generator) -> Case:
-    """A design for a random rig, link and request, and a box from tiny to larger than
-    the large one.
+    """A design for a random rig, link and request, and a box, from a thirtieth of the
+    large one to a quarter larger.
     """
     while True:
         light = float(rng.uniform(0.012, 0.030))

@@ -53,7 +53,7 @@ def campaign(runs: int, *, ticks: int = 1001) -> Campaign:
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """Processor time of this thread: what others do on the machine does not count."""
+    """Processor time of this thread: other work on the machine does not count."""
     began = time.thread_time()
     work()
     return time.thread_time() - began
@@ -115,8 +115,8 @@ def speed(runs: int, rounds: int) -> None:
 
 
 def scaling(runs: int) -> None:
-    """One worker against two, wall clock, interleaved; what it means when others use
-    the machine is told.
+    """One worker against two, wall clock, interleaved; the load of the machine is
+    printed with it.
     """
     asked = campaign(runs, ticks=TICKS)
     ratios, loads = [], os.getloadavg()[0]
@@ -129,7 +129,7 @@ def scaling(runs: int) -> None:
                 workers=workers,
                 watch=lambda *_, f=finished: f.append(time.monotonic()),
             )
-            # From the first part on, whatever the start takes.
+            # From the first finished part on, so that the start does not count.
             took[workers] = (finished[-1] - finished[workers - 1]) / (
                 len(finished) - workers
             )

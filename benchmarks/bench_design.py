@@ -51,7 +51,7 @@ def independent_margin(design: fl.Design, payload: float, aliases: int) -> float
 
 
 def margins(aliases: int) -> None:
-    """The margins that a design states, against an own computation."""
+    """The margins that a design states, against an independent computation."""
     # With M(s), which the independent computation uses: bench_box repeats it for the
     # loop with the PID that runs.
     options = {"gain_crossover": 12.0, "filter_time": 0.0, "motor_loop": "ideal"}
@@ -86,7 +86,7 @@ def speed(rounds: int) -> None:
 
 
 def certificates(rounds: int) -> None:
-    """The proof, and its check by the tool of one file."""
+    """The proof, and its check by tools/check_certificate.py."""
     design = fl.design(RIG.model, RIG, gain_crossover=12.0, **WANTED)
     law = design.law()
     prove = partial(certify, design, law=law, modulus_margin=0.35)

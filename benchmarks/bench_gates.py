@@ -147,8 +147,8 @@ def second_mode(masses: int) -> None:
     """The second mode of links with mass, in logs of the twin: found or not, and its
     frequency.
 
-    Told apart by its damping ratio: above 0.15 it hardly resonates, and above 0.2 it is
-    not looked for.
+    Counted separately by its damping ratio: above 0.15 it hardly resonates, and above
+    0.2 it is not looked for.
     """
     bits = prbs(0.1, 0.24, bits=83, register=9, start=0.5).angle(
         PERIOD * np.arange(5001)

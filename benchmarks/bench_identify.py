@@ -182,8 +182,8 @@ def _short_motion(
 
 
 def valleys(count: int) -> None:
-    """Short logs on which λ and the delay trade: the optimum, and what their intervals
-    cover.
+    """Short logs on which λ and the delay trade off: the optimum, and how often their
+    intervals hold the truth.
     """
     for kind in ("smooth move", "short step", "narrow chirp"):
         lost, inside, of = 0, {"white": 0, "coloured": 0}, {"white": 0, "coloured": 0}
@@ -248,7 +248,7 @@ def delay_story() -> None:
 
 
 def cut_in_mid_motion(places: int) -> None:
-    """Delays of the bundled log from six places on, with the angle before the cut and
+    """Delays of the bundled log cut at six places, with the angle before the cut and
     without.
     """
     path, known, unknown = bundled_log("prbs_30g"), [], []

@@ -1,5 +1,5 @@
-"""The law: order and error of its filter, the time of its fit, and on a microcontroller
-the instructions of a period on a Cortex-M4F by compiler and flags, and its memory.
+"""The law: order and error of its filter, the time of its fit, its memory, and the
+instructions of a period on a Cortex-M4F by compiler and flags.
 
 QEMU counts instructions, not cycles. "Outer law": tip estimate, correction and
 feed-forward, without guards.
@@ -38,8 +38,8 @@ BUILDS: tuple[tuple[tuple[str, ...], tuple[str, ...], bool], ...] = (
     (CLANG, ("-O2",), True),
     (("arm-none-eabi-gcc", "-mthumb"), ("-O2",), False),
 )
-# The cost of the checksum is the difference to the law without it: nothing is damaged
-# then, and nothing is summed.
+# The cost of the checksum is the difference from a law without it, which never takes
+# its memory for damaged and sums nothing.
 WITHOUT_CHECKSUM = {
     "return (credible(sum - s->sum, LAW_TINY) != 0U) ? 0U : 1U;": "(void)s; (void)sum; return 0U;",
     "    s->sum = left + kept(s);\n    return flags;": "    return flags;",
@@ -190,8 +190,8 @@ def counted(
     """Return the instructions (of the outer law without guards, of law_step) of one
     build in QEMU.
 
-    With an estimator, of both on the average of the periods that make one of its
-    samples. Edits change law.c.
+    With an estimator, those of both, averaged over the periods of one of its samples.
+    `edits` are replacements in law.c.
     """
     board = ROOT / "tests" / "firmware"
 

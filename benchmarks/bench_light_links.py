@@ -23,7 +23,7 @@ from fraclink.errors import InfeasibleError
 from fraclink.extend import Beam, PowerLaw
 from harness import line, sizes
 
-# The motor of "paper-2023" has half a per cent of the inertia of these arms: its torque
+# The motor of "paper-2023" has half a per cent of the inertia of these arms: the torque
 # reading arrives too late for a vibration at 90 rad/s.
 RIG = fl.Rig.named("paper-2023-geared")
 
@@ -58,7 +58,7 @@ def light_arm(seed: int) -> tuple[fl.Rig, LinkModel, fl.Twin, tuple[float, float
 
 
 def judged(seed: int) -> tuple[str, float]:
-    """What came of an arm, and the CPU time of its design [s]."""
+    """The outcome for an arm, and the CPU time of its design [s]."""
     rig, model, twin, payloads = light_arm(seed)
     begin = time.process_time()
     try:
@@ -79,7 +79,7 @@ def judged(seed: int) -> tuple[str, float]:
 
 
 def main() -> None:
-    """Print what came of the arms."""
+    """Print the outcomes for all arms."""
     count = sizes(__doc__, arms=(60, 1)).arms
     words: collections.Counter[str] = collections.Counter()
     times = []

@@ -39,8 +39,8 @@ SLOW = fl.smooth_step(1.0, duration=3.0)
 def designs() -> dict[str, fl.Design]:
     """The laws made for either damping law.
 
-    The second mode of a link with λ + 0.03 is damped by two thirds of the model's: at
-    most 0.3 of the loop gain at the mode of the model is 0.5 on that link.
+    The second mode of a link with λ + 0.03 has two thirds of the model's damping: a
+    loop gain of 0.3 at the model's mode is at most 0.5 on that link.
     """
     assert RIG.model is not None
     viscous = list(links_over(RIG.model, RIG).values())[-1]
@@ -137,7 +137,7 @@ def inexact(design: fl.Design, payloads: tuple[float, ...], seeds: int) -> None:
 
 
 def untold(words: str, design: fl.Design, seeds: int) -> None:
-    """One reference for 20 to 40 g, and the law not told which."""
+    """One reference for 20 to 40 g, and the law not told the payload."""
     quintic = fl.worst_case(design, QUINTIC, payloads=NOT_TOLD, seeds=seeds)
     move = fl.shape(design, 1.0, payloads=NOT_TOLD, seeds=seeds)
     nominal = move.worst_case.nominal.settling_time
@@ -157,7 +157,8 @@ def estimated(
     words: str, design: fl.Design, payloads: tuple[float, ...], seeds: int
 ) -> None:
     """The second move, there and back, of a law that estimates the payload, with one
-    reference for all payloads and arms, and a reserve for what two estimates differ by.
+    reference for all payloads and arms, and a reserve for the difference between two
+    estimates.
     """
     span = (payloads[0], payloads[-1])
     there, back = (

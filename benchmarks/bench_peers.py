@@ -69,14 +69,12 @@ class Row:
 
 
 def digit(error: float, unit: str = "") -> str:
-    """One digit; below a billionth it is rounding, which another machine does
-    otherwise.
-    """
+    """One digit; below a billionth it is rounding, which differs between machines."""
     return f"< 1e-9{unit}" if error < 1e-9 else f"{error:.1g}{unit}"
 
 
 def true_step() -> Real:
-    """y(t) = −Σ (−100 t^1.92)^k/Γ(1.92 k + 1), k ≥ 1, in digits enough for terms of
+    """y(t) = −Σ (−100 t^1.92)^k/Γ(1.92 k + 1), k ≥ 1, with enough digits for terms of
     10^120.
     """
     with mpmath.workdps(200):
@@ -286,7 +284,7 @@ def pole_rows() -> list[Row]:
 def stand_in(
     system: fracsys.FractionalTransferFunction, pairs: int
 ) -> control.StateSpace:
-    """A rational system for a tool that knows no other."""
+    """A rational system for a tool that accepts no other."""
     return control.ss(
         *fracsys.approximate(
             system, band=BAND, order=pairs, method="oustaloup"
@@ -306,7 +304,7 @@ def in_octave(command: str, system: control.StateSpace) -> list[float]:
 
 @functools.cache
 def octave_control() -> bool:
-    """Whether Octave is here, and its control package with it."""
+    """Whether Octave and its control package are installed."""
     try:
         octave("--eval", "pkg load control")
     except (OSError, subprocess.CalledProcessError):
@@ -339,8 +337,8 @@ def table(rows: list[Row]) -> str:
 
 
 def cost() -> Row:
-    """Processor time of 10 001 samples: the sums over processor time of our recursion,
-    in the same run.
+    """Processor time of the sums over that of our recursion, for 10 001 samples in the
+    same run.
     """
     ones = np.ones(10_001)
 

@@ -1,11 +1,11 @@
-"""Requests to `design`: the table of known ones, random ones against a random search of
-their own, and what refusals offer, followed.
+"""Requests to `design`: a table of known ones, random ones compared with a random
+search, and the offers of refusals, which are followed.
 
 A random request draws an arm (λ 1.86 to 2, with and without damping, a second mode, a
 gauge 0 to 30 ms late), payloads and bounds. Each ends as one of: a design with every
 row kept; a refusal with an offer, which is followed and has to pass; a refusal without
-one. A search of 2000 random controllers, on loops written out once more here, says
-whether a refusal was right, and the same loops whether a design is.
+one. A search of 2000 random controllers, on loops written out here independently, says
+whether a refusal was right; the same loops check every design.
 """
 
 from __future__ import annotations
@@ -62,9 +62,10 @@ TABLE: tuple[tuple[str, dict[str, Any], float, str], ...] = (
 
 def table() -> None:
     """Print the known requests: CPU time with the law, and the worst noise gain; with
-    every row, and on what the sketch looks at: its motor loop, no empty gripper, and of
-    a box the corners at the payloads' own ω₀ (with the interval of ω₀, which widens the
-    range of the payloads on both sides, the least noise at 45° is half as much again).
+    every row, and with only what the sketch considers: its motor loop, no empty
+    gripper, and of a box the corners at the payloads' own ω₀ (with the interval of ω₀,
+    which widens the range of the payloads on both sides, the least noise at 45° is half
+    as much again).
     """
     light = replace(RIG, payloads=replace(RIG.payloads, empty=RIG.payloads.low))
     for name, options, sketch, before in TABLE:
@@ -167,7 +168,9 @@ class Judge:
 
     @cached_property
     def resonances(self) -> Real:
-        """Of each payload, eq. (14): below the modulus of its pole."""
+        """The resonance of each payload by eq. (14), which is below the modulus of its
+        pole.
+        """
         order = self.model.order
         own = [self.model.at_payload(float(m)).natural_frequency for m in self.payloads]
         inner = -(np.array(own) ** 2) * math.cos(0.5 * math.pi * order)
@@ -311,8 +314,8 @@ class Judge:
         return self.damping(x) > 0.0622 and design.with_law().passed
 
     def modes(self, x: Real) -> Real:
-        """ln of a half over what the circles of the modes that the model does not know
-        leave of the distance to -1.
+        """ln of 0.5 over the loop gain towards -1 of the modes that the model does not
+        know; the worst of them.
         """
         masses = np.geomspace(*self.options["payloads"], 3)
         modes = higher_modes(Arm(self.model), self.rig, self.inner, masses)
@@ -382,7 +385,7 @@ class Judge:
 
 
 def judged(seed: int) -> tuple[str, float]:
-    """What came of a request, and its CPU time [s]."""
+    """The outcome of a request, and its CPU time [s]."""
     model, rig, options = random_request(seed)
     judge = Judge(model, rig, options)
     begin = time.process_time()
@@ -419,7 +422,7 @@ def judged(seed: int) -> tuple[str, float]:
 
 
 def nothing_asked(seed: int) -> tuple[str, float]:
-    """What came of the arm of a seed with nothing asked for, and its CPU time [s].
+    """The outcome for the arm of a seed with nothing asked for, and its CPU time [s].
 
     An arm refused over the box of its fit is asked for again without it: the random
     search, too, looks at the model alone.
@@ -449,7 +452,7 @@ def nothing_asked(seed: int) -> tuple[str, float]:
 
 
 def main() -> None:
-    """Print the table and what came of the random requests."""
+    """Print the table and the outcomes of the random requests."""
     given = sizes(__doc__, requests=(500, 1), first=(0, 0), arms=(100, 0))
     table()
     served: collections.Counter[str] = collections.Counter()

@@ -115,7 +115,7 @@ def _step_error(modes: DiscreteModes, samples: int) -> float:
 
 
 def linearity(decades: int) -> None:
-    """CPU time beyond that of 16 samples (tables and call), a sample and state."""
+    """CPU time per sample and state, beyond that of 16 samples (tables and call)."""
     spent = []
     for size in [10**k for k in range(3, 3 + decades)]:
         u = np.random.default_rng(1).standard_normal(size)
@@ -162,7 +162,7 @@ def against_full_memory(samples: int) -> None:
 
 
 def full_memory_errors() -> None:
-    """What the docs say of Grünwald-Letnikov on this link at 4 ms."""
+    """The errors of Grünwald-Letnikov on this link at 4 ms that the docs state."""
     generator = np.random.default_rng(0)
     inputs = {
         "step": np.ones(5000),

@@ -41,7 +41,7 @@ MOST_DECISIONS, MOST_SECONDS, FEWEST_SHAPES, MOST_ANSWERS = 7, 3.0, 20, 3
 
 @dataclass
 class Outcome:
-    """What became of one log."""
+    """The outcome of one log."""
 
     fitted: bool = False
     mended: bool = False
@@ -51,7 +51,7 @@ class Outcome:
 
 
 def compared(shape: Shape, found: fl.logs.Start) -> Iterator[str]:
-    """What `start` has taken wrongly."""
+    """What `start` got wrong."""
     log, true = found.experiment, motion()
     if abs(log.period / PERIOD - 1) > 1e-6:
         yield f"period {1e3 * log.period:.6g} ms"
@@ -125,7 +125,7 @@ def gone_on(said: str, answer: str, path: Path) -> list[str]:
 
 
 def pasted(said: str, answer: str, path: Path) -> None:
-    """Run the line for the shell that a refusal prints behind `answer`."""
+    """Run the shell command that a refusal prints after `answer`."""
     text = said[
         said.index(answer) + (0 if answer == "python" else len(answer)) :
     ].rstrip(".")
@@ -234,8 +234,8 @@ def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
 
 
 def compared_with(found: fl.logs.Start, known: fl.Experiment) -> Iterator[str]:
-    """Where `start` took a log otherwise than its rig; a gauge that is not calibrated
-    may have any factor.
+    """Where `start` read a log differently from its rig file; a gauge that is not
+    calibrated may have any factor.
     """
     log = found.experiment
     pairs = [
@@ -316,8 +316,9 @@ _ANSWERS = {
 
 
 def nothing_stated(data: Path) -> None:
-    """Every recorded file with nothing stated: fitted, or said why not, and the answers
-    that it took. Whether the reason is the true one is for a reader to judge.
+    """Every recorded file with nothing stated: fitted or refused with a reason, and the
+    number of answers needed. Whether the reason is the true one is for a reader to
+    judge.
     """
     ended, files = 0, [name for name in _ANSWERS if (data / name).exists()]
     for name in files:

@@ -15,8 +15,8 @@ examples have no such column. Seconds are processor time of one thread, so that 
 work on the machine does not count.
 
 `--samples N` is the length of the recordings, `--seeds S` draws S noises for every
-example, `--examples K` runs the first K of the ten, `--starts N` compares N noises of
-every example with what a fit that is begun at the truth ends at.
+example, `--examples K` runs the first K of the ten, `--starts N` compares, for N noises
+of every example, where a fit ends with where a fit begun at the truth ends.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def difference_fit(
         count += 1
         G = structure.function(dict(zip(names, (x * truth).tolist(), strict=True)))
         output = grunwald_letnikov(G, finer, record.period / split)
-        # A held input jumps after its sample, that of the scheme at the sample: the
+        # A held input jumps after its sample, the scheme's input at the sample: the
         # sample before the jump is compared.
         return np.asarray(output[split - 1 :: split][:-1] - record.output[1:])
 

@@ -1,7 +1,8 @@
 """The studio in Chromium: how soon a drag is seen, what it costs, sizes, start,
-memory. Pointer to painted is
-from the event's own time stamp to the frame behind its drawing, of moves that come
-every 16 ms.
+memory.
+
+Pointer to painted: from the event's own time stamp to the frame after its drawing, for
+moves every 16 ms.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ FRAMES = """new Promise((done) => {
   requestAnimationFrame(count);
 })"""
 # The times [ms] of each drag's request: sent, its answer arrived, its answer drawn. The
-# page sends its token first, with its own listener set: one that is added then comes
-# behind it, and behind all that it draws.
+# page sends its token first, when its own listener is set: a listener added then runs
+# after it, and after all that it draws.
 TIMES = """
 const RequestSocket = WebSocket;
 const times = window.times = [];
@@ -67,8 +68,8 @@ window.WebSocket = class extends RequestSocket {
   }
 };
 """
-# Bytes of each of the studio's own scripts as sent and unpacked; that of the arm is the
-# shared page's.
+# Bytes of each of the studio's own scripts as sent and unpacked; the arm's script
+# belongs to the shared page.
 SCRIPTS = """performance.getEntriesByType('resource')
   .filter(({name}) => name.endsWith('.js') && !name.endsWith('arm_box.js'))
   .map((script) => [script.encodedBodySize, script.decodedBodySize])"""
@@ -76,7 +77,7 @@ PHASES = ("until sent", "until answered", "until drawn", "until the frame")
 
 
 def previews(count: int) -> None:
-    """CPU of the Python of a drag, for each handle."""
+    """CPU time of Python for a drag of each handle."""
     rig = fl.Rig.named("paper-2023")
     made = fl.design(
         rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
@@ -128,7 +129,7 @@ def memory(process: int) -> float:
 
 
 def cpu(process: int) -> float:
-    """Seconds of processor that a process has had."""
+    """Processor seconds that a process has used."""
     fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / 100.0
 
@@ -164,7 +165,8 @@ def drags(page: Page, process: int, moves: int) -> None:
             wanted,
             note=f"server {cost:.1f} ms a redraw, load {load:.1f}",
         )
-        # one row of five times for each redraw: the event, and what TIMES says of it
+        # one row of five times for each redraw: the event, the three of TIMES, and the
+        # frame
         moments = [
             [begin, *times, begin + duration]
             for (begin, duration), times in zip(drawn, page.run("times"), strict=False)

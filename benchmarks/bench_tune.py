@@ -1,12 +1,11 @@
-"""`tune` on random arms, wrong wirings, and what `watch` sees: the figures of
-the issue's table.
+"""`tune` on random arms and wrong wirings, and what `watch` notices.
 
 Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a
 half to twice, gauge gain ±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2
-periods, link mass 0 to 65 g, gauge noise a half to one and a half times, and a damping
-ratio of its own for the first mode and for those beyond, 0.1 to 10 %, log-uniform. Seed
-of arm k: k. Everything runs in this process, each exchange of voltage and
-reading is one period of the arm, so that no clock is waited for.
+periods, link mass 0 to 65 g, gauge noise a half to one and a half times, and separate
+damping ratios of the first mode and of the higher ones, 0.1 to 10 %, log-uniform. Seed
+of arm k: k. Everything runs in this process, each exchange of voltage and reading is
+one period of the arm, so that no clock is waited for.
 """
 
 from __future__ import annotations
@@ -149,7 +148,7 @@ def plan_of(drawn: Drawn) -> fl.TuningPlan:
 
 
 def broken(record: np.ndarray, limits: fl.MotionLimits) -> list[str]:
-    """The limits that were left in any period, of the truth; the torque is that at the
+    """The limits that the true motion exceeded in any period; the torque is that at the
     link's root.
     """
     parts = {

@@ -47,8 +47,8 @@ RATIO = 0.0654  # damping ratio of the mode at λ = 1.92, used for all three mat
 
 
 def modes() -> None:
-    """Print the worst frequency of the grid that the issue asks for, and the check
-    value.
+    """Print the worst error of a frequency over a grid of links, and the frequencies of
+    the carbon rod.
     """
     worst = 0.0
     for payload in (0.0, 0.008, 0.020, 0.030, 0.040):

@@ -42,7 +42,7 @@ def sizes(doc: str | None, **both: tuple[int, int]) -> argparse.Namespace:
 def interleaved(
     calls: dict[str, Callable[[], object]], rounds: int
 ) -> dict[str, np.ndarray]:
-    """Processor seconds of this thread of every call, taken in turns: what else runs on
+    """Processor seconds of this thread for every call, taken in turns: other work on
     the machine does not count.
     """
     spent: dict[str, list[float]] = {name: [] for name in calls}

@@ -16,13 +16,13 @@ from identify_logs import smooth_pulse
 
 PERIOD = 0.004
 SAMPLES = 5001
-FINE = 5  # inner steps per sample: the motor is not linear between samples
+FINE = 5  # inner steps per sample: the angle is no straight line between samples
 COLOURS = (0.0, 0.9, 0.98)  # ρ of the noise's autoregression; 0 is white
 
 
 @dataclass(frozen=True)
 class RandomLog:
-    """A log with what made it."""
+    """A log with the truth that made it."""
 
     log: Experiment
     model: LinkModel
@@ -59,7 +59,7 @@ def motion(random: np.random.Generator, samples: int = SAMPLES) -> NDArray[np.fl
 
 
 def random_link(random: np.random.Generator, structure: str) -> LinkModel:
-    """A link of a structure that damps visibly: ζ from 2 to 11 %."""
+    """A visibly damped link of a structure: ζ from 2 to 11 %."""
     frequency = random.uniform(6.0, 22.0)
     if structure == "UD-FOM":
         order = random.uniform(1.86, 1.97)
@@ -99,9 +99,9 @@ def random_log(
 
 
 def cut_log(seed: int) -> RandomLog:
-    """The last 0.8 to 2 s of 16 to 40 s of moves: a lightly damped link still swings by
-    what was long before, and the log holds some four vibrations. Ratios from 0.3 to 5 %,
-    noise from 1 to 5 %.
+    """The last 0.8 to 2 s of 16 to 40 s of moves: a lightly damped link still swings
+    from motion long before, and the log holds some four vibrations. Ratios from 0.3 to
+    5 %, noise from 1 to 5 %.
     """
     random = np.random.default_rng([seed, 37])
     frequency, ratio = random.uniform(6.0, 22.0), 0.003 * 17.0 ** random.uniform()

@@ -67,17 +67,17 @@ class Shape:
     write
         writes it into a folder and returns its path.
     steps
-        what is to stand in each refusal, and the answer: a statement for `column`, an
-        option of `start` as ``period=0.004``, the words behind ``$ `` after which a
-        line for the shell stands, the command of fraclink that goes on, or "" where the
-        remedy is the laboratory's.
+        what each refusal must contain, and the answer: a statement for `column`, an
+        option of `start` such as ``period=0.004``, after ``$ `` the words that precede
+        a shell command, the fraclink command to continue with, or "" where only the
+        laboratory can help.
     kind, voltage, late, raw
         the output; whether the log has a voltage; whether its output is late; whether a
         factor of the output is unknown (a gauge that nobody has calibrated).
     any_radius
         whether a factor of the motor angle is free: a linear axis.
     of
-        which motion: "" or "long ", in which the motor turns by 12 rad besides.
+        which motion: "" or "long ", in which the motor also turns by 12 rad.
     times
         how many times as large the motion is.
     stated
@@ -127,7 +127,7 @@ def written(content: str | bytes, name: str = "log.csv") -> Callable[[Path], Pat
 
 
 def stamped(form: str) -> str:
-    """Rows with a clock's stamps for the time."""
+    """Rows with clock times as time stamps."""
     start = datetime.datetime(2026, 3, 31, 23, 59, 58)
     m, lines = motion(), ["stamp,enc_deg,torque_Nm"]
     for t, a, g in zip(m["t"], m["angle"], m["torque"], strict=True):
@@ -155,9 +155,7 @@ def labview() -> str:
 
 
 def quoted(text: str) -> str:
-    """Every number in quotes, with decimal commas, as a spreadsheet writes it in
-    German.
-    """
+    """Every number in quotes, with decimal commas, as a German spreadsheet writes it."""
     head, rest = text.split("\n", 1)
     rows = (
         '","'.join(line.replace(".", ";").split(",")).replace(";", ",")

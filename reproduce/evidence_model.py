@@ -107,7 +107,7 @@ def _ratios(published: Published) -> Evidence:
     worst = 100 * max(abs(value / asked - 1) for value, asked in at)
     return together(
         rows,
-        "ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g), printed for what (5) asks; the resonances of section 3.3 "
+        "the printed ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g), each against the value by (5); the resonances of section 3.3 "
         f"do follow (5), within {worst:.0f} % of its ratios",
     )
 

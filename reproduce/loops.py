@@ -1,5 +1,5 @@
-"""The loops of (60) for every reading: their last crossover at one payload and over the
-payload.
+"""The loops of (60) for every reading: their last crossover at one payload and over a
+range of payloads.
 """
 
 from __future__ import annotations

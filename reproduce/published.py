@@ -24,7 +24,7 @@ __all__ = [
     "read_published",
 ]
 
-VERDICTS = {  # and what a count of them says
+VERDICTS = {  # and the words after the count of each
     "input": "are inputs, used as they stand",
     "reproduced": "are reproduced",
     "corrected": "is corrected",
@@ -132,7 +132,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError as error:
-        remedy = "run in the repository, or give --published"
+        remedy = "run in the repository"
         raise FileFormatError(
             path.name,
             str(path.parent),

@@ -108,8 +108,8 @@ def _numbers(published: Published, values: Mapping[str, float]) -> str:
         f"## Numbers\n\nOf {len(published.numbers)} printed numbers {told}.\n\n"
         "`digits`: −log₁₀ of the relative difference. Tables 2 and 3 as the paper fits them: c held at "
         "1.56 N·m, no delay; in Table 3 λ, or α and μ, common to the three payloads (each log weighted by "
-        "its own noise, where the paper adds the three MSE). Only an offset of the gauge is fitted beside "
-        "them, as the twin has one.\n\n" + _table(header, rows)
+        "its own noise, where the paper adds the three MSE). Only an offset of the gauge is fitted "
+        "in addition, since the twin has one.\n\n" + _table(header, rows)
     )
 
 
@@ -146,7 +146,7 @@ def _two_readings(published: Published, values: Mapping[str, float]) -> str:
         + f"\nWith gain and delay fitted, UD-IOM comes within {near:.0f} % of the print; but that fit gives "
         "up on the torque, with an eighth of the stiffness, and the paper says that c was held and counts no "
         "such parameter in its AIC. So the agreement may be chance, and is no confirmation. The other three "
-        "leave the twin's gauge noise, which was chosen and not measured.\n"
+        "leave only the twin's gauge noise, which was chosen and not measured.\n"
     )
 
 
@@ -249,7 +249,7 @@ def _equations(published: Published) -> str:
     text = (
         "Print and code of every equation are evaluated at random points and compared with an expression "
         "that shares no algebra with them (a linear system, a numerical derivative, a bisection). `off`: the "
-        f"largest relative difference of the print, none below {TOLERANCE:g}; that of the code is none in "
+        f"largest relative difference of the print, none if below {TOLERANCE:g}; for the code it is none in "
         "every row.\n"
     )
     return f"## Equations\n\n{text}\n" + _table(

@@ -1,5 +1,5 @@
-"""Logs as a servo-driven rig of the paper would record them: the twin's link behind a
-hub that follows M(s) of equation (21), whatever torque the link exerts on it.
+"""Logs as a servo-driven rig of the paper would record them: the twin's link on a hub
+that follows M(s) of equation (21), whatever torque the link exerts on it.
 
 The bundled logs (tools/make_logs.py) and the reproduction's own are made here. The twin
 of fraclink has a motor instead, and its runs hold the readings of its sensors.

@@ -44,8 +44,8 @@ sys.exit(outcome.failed > 0 or outcome.attempted < 10)
 
 
 def core_tests() -> list[str]:
-    """The files of tests that name no package around the core, nor take a helper that
-    does; nor look at the whole repository.
+    """The test files that neither name a package around the core, nor use a helper that
+    does, nor look at the whole repository.
     """
     tests = ROOT / "tests"
     helpers = [path for path in tests.glob("*.py") if not path.stem.startswith("test_")]

@@ -2,7 +2,7 @@
 
 docs/_static/arm.svg: the bundled arm with 30 g moves by 60° and back, on the twin with
 a link of 7.35 g: on the left under its motor's own PID, on the right under the law that
-is shipped; before the way back both lose their strain gauge. Every tip and every motor
+is shipped; before the move back both lose their strain gauge. Every tip and every motor
 is a sample of such a run; the bow between them is drawn twice as deep. A viewer
 interpolates between samples 40 ms apart. A single file without a script, for light and
 dark pages; with the system setting for reduced motion it is static.
@@ -84,7 +84,7 @@ def bent(motor: float, tip: float) -> str:
 
 
 def animated(attribute: str, values: Iterable[str], *, discrete: bool = False) -> str:
-    """One attribute over the run, again and again."""
+    """One attribute over the run, repeated endlessly."""
     mode = ' calcMode="discrete"' if discrete else ""
     return (
         f'<animate attributeName="{attribute}" dur="{END:g}s" repeatCount="indefinite"{mode} '
@@ -130,8 +130,8 @@ def arm(run: fl.Run, rows: list[int], tag: Callable[[str, list[str]], str]) -> s
 
 
 def fate(run: fl.Run) -> str:
-    """What became of the way there, in a word; a swing that passes the goal just as the
-    way back begins is no rest.
+    """The outcome of the move there, in a few words; a swing that passes the goal just
+    as the move back begins is not rest.
     """
     error = np.abs(run.tip_angle[: run.time.size // 2] - MOVE)
     swing = error[error.size // 2 :].max()

@@ -27,7 +27,7 @@ HEAD = (
 
 
 def standings(design: fl.Design, payloads: tuple[float, ...]) -> dict[str, Standing]:
-    """Fraclink and its rivals, the worst of these payloads [kg] looked for."""
+    """Fraclink and its rivals, each judged at the worst of these payloads [kg]."""
     move = fl.smooth_step(math.radians(60.0), 0.5)
     result = compare(design, payloads=payloads, reference=move, names=list(RIVALS))
     return {standing.name: standing for standing in result.standings}

@@ -253,7 +253,7 @@ def page() -> str:
         "*Written by `tools/make_error_page.py` from the source; a test compares.*",
         "",
         "Everything that fraclink raises on purpose is a `fraclink.errors.FraclinkError`. The base of each",
-        "class stands in brackets, so that `except ValueError` works as well. On the command line the",
+        "class is given in brackets; `except ValueError` works as well. On the command line the",
         "message is one line and the class decides the exit code; with `--json` its parts are the fields",
         "of `error`.",
         "",

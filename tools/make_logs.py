@@ -4,10 +4,10 @@
 
 The rig is the paper's: c = 1.56 N·m/rad measured, L = 0.65 m, so EI = c L/3; a carbon
 rod of 7.35 g (3 mm diameter, 1600 kg/m³), power-law damping with λ = 1.92, the hub
-behind the motor servo M(s) with p = 80 rad/s, 20 s at 4 ms. Typical imperfections of a
-laboratory are included: 1 % of the signal's power as gauge noise, an offset, the steps
-of a 12-bit converter over ±2.5 N·m, an encoder of 20 000 counts, and 2 ms in the strain
-amplifier.
+driven by the motor servo M(s) with p = 80 rad/s, 20 s at 4 ms. Typical imperfections of
+a laboratory are included: 1.2 % of the signal's power as gauge noise, an offset, the
+steps of a 12-bit converter over ±2.5 N·m, an encoder of 20 000 counts, and 2 ms in the
+strain amplifier.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ NOISE_SHARE = 0.012
 def prbs(
     seed: int, *, amplitude: float = 0.1, hold: int = 60, rest: int = 125
 ) -> NDArray[np.float64]:
-    """Maximum-length sequence of seven bits, each held 0.24 s (half a period), after
-    0.5 s of rest.
+    """Maximum-length sequence of a seven-bit register, each bit held 0.24 s (half a
+    vibration), after 0.5 s of rest.
     """
     register = seed
     values = np.zeros(SAMPLES)

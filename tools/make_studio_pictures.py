@@ -25,7 +25,7 @@ STATIC = ROOT / "docs" / "_static"
 
 
 def spoilt(place: Path) -> Path:
-    """A log with two readings far outside of the others."""
+    """A log with two readings far outside the range of the others."""
     lines = fl.bundled_log("prbs_30g").read_text("utf-8").splitlines()
     first = next(k for k, line in enumerate(lines) if line[:1].isdigit())
     for row in (first + 4100, first + 4101):

@@ -9,14 +9,14 @@ tests that touch it.
 
 Without arguments: all three. A mutant is drawn by room (fracsys, the packages of
 src/fraclink, the modules beside them, and prove), at least `FEWEST` from each and the
-rest by the number of places; then by operator, each as likely; then by place. It is
-killed when a test fails that passes alone without it, or when the tests need far more
-than their time. A change inside a function replaces the function's code in a process that has
-collected all the tests; a change of what runs at import is made in a process that has
-not imported fraclink. The sources on the disk are never touched, and child processes of
-a test run the mutant too. Left out: csrc (tests/law_mutants.py mutates law.c), tests
-that read the sources rather than run them, and tests of more than `LONGEST` seconds.
-All times are processor times.
+rest by the number of places; then by operator, each equally likely; then by place. It
+is killed when a test fails that passes alone without it, or when the tests need far
+more than their time. A change inside a function replaces the function's code in a
+process that has collected all the tests; a change of what runs at import is made in a
+process that has not imported fraclink. The sources on the disk are never touched, and
+child processes of a test run the mutant too. Left out: csrc (tests/law_mutants.py
+mutates law.c), tests that read the sources rather than run them, and tests of more than
+`LONGEST` seconds. All times are processor times.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def chosen(path: Path, only: str) -> bool:
 
 
 def digest() -> str:
-    """Of what the sources say to the interpreter: a comment changes no block."""
+    """Digest of the sources as the interpreter sees them: comments do not count."""
     trees = (ast.dump(ast.parse(path.read_bytes())) for path in files())
     return hashlib.sha256("".join(trees).encode()).hexdigest()[:16]
 
@@ -132,7 +132,7 @@ class Recorder:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[list[Any]]:
-        """Hits and time of what runs inside, apart from those of what is around."""
+        """Hits and time of what runs inside, without those of the code around it."""
         before, begin, result = self.hits.copy(), processor_time(), []
         self.hits[:] = 0
         try:
@@ -142,8 +142,8 @@ class Recorder:
             self.hits |= before
 
     def cache(self, maxsize: Any = 128, typed: bool = False) -> Any:
-        """`functools.lru_cache` for this repository's functions: who is served from it
-        has run it, too.
+        """`functools.lru_cache` for this repository's functions: a test served from the
+        cache counts as having run the function.
         """
         if callable(maxsize):
             return self.cache(None)(maxsize)
@@ -255,8 +255,8 @@ def chosen_files(only: list[str]) -> list[str]:
 
 
 def record(only: list[str], *, marks: str) -> None:
-    """Run the tests once with noted blocks; with names of files, replace those in what
-    is recorded.
+    """Run the tests once and note their blocks; with names of files, only those,
+    replacing what was recorded of them.
     """
     codes, firsts, count = {}, {}, 0
     for path in files():
@@ -349,7 +349,7 @@ def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
 
 
 def mentions() -> dict[str, set[int]]:
-    """The blocks in which a name is read, for what is changed at import."""
+    """The blocks in which each name is read, for changes at import."""
     found: dict[str, set[int]] = collections.defaultdict(set)
     first = 0
     for path in files():
@@ -555,7 +555,9 @@ CACHED = type(ORIGINAL_CACHE(maxsize=1)(len))
 
 
 def replace_code(path: str, code: types.CodeType) -> None:
-    """Give every function of the file that exists the code of the same name and line."""
+    """Give every existing function of the file the new code of the same name and
+    line.
+    """
     new: dict[tuple[str, int], types.CodeType] = {}
 
     def gather(block: types.CodeType) -> None:
@@ -574,7 +576,7 @@ def replace_code(path: str, code: types.CodeType) -> None:
 
 
 def silence() -> None:
-    """Send what pytest prints nowhere; the mutants' fates go to a file."""
+    """Discard what pytest prints; the mutants' fates go to a file."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 

@@ -4,11 +4,11 @@
     python tools/mutants_c.py report --seed 1
 
 Without a step: both. A mutant is drawn as those of Python are (tools/mutants.py): by
-file, by the number of its places; then by operator, each as likely; then by place. It is
-compiled in a copy of the checkout, and killed when a test of the files named in `TESTS`
-fails there. What does not compile is no mutant and another is drawn.
-Headers, the board's sketch, the bindings and the page's engine are left out: what the
-page computes is compared with these files to the bit.
+file, by the number of its places; then by operator, each equally likely; then by place.
+It is compiled in a copy of the checkout, and killed when a test of the files named in
+`TESTS` fails there. What does not compile is no mutant and another is drawn. Headers,
+the board's sketch, the bindings and the page's engine are left out: what the page
+computes is compared with these files to the bit.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Site:
     kind: str
     start: int
     stop: int
-    text: str  # what takes the place of what stands between them
+    text: str  # replaces the text between them
 
 
 def code_alone(text: str) -> str:

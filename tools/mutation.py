@@ -129,7 +129,7 @@ def _with_notes(body: list[ast.stmt]) -> list[ast.stmt]:
 
 
 def _text(node: ast.expr) -> bool:
-    """Whether an expression is words as they stand."""
+    """Whether an expression is text, literal or formatted."""
     words = isinstance(node, ast.Constant) and isinstance(node.value, str)
     return words or isinstance(node, ast.JoinedStr)
 
@@ -212,7 +212,7 @@ class Finder(ast.NodeVisitor):
         if isinstance(statement, ast.Expr):
             return isinstance(statement.value, (ast.Call, ast.Await))
         if isinstance(statement, ast.Raise) and statement.exc is not None:
-            # as `assert`, it states what cannot be
+            # like `assert`, it states what cannot happen
             return "AssertionError" not in ast.unparse(statement.exc)
         return isinstance(
             statement, (ast.Raise, ast.AugAssign, ast.Continue, ast.Break)

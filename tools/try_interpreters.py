@@ -125,7 +125,7 @@ class Attempt:
         self.run(self.python, "-m", "pytest", *OPTIONS, *core_tests())
 
     def report(self) -> bool:
-        """Print what became of it, with the end of its log where it failed."""
+        """Print the outcome, with the end of the log after a failure."""
         began = time.monotonic()
         shutil.rmtree(self.home, ignore_errors=True)
         self.log.unlink(missing_ok=True)

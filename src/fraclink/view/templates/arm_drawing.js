@@ -171,7 +171,7 @@ function drawPlot(plot, [low, high], curves) {
 
 function drawPlots() {
   const a = degrees(amplitude()), room = Math.max(8, 0.45 * Math.abs(a)), inDegrees = (values) => values && Array.from(values, degrees);
-  // the same in both directions: as far as the values reach, but at least and at most so far
+  // the same in both directions: as far as the values reach, within the given limits
   const both = (values, least, most) => {
     const reach = Math.min(roundUp(1.05 * values.reduce((x, y) => Math.max(x, Math.abs(y)), least)), most);
     return [-reach, reach];
