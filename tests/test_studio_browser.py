@@ -192,6 +192,12 @@ def test_what_was_drawn_of_another_model_says_so(page, tmp_path):
     with studio(tmp_path) as (address, _process):
         page.open(address)
         settled(page)
+        page.key("6")
+        page.click("#prove")
+        page.until(
+            "document.querySelector('#p-swept .proved')?.getAttribute('d')",
+            "the box that was proved, in the map",
+        )
         page.key("7")
         page.click("[data-target=c]")
         page.until(lambda: step("board") == "passed", "the files of the first design")

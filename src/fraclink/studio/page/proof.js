@@ -118,6 +118,6 @@ export class Proof {
     this.app.write('export', {target, precision: precision()}, ({written, export_command}) => {
       say('board-said', export_command);
       this.app.toast(`Wrote ${Object.keys(written).length} files`);
-    });
+    }, (error) => say('board-said', error));
   }
 }

@@ -198,16 +198,16 @@ export const app = {
   },
   keep: () => app.write('keep', {}, ({kept, folder}) => app.toast(`Kept ${kept.length} files in ${folder}`)),
   /** Write files; ask before others are replaced. */
-  async write(verb, given, written, force = false) {
+  async write(verb, given, written, failed = app.toast, force = false) {
     const answer = await app.ask(verb, {...given, force});
     if (answer.ok) {
       app.took(answer);
       written(answer);
-    } else if (force || !(answer.field === 'folder' || /already|exists|overwrit/i.test(answer.error))) app.toast(answer.error);
+    } else if (force || !(answer.field === 'folder' || /already|exists|overwrit/i.test(answer.error))) failed(answer.error);
     else {
       const dialog = $('replace');
       say('replace-said', answer.error);
-      dialog.onclose = () => { if (dialog.returnValue === 'yes') app.write(verb, given, written, true); };
+      dialog.onclose = () => { if (dialog.returnValue === 'yes') app.write(verb, given, written, failed, true); };
       dialog.returnValue = '';
       dialog.showModal();
     }
