@@ -105,8 +105,8 @@ class BoxLoop:
         return {name: Span(low[:, i], high[:, i]) for i, name in enumerate(AXES)}
 
     def possible(self, low: Real, high: Real) -> tuple[Real, Real, Mask]:
-        """(lower ends, upper ends, whether anything is left) of boxes without detunings
-        that put the second mode outside its interval.
+        """(lower ends, upper ends, whether anything is left) of boxes from which the
+        detunings that put the second mode outside its interval are cut.
         """
         low, high = low.copy(), high.copy()
         first, last = self.second
@@ -175,7 +175,7 @@ class BoxLoop:
         return [rest * lag for rest in rests], back * wide, alias
 
     def _window(self, frequency: Span, shifts: Shifts = _MAIN) -> FrequencyWindow:
-        """The factor that depends on frequency only."""
+        """The functions of the frequency alone."""
         w = self._variable("frequency", frequency)
         z, x = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp()
         y = 1 - x
@@ -270,8 +270,8 @@ class BoxLoop:
                 for angle, scale in zip(angles, scales, strict=True)
             ]
 
-        # Each is about half a square, which the difference shows only through its
-        # slope.
+        # Each is about half a square: its slope encloses it more tightly than its
+        # terms.
         steps = {"delay": late.r}
         n0, n2 = (
             wide.closer(point, steps)

@@ -114,7 +114,7 @@ def motor_loop(
 
     first = c["inner_direct"] + pair("integral") / (1.0 - x) + slow * pair("filter")
     both = first + c["inner_angle"] + slow * pair("filter_angle")
-    # The motor A/(s(s + a)) with a hold and the given delay, at the sampling instants:
+    # The motor A/(s(s + B)) with a hold and the given delay, at the sampling instants:
     # one partial fraction each for the integrator and the pole; `rest` is what remains
     # of the period after the delayed edge.
     rest = (1 + statement.whole) * period - np.asarray(delay)

@@ -129,7 +129,7 @@ def _largest_claim(
     claim: Statement, distance: float, place: dict[str, float]
 ) -> Certificate:
     """Prove the largest claim of three digits that leaves the gap `_ROOM`, or a smaller
-    claim if that one is refuted.
+    one if that fails.
     """
     loop, step = BoxLoop(claim), _ROOM
     # This ends, since each refutation lowers the distance and each other failure
@@ -146,8 +146,8 @@ def _largest_claim(
         outcome = prove(BoxLoop(claim), most=_MOST if last else _USUAL)
         if isinstance(outcome, str):
             break
-        # If the claim is refuted, the next one is the distance at that place. Otherwise
-        # some bounds are too wide by an unknown amount: the step is doubled.
+        # If the claim is refuted, the next one follows from the distance at that place.
+        # Otherwise some bounds are too wide by an unknown amount: the step is doubled.
         if outcome.refuted:
             distance, place = outcome.distance, outcome.place
         elif last:

@@ -18,7 +18,7 @@ COPIED_LEAST = 0.98
 # Share of the samples at the limits of the amplifier: 6 % change the identified gain by
 # 0.6 %, 13 % by 8 %.
 STOPPED_MOST = 0.1
-# Share of the samples at an extreme from which on it counts as a limit: half a per cent
+# Share of the samples at an extreme above which it counts as a limit: half a per cent
 # of them changes the gain by 0.05 %.
 _HELD = 0.005
 # Ratio of the number of samples at the extreme value to that at the adjacent level; at
@@ -139,7 +139,7 @@ def _is_ramp(values: Real) -> bool:
     restarts.
     """
     steps = np.diff(values)
-    # A hundred of them: the usual step of a ramp is the usual one anywhere in it.
+    # A hundred of them suffice: the usual step of a ramp is the same everywhere.
     some = np.sort(steps[:: steps.size // 100 + 1])
     usual = float(some[some.size // 2])
     # Measured steps differ by counts of the encoder and by noise: only computed ones

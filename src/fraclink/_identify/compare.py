@@ -142,8 +142,8 @@ def identify(
         share of the samples at the end that the fit does not see [1]. Without it, the
         last 40 %, or more where these contain no motion: an arm at rest tests no model.
     stiffness
-        c where it is known [N·m/rad]: a torque log's gain is fixed to it; a deflection
-        log, which cannot show it, gets it as the model's stiffness.
+        c where it is known [N·m/rad]: the gain of a torque log is fixed to it; for a
+        deflection log, which cannot show it, it becomes the model's stiffness.
     fixed
         values of "gain", "offset", "delay" [s], "order", "damping_order" that are not
         to be fitted.
@@ -200,8 +200,8 @@ def identify(
         log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold
     )
     if len(names) < len(STRUCTURES):
-        # With one structure, or two that have the fixed value, the pair of criteria,
-        # which needs the whole table, does not apply.
+        # With one structure, or two that have the fixed parameter, the pair of
+        # criteria, which needs the whole table, does not apply.
         fits = [
             fit_from(search, name, log, stiffness=stiffness, details=details)
             for name in names
@@ -310,7 +310,7 @@ class Choice:
 
     def gap(self, name: str) -> float:
         """The amount by which both criteria of a structure lie above those of the one
-        to use, or below; 0 if the criteria disagree.
+        to use (negative: below); 0 if the criteria disagree.
         """
         # If the two criteria disagree, the log has not decided; otherwise the gap is
         # the smaller of the two.
@@ -323,8 +323,8 @@ def _near(criteria: Criteria) -> list[str]:
     the best.
     """
     lowest = [min(column) for column in zip(*criteria.values(), strict=True)]
-    # A superfluous parameter costs 2, and lowers 2 ln(likelihood) by the square of a
-    # normal deviate: by chance alone the AIC falls by as much in one log of a thousand.
+    # A superfluous parameter adds 2 to the AIC and takes off the square of a normal
+    # deviate: by chance alone it lowers the AIC by this much in one log of a thousand.
     decisive = CERTAIN**2 - 2.0
     return [
         name

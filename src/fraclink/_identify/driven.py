@@ -195,8 +195,7 @@ def identify_driven_link(
         lines to fit, from and until [rad/s]; default: all lines or, if that fit fails,
         the widest band, shortened by octaves at either end, in which it passes (W349).
     weighting
-        of the errors: "relative" to each line, by "coherence" (the default where there
-        is one), or "absolute".
+        of the errors, as in `identify_structure`.
     details
         False: intervals from the standard errors alone.
 

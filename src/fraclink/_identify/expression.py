@@ -215,9 +215,9 @@ def parse_expression(text: str) -> Expression:
             "write the transfer function, such as k/(T*s**a + 1)",
         )
     expression = Expression(text, _roles(tree), tree)
-    # At values of which no two are equal and no sum is zero: a piece without a value
-    # there belongs to no transfer function. The power of an array is its principal
-    # value, which differs from s^(ab) for (s^a)^b with an order a above 2.
+    # Compared at values of which no two are equal and no sum is zero: a piece without a
+    # value there belongs to no transfer function. The power of an array is its
+    # principal value, which differs from s^(ab) for (s^a)^b with an order a above 2.
     first = {"order": 2.1, "delay": 0.1, "coefficient": 0.1}
     values = {
         name: first[role] + 0.0137 * k

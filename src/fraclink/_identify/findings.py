@@ -57,9 +57,9 @@ def findings_of(
     `sure` are the resonance's relative standard error and whether the log leaves
     parameters undetermined, `motion` the held-out shares of motion and vibration.
     """
-    # The signal that pure noise reaches with the chance LEVEL: gain and phase at one
-    # frequency gain χ² of two degrees, which exceeds x with the chance e^(−x/2), and a
-    # fit chooses the best of the n/2 frequencies of a log.
+    # The signal that pure noise reaches with the chance LEVEL: fitting gain and phase
+    # at one frequency adds χ² of two degrees, which exceeds x with the chance e^(−x/2),
+    # and a fit chooses the best of the n/2 frequencies of a log.
     signal, least = _signal_of(fit), 2 * math.log(fit.fitted_samples / 2 / LEVEL)
     # Sign and delay of noise mean nothing.
     audible = signal >= least

@@ -112,7 +112,7 @@ class Fit(Judged, Saved):
     intervals
         95 % profile-likelihood intervals of the link's parameters and the delay.
     at_bound
-        parameters that ended on a limit of their range; they have no error.
+        parameters that ended on a limit of their range; they have no standard error.
     effective_parameters
         effective number of fitted parameters (nuisances included) under the residual's
         colour, Takeuchi's tr(H⁻¹J); their actual number where the residual is white.
@@ -258,13 +258,13 @@ class Fit(Judged, Saved):
         Parameters
         ----------
         logs
-            one or more, each from rest. Where log and fit state their payloads, ω₀ is
-            moved to that of the log by eq. (5).
+            one or more, each from rest. If log and fit state their payloads, ω₀ is
+            converted to the log's payload by eq. (5).
 
         Raises
         ------
         FieldError
-            no log, or one of another output.
+            no log, or one of the other output kind.
 
         Examples
         --------

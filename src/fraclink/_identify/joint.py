@@ -43,9 +43,9 @@ _LIMITS = {
 def weight_of(search: Search, solution: Solution) -> float:
     """1/(σ² k): a coloured residual counts as k times fewer samples.
 
-    A log determines a link by its resonance: the scores of the parameters are of that
-    frequency, and k is the noise there relative to its mean over all frequencies. A fit
-    closer than 16 bits resolve is given the white noise of their rounding.
+    A log determines a link by its resonance: the scores of the parameters have that
+    frequency, and k is the noise there relative to its mean over all frequencies. For a
+    fit closer than 16 bits resolve, the noise is their rounding, which is white.
     """
     raw = columns_of(search.kernel, solution.shape)[0]
     residual = search.window.output - solution.gain * raw - solution.offset

@@ -87,8 +87,8 @@ class LinkProblem(Problem):
         """
         stuck = set(solution.at_bound) if inside else set()
         turned = {2, 3} <= set(solution.free) - stuck
-        # α itself if it is inside: with a coloured residual the covariance is widened
-        # per coordinate (see `_sandwich` of uncertainty.py).
+        # Off the edge the coordinate is α itself: with a coloured residual the
+        # covariance is widened per coordinate (see `_sandwich` of uncertainty.py).
         turned = turned and (not inside or solution.on_edge)
         if inside and turned:
             stuck.add(3)

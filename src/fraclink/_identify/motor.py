@@ -53,8 +53,8 @@ class MotorFit(Judged):
     inertia
         J [kg·m²], given or identified from the torque, else None.
     standard_errors
-        of gain, decay, coulomb_voltage (and inertia, spring), autocorrelation allowed
-        for.
+        of gain, decay, coulomb_voltage (and inertia, spring); they allow for
+        autocorrelation.
     nmse
         unexplained share of the accelerations' mean square [1].
     windows
@@ -147,8 +147,8 @@ def identify_motor(
     torque
         base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, if
         known, gives J itself, in the torque's units. With a gauge that reads curvature,
-        on a link of order λ, J is too small by ω^(2−λ) at the vibration, the factor by
-        which the moment on the hub exceeds the reading.
+        on a link of order λ, J is too small by the factor ω^(2−λ) at the vibration's
+        frequency ω: the moment on the hub exceeds the reading by it.
     inertia
         J where it is known and no torque was recorded, for the Coulomb torque [kg·m²].
     delay, dead_zone
@@ -397,8 +397,8 @@ def _result(
     bumps: _Bumps, u: Real, delay: float, zone: float, inertia: float | None
 ) -> MotorFit:
     matrix, values, error = bumps.solved(u, delay, zone)
-    # A motor without friction in its log makes a column small, not wrong; with the
-    # pseudo-inverse this shows in its standard error.
+    # If the log hardly excites a column, such as the link's torque, its standard error
+    # shows it. The pseudo-inverse exists for a column of zeros, too.
     inverse = np.linalg.pinv(matrix.T @ matrix)
     # the bumps overlap eightfold
     meat = long_run_covariance((matrix * error[:, None]).T, min(16, error.size // 4))

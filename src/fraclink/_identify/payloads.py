@@ -175,7 +175,7 @@ def identify_payloads(
     Raises
     ------
     LogError
-        fewer than two logs, a missing or repeated payload where tied.
+        fewer than two logs; where tied, a missing payload or the same one in all logs.
     FieldError
         unknown names.
 

@@ -168,7 +168,7 @@ def descend(
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
         at = problem.quadratic(trial)
         better = at.cost < costs[own]
-        # At its end a descent continues as long as that costs one candidate per step.
+        # At its end a descent continues while each step succeeds at its first trial.
         moving[own] = np.where(
             # So much damping makes a step negligible.
             better,
@@ -198,7 +198,8 @@ def descend_within_samples(
     low, high = (np.tile(x, (whole.size, 1)) for x in problem.box)
     low[:, k] = np.maximum((whole - 1 + 1e-6) * period, low[:, k])
     high[:, k] = np.minimum(whole * period, high[:, k])
-    # A fixed zero delay leaves a single value, while the others are fitted.
+    # At a delay of zero the interval is that single value, and only the others are
+    # fitted.
     inside = low[:, k] <= high[:, k]
     # From the sample itself, where the cost is smooth from below.
     rows = np.where(np.arange(place.size) == k, high, place)
@@ -215,7 +216,7 @@ def _damped_steps(
     quadratic model given its step: cut off alone, it would lead them out of the valley.
     """
     held = (low >= 0) & (slope < 0) | (high <= 0) & (slope > 0)
-    # What overflowed says nothing about the others.
+    # An overflow says nothing about the other entries.
     normal = np.where(np.isfinite(normal), normal, 0.0)
     step, gain = _free_steps(normal, slope, damping, held)
     while (beyond := ~held & ((step < low) | (step > high))).any():

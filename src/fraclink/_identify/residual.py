@@ -275,9 +275,9 @@ def _input_statistic(residual: Real, motion: Real, lags: int) -> float:
 
 # --- the second mode ----------------------------------------------------------------------------------------
 
-# Geometric mean of both modes, in units of the first: that of a clamped beam has its
-# second mode at 6.27, and a mass at its tip moves it farther away. A mode found below it
-# is nearer to the first, as a misfit of that one is.
+# Geometric mean of both modes, in units of the first: the second mode of a clamped beam
+# is at 6.27, and a mass at its tip moves it farther away. A mode found below this mean
+# is nearer to the first, as a misfit of the first is.
 _LOWEST = 2.5
 # fraction of the Nyquist frequency: beyond it the input between the samples is not
 # known well enough

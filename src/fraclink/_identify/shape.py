@@ -45,10 +45,10 @@ ORDER_LIMITS = (1.01, 2.0)
 # small that a fractional link with λ = 2 − α is included up to λ = 1.9999.
 ALPHA_LIMITS = (1e-4, 1.9)
 
-# Samples before a cut that move the link, or three lengths of the log if that is more.
-# The limit is one of cost, since physics gives none that is short enough: for a link of
-# ζ = 0.02 cut to its last 2 s of 32 s, the delay is 15 ms off with a history of three
-# lengths.
+# Samples before a cut that are simulated, or three lengths of the log if that is more.
+# The limit bounds the cost, since physics gives none that is short enough: for a link
+# of ζ = 0.02 cut to its last 2 s of 32 s, the delay is 15 ms off with a history of
+# three lengths.
 HISTORY = 200_000
 
 LEAST_SAMPLES = 50  # of a fit
@@ -240,7 +240,7 @@ class Window:
 
     @property
     def frequency_limits(self) -> tuple[float, float]:
-        """Resonances [rad/s] that the log can show: at least 1.5 periods within it or
+        """Resonances [rad/s] that the log can show: at least 1.5 periods within it and
         the motion known before it, and six samples per period.
         """
         # Motion from before a cut continues after it, and shows slower resonances.
@@ -285,12 +285,13 @@ class Window:
         self, resonance: float, *, longest_delay: float, digits: float = DIGITS
     ) -> FitProblem:
         """The kernel with a grid of rates for resonances from `resonance` [rad/s]
-        upwards, whose sum gives the response to so many `digits`.
+        upwards, whose sum gives the response to this many `digits`.
         """
         exponent = digits * math.log(10)
         # The error of the trapezoidal rule in ln(rate) is exp(−π²/step), and a rate of
-        # exponent/Ts decays within a sample. Below the resonance a rate r weighs (r/Ω)^λ:
-        # λ = 1.5 has ζ = 0.5, and hardly vibrates.
+        # exponent/Ts decays within a sample. Below the resonance a rate r has the
+        # weight (r/Ω)^λ; λ = 1.5 is low enough: with its ζ = 0.5, a link hardly
+        # vibrates.
         step = math.pi**2 / exponent
         start = math.log(resonance) - exponent / 1.5
         modes = math.ceil((math.log(exponent / self.period) - start) / step)

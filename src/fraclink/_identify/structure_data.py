@@ -83,7 +83,7 @@ class Signals(Window):
         of the `whole` input, which may begin before the recording.
         """
         earlier = whole.size - record.input.size
-        # Not the beginning of a longer history: the input would jump from that value to
+        # Not the first value of a longer history, from which the input would jump to
         # the first one here, as no motor does. The output then differs at most by a
         # constant, which `offset` contains.
         rest = float(whole[0]) if earlier else record.input_at_rest
@@ -108,7 +108,7 @@ class Signals(Window):
         return np.ones(self.measured.size)
 
     def response(self, structure: Expression, values: Mapping[str, Any]) -> Real:
-        """See `Lines`: each the exact one to the held input."""
+        """See `Lines`; each is the exact response to the held input."""
         names, columns = [*values], np.broadcast_arrays(*values.values())
         rows = []
         for row in np.concatenate(columns, axis=1).tolist():
@@ -139,9 +139,8 @@ class Signals(Window):
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """A recording in blocks of `width` samples, such that sums over block means are
-    sums over samples, with the response of a candidate by the inverse transform from
-    the line Re s = σ.
+    """A recording as sums over blocks of `width` samples, with the response of a
+    candidate by the inverse transform from the line Re s = σ.
     """
 
     data: Signals

@@ -15,9 +15,9 @@ from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_search import Place
 from fraclink.findings import Finding, worst_first
 
-# Shares of the squared output: 0.1 % in amplitude, the class of good force transducers;
-# and the largest share of noise in a residual that is otherwise smooth, as from a
-# simulation: no sensor is that quiet.
+# Share of the squared output below which the residual may be smooth: 0.1 % in
+# amplitude, the class of good force transducers. Share of noise in the residual's
+# standard deviation below which it counts as smooth: no sensor is that quiet.
 _RESOLUTION, _SMOOTH = 1e-6, 0.01
 
 
@@ -109,7 +109,7 @@ def _of_the_residual(fit: StructureFit, data: Signals | Lines) -> Iterator[Findi
         return
     residual = fit.measured - fit.predicted
     if isinstance(data, Lines):
-        # A missed resonance shifts neighbouring lines in the same way; of noise they have
+        # A missed resonance shifts neighbouring lines in the same way; their noise has
         # nothing in common.
         errors = residual[: fit.fitted] + 1j * residual[fit.fitted :]
         alike = float(

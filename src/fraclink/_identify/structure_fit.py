@@ -113,7 +113,8 @@ class StructureFit(Judged, Saved):
     sha256: str = ""
 
     __made_by__ = "fraclink.identify_structure(data, expression)"
-    # Label and unit of parameters for which they differ from the name and none.
+    # Label and unit of the parameters that have a unit or a label other than their
+    # name.
     _labels: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     def known(self, name: str) -> str | tuple[float, float]:

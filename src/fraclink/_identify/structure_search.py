@@ -154,8 +154,8 @@ def _distinct(problem: StructureProblem, found: Descent) -> NDArray[np.int_]:
     """Indices of the ends of descents, best first, without repetitions."""
     order = np.argsort(found.costs)[: np.count_nonzero(np.isfinite(found.costs))]
     costs = found.costs[order]
-    # Within the precision of a descent, costs belong to the same function, found twice
-    # or with its parameters exchanged.
+    # Costs that agree within the precision of a descent belong to the same function,
+    # found twice or with its parameters exchanged.
     return order[np.diff(costs, prepend=-math.inf) > problem.precision * costs]
 
 

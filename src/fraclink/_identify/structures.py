@@ -33,8 +33,8 @@ from fracsys.checks import Between, Real, checked, checked_choice
 Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
 Bounds = Mapping[str, tuple[float, float]]
 
-# Wider than any use, and narrow enough for s^order to stay a double over six decades of
-# frequency.
+# Wider than any use, and narrow enough for s^order to stay finite in double precision
+# over six decades of frequency.
 _ADMITTED = {
     "order": Between(-20.0, 20.0, remedy="give finite numbers in this range"),
     "delay": Between(0.0, 1e6, "s", remedy="give finite numbers in this range"),
@@ -77,11 +77,11 @@ def identify_structure(
         sign are 1e-12 to 1e12 in size, and delays lie in 0 s to the length of the
         record, or to half a turn of the phase from one line to the next.
     hold
-        what the input does between samples: "zero", "first", or "auto" for "zero" where
-        it jumps and rests.
+        what the input does between samples: "zero", "first", or "auto": "zero" if it
+        jumps and rests, else "first".
     heldout
         share of the samples at the end that are predicted and not fitted. By default
-        0.4, cut where both parts have motion; none where the input never changes.
+        0.4, or a cut that leaves motion in both parts; none if the input never changes.
     weighting
         of a frequency response's errors: "relative" to |H|, by "coherence" (the default
         where there is one), by the input's "magnitude" at each line, or "absolute".
@@ -116,7 +116,7 @@ def identify_structure(
     offset = values.pop("offset", math.nan)
     if isinstance(data, FrequencyResponse):
         samples: Signals | Lines = _lines_of(data, weighting)
-        # A constant in the output is not a line of a response.
+        # No line of a response shows a constant output.
         offset = 0.0
         # with a longer delay, the phase turns by more than half a turn between two lines
         gap = np.max(np.diff(np.sort(data.frequency)), initial=0.0)
@@ -136,7 +136,7 @@ def identify_structure(
             for count in (fitted, record.input.size)
         )
         longest = record.period * fitted
-        # From rest on: a step at the first sample excites everything.
+        # With the rest before it: a step at the first sample is a motion.
         check_motion(input=np.append(0.0, samples.input), output=samples.measured)
     problem = _problem(structure, samples, values, bounds or {}, longest, offset)
     _check_start(problem, start, samples.measured.size)

@@ -86,8 +86,8 @@ class Covariance:
             wide=_sandwich(self.inverse, noise, products),
             # Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and
             # larger under slow noise in proportion to its lack of independent samples.
-            # For the residual as it is: the noise behind it is estimated for each
-            # structure separately, and rivals are compared with these numbers.
+            # Of the residual as it is: rivals are compared by these numbers, and the
+            # noise behind it is estimated for each structure separately.
             effective=observed / self.variance if self.variance > 0 else self.effective,
         )
 
@@ -233,10 +233,10 @@ def structure_criteria(search: Search) -> dict[str, tuple[float, float]]:
     residual of the richest structure; each fit takes the Gauss–Newton step to its
     optimum after that filter, and σ² is the variance of the rest. It distinguishes more
     structures under slow noise, but on a log whose residual is a misfit (friction, a
-    motor that is not linear between samples) the filter amplifies the misfit; k, the
-    excess variance of the richest fit's scores over that of white noise, does not
-    compensate for all of that. The two fail in different cases, so only a conclusion of
-    both counts as shown.
+    motor angle that is not a straight line between samples) the filter amplifies the
+    misfit; k, the excess variance of the richest fit's scores over that of white noise,
+    does not compensate for all of that. The two fail in different cases, so only a
+    conclusion of both counts as shown.
     """
     solutions = {name: search.solve(name) for name in STRUCTURES}
     effective = {

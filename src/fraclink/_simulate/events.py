@@ -47,8 +47,8 @@ ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = r
 @checked
 @dataclass(frozen=True)
 class PayloadChange:
-    """From `time` [s] on the tip carries `payload` [kg]; a part that is picked up
-    already moves with the tip.
+    """From `time` [s] on the tip carries `payload` [kg]; a part that is picked up is
+    assumed to move with the tip already.
 
     Shape, speed and material memory of the link are kept; only its modes change.
 

@@ -321,7 +321,7 @@ class ArmState:
             angle,
             torque,
             ticks,
-            # the law missed a period without an output
+            # a period without a tip estimate is one that the law missed
             np.isfinite(tip),
         )
         return record, [estimates]

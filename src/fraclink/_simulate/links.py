@@ -192,7 +192,7 @@ def batch_links(
     damping
         μ of each run [s^(α−λ)], shape (R,), >= 0.
     period
-        control period [s]; |pole|·period < 2, beyond that no loop at that period holds.
+        control period [s]; |pole|·period < 2, since beyond that no loop passes.
     span
         time for which the recursions are valid [s].
     digits

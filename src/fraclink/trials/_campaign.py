@@ -173,8 +173,8 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     # With λ above 2 a link would generate energy: for a model near 2 the range is
     # reduced on both sides, so that its mean remains the model's.
     reach = min(0.02, 2.0 - model.order)
-    # A torque log only determines the product of stiffness and gain, and by its ω₀ the
-    # stiffness alone.
+    # The amplitude of a torque log determines only the product of stiffness and gain;
+    # its ω₀ determines the stiffness.
     link = with_payload(model, rig).at_payload(rig.payloads.nominal)
     stiffness = (
         rig.link.stiffness

@@ -105,7 +105,7 @@ class Fault:
         return trial
 
     def checks(self, evidence: Evidence) -> tuple[Check, ...]:
-        """Return the checks of every run, and those of this fault's."""
+        """Return the checks of every run, and those of this fault."""
         case = evidence.trial.case
         checks = [*shared_checks(evidence, "run", REACTIONS[self.reaction], *self.also)]
         for row in self.require:
