@@ -9,8 +9,8 @@
  *    samples per second, and the work of a sample is spread over the periods until the next.
  *  - Evidence fades only while the arm moves. It is halved in every sample in which the best model fails for the
  *    second time in a row, since the payload has then changed.
- *  - Bounds do not find damaged memory: a sum that is too large by what a move may bring takes many moves to fade. The
- *    sums of all that outlasts a period are kept instead, and another one restarts the estimate; NaN is another one, too.
+ *  - Bounds do not find damaged memory: a sum that is wrong by as much as a move may add takes many moves to fade.
+ *    Checksums of all that outlasts a period are kept instead; a mismatch, which NaN always is, restarts the estimate.
  */
 #include "payload_estimator.h"
 
@@ -52,14 +52,14 @@ static law_real lasting(const payload_state *s)
            (((s->keep + s->remaining) + (s->spread + s->white)) + (s->carried[0] + (s->carried[1] + s->carried[2])));
 }
 
-/* The same of a model. */
+/* The same for a model. */
 static law_real remembered(const payload_memory *m)
 {
     return (((m->torque[0] + m->torque[1]) + (m->torque[2] + m->angle[0])) + ((m->angle[1] + m->angle[2]) + (m->ee + m->ev))) +
            ((m->vv + m->e) + m->v);
 }
 
-/* The same of the means that are being formed. */
+/* The same for the means that are being formed. */
 static law_real begun(const payload_state *s)
 {
     return (s->angle_sum + s->torque_sum) + (law_real)s->count;
@@ -191,8 +191,8 @@ static void sample(payload_state *s, const payload_params *p)
     s->least = PAYLOAD_NONE;
 }
 
-/* The gain and the offset of the gauge with which a model errs least, and that least: the minimum of sum (e - x v - y
- * rest)^2 + gain_weight x^2 + offset_weight y^2. */
+/* The gain and the offset of the gauge with which a model errs least, and that least error: the minimum of sum (e - x
+ * v - y rest)^2 + gain_weight x^2 + offset_weight y^2. */
 static inline payload_fit fitted(const payload_state *s, const payload_params *p, uint32_t i, law_real offset_weight)
 {
     const payload_memory *const m = &s->model[i];
@@ -288,9 +288,9 @@ static void judge(payload_state *s, const payload_params *p)
     s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
 }
 
-/* The noise in the estimate, which is a sum of `slope` e over the samples, slope the change of the remaining error from
- * model to model: the noise of consecutive errors e is correlated by the filter of the model. Returns the variance of
- * that sum relative to one of independent errors, with the gauge's gain as one more of them. */
+/* The noise in the estimate, which is a sum of `slope` e over the samples, where slope is the change of the remaining
+ * error from model to model; the noise of consecutive errors e is correlated by the filter of the model. Returns the
+ * variance of that sum relative to one of independent errors, with the gauge's gain as one more of them. */
 static law_real spread(payload_state *s, const payload_params *p, uint32_t inside, law_real gain)
 {
     const payload_model *const c = &p->model[s->best];
@@ -304,8 +304,8 @@ static law_real spread(payload_state *s, const payload_params *p, uint32_t insid
     return (s->spread + (p->gain_weight * (gain * gain))) / s->white;
 }
 
-/* The minimum of the curve through the costs of seven models, `start` from the one in their middle, in models from the one
- * at `start`, and the curvature there. */
+/* The minimum of the curve through the costs of seven models, as its distance in models from the model that is `start`
+ * models from their middle, and the curvature there. */
 static law_real lowest(const payload_fit fit[PAYLOAD_NEAR], law_real start, law_real *bend)
 {
     law_real odd[3];
@@ -343,8 +343,8 @@ static law_real lowest(const payload_fit fit[PAYLOAD_NEAR], law_real start, law_
     return at - start;
 }
 
-/* The square of what this sample had left to explain, by the model `at` between those of the bank. The error that remains
- * is smaller than that of a prediction by the sample's own share in gain, offset and mass. */
+/* The squared error of this sample for the model `at` between those of the bank, as that of a prediction: the error
+ * that remains is smaller by the sample's own share in gain, offset and mass. */
 static law_real unexplained(payload_state *s, const payload_params *p, law_real at, law_real bend)
 {
     const payload_memory *const m = &s->model[s->best];

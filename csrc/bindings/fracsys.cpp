@@ -1,4 +1,4 @@
-// The Python module of the kernels of fracsys, as module.cpp is that of fraclink's.
+// The Python module of the kernels of fracsys; that of fraclink is in module.cpp.
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>

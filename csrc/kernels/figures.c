@@ -115,7 +115,7 @@ static cx slope_of(const second_term *c, const point *p)
     return value;
 }
 
-/* The derivatives of ln C by the parameters. */
+/* The derivatives of ln C with respect to the parameters. */
 static void gradient_of(const second_term *c, const point *p, cx g[FIGURES_PARAMETERS])
 {
     const cx filter = lagged(c, p);

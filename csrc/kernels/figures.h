@@ -41,7 +41,7 @@ typedef struct {
 
 /* One row per figure, with the least or the only value of each link; NaN where it has none. */
 enum {
-    FIGURE_CROSSOVER,   /* ln w where |L| first falls to 1 beyond the resonance; no later fall, on a lobe of a late gauge */
+    FIGURE_CROSSOVER,   /* ln w where |L| first falls to 1 beyond the resonance; later falls are lobes of a late gauge */
     FIGURE_REACH,       /* the same; without it ln of the resonance, plus ln|L| there if it is negative */
     FIGURE_LEVEL,       /* ln|L| at the resonance */
     FIGURE_LAST,        /* ln w of the last crossing, except at the second mode */

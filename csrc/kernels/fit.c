@@ -110,7 +110,7 @@ static double make_step(const double *g, int side, const double *shape, const fi
     return predicted;
 }
 
-/* The slopes do not hold for a step of one in ln(resonance), or of half the range of another shape parameter. */
+/* Well below a step of one in ln(resonance), or of half the range of another shape parameter: there the slopes fail. */
 static void limit_step(double *step, double period_seconds) {
     const double most[FIT_SHAPE] = {0.25, 0.35, 0.2, 0.3, 0.15 * period_seconds};
     double worst = 1;

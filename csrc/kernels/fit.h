@@ -18,7 +18,7 @@ enum {
     FIT_STATES_MAX = FIT_MODES_MAX + 5
 };
 
-/* Viscous damping beyond this leaves no vibration; from 1 on, the poles are real. */
+/* Viscous damping beyond this leaves hardly any vibration; from 1 on, the poles are real. */
 #define FIT_RATIO_MOST 0.9
 
 enum { FIT_ORDER, FIT_RESONANCE, FIT_RATIO, FIT_DAMPING_ORDER, FIT_DELAY };

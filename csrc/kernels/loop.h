@@ -85,7 +85,7 @@ typedef struct {
     uint32_t *mark[LOOP_MARKS];
 } loop_arm;
 
-/* Arms that run in step: one alone waits, as each friction substep needs the speed of the one before, and eight side
+/* Arms that run in step: one alone would wait, as each friction substep needs the speed of the one before; eight side
  * by side fill that time in the lanes of one vector. There are no sums over lanes, so that neither their number nor
  * the width of the machine's vectors changes a bit. */
 #ifndef LOOP_LANES

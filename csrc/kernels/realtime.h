@@ -71,7 +71,7 @@ enum {
 
 /* Columns of the record: one row for every period that ran; the law's inputs and outputs in the order of its port. */
 enum {
-    REALTIME_DEADLINE, /* deadline of this period, after the first one [s] */
+    REALTIME_DEADLINE, /* deadline of this period, from the first deadline [s] */
     REALTIME_LATENCY,  /* from the deadline to being awake [s] */
     REALTIME_WORK,     /* from being awake to the command being written [s] */
     REALTIME_REFERENCE,
@@ -218,7 +218,7 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
 void realtime_watch_signals(void);
 void realtime_release_signals(void);
 int realtime_signalled(void);
-/* A fault of the process (SIGSEGV, SIGABRT …) writes `stop` to `io` before it takes its course, if the connection is
+/* A fault of the process (SIGSEGV, SIGABRT …) writes `stop` to `io` before it ends the process, if the connection is
  * `direct`; NULL ends that. For one loop at a time: the last one that registered. */
 void realtime_stop_on_fault(const realtime_io *io, const arm_command *stop);
 

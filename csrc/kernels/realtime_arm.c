@@ -21,7 +21,7 @@ static void leave(realtime_channel *channel, served_controller *who)
     who->voltage = 0.0;
 }
 
-/* Receive from the controller, or replace it after too long a silence: the drive off. */
+/* Receive from the controller, or forget it after too long a silence, with the drive off. */
 static void listen_once(const served_plan *plan, realtime_channel *channel, served_controller *who,
                         served_outcome *outcome)
 {

@@ -30,7 +30,7 @@ static int await_sample(const realtime_plan *plan, const realtime_io *io, const 
                         realtime_sample *sample)
 {
     const int64_t last = realtime_now(plan->clock) + plan->patience_ns;
-    /* 16 polls per period: the time of arrival, from which the deadlines count, is known to 6 % of it. */
+    /* 16 polls per period: the time of arrival, from which the deadlines count, is known to 6 % of a period. */
     const int64_t step = plan->period_ns / (io->clocked ? 16 : 1);
     while (!realtime_signalled()) {
         const int64_t now = realtime_now(plan->clock);

@@ -55,8 +55,8 @@ static void note(int number)
     caught = number;
 }
 
-/* The process is about to die of its own fault, and only this code can still be trusted: one last stop, then the
- * fault takes its course as if it had not been caught. A second fault in here reaches the former handler. */
+/* The process is about to die of its own fault, and only this code can still be trusted: one last stop, then the fault
+ * acts as if it had not been caught. A second fault in here reaches the former handler. */
 static void stop_and_fall(int number)
 {
     const realtime_io *const io = faulting_io;
@@ -101,7 +101,7 @@ static int ends_the_run(int number, const struct sigaction *before)
         return 1;
     case SIGKILL: /* these two cannot be caught, */
     case SIGSTOP:
-    case SIGCHLD: /* and the default of these is to continue */
+    case SIGCHLD: /* and these end no process by default */
     case SIGCONT:
     case SIGURG:
     case SIGWINCH:

@@ -2,7 +2,7 @@
  * around them.
  *
  * A script writes the numbers of an arm into the buffers below, calls `run` or `run_twin`, and reads the signals.
- * Everything that takes a library of mathematics (weights of link and motor, modes of a beam, noise) was computed by the
+ * Everything that needs a mathematics library (weights of link and motor, modes of a beam, noise) was computed by the
  * package and is written with it, so that the run has the package's bits. Built by tools/build_engine.py. */
 #include <stddef.h>
 #include <string.h>

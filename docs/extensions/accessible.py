@@ -20,7 +20,7 @@ MENDED = {
 
 
 def mend(app: Sphinx, error: Exception | None) -> None:
-    """Put it in where it is missing."""
+    """Add the markup where it is missing."""
     if error is not None or app.builder.format != "html":
         return
     for place in Path(app.outdir).rglob("*.html"):

@@ -27,8 +27,8 @@ TITLES = {"Source:": "References", "Sources:": "References", ">>>": "Examples"}
 def end_sections(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
-    """Give "Source: …" and an example after the last section a title: napoleon takes
-    them for its entries.
+    """Give "Source: …" and an example after the last section a title: napoleon would
+    take them for entries of that section.
     """
     if what in ("property", "attribute", "data"):
         # an empty comment: the words before a colon in the first line would be taken as
@@ -90,7 +90,7 @@ def short_signature(
 
 
 def short_arrays(annotations: str | None) -> str | None:
-    """Arrays by the names that numpy.typing gives them; a shape of anything says
+    """Arrays by the names that numpy.typing gives them; an arbitrary shape says
     nothing.
     """
     return annotations and ALIAS.sub(

@@ -46,8 +46,8 @@ def target_of(text: str) -> str | None:
 
 
 def entry_of(path: str) -> str:
-    """The entry of the reference that tells about a name: a field stands in the text of
-    its class.
+    """The entry of the reference that describes a name: a field is described with its
+    class.
     """
     head, _, last = path.rpartition(".")
     if (

@@ -102,7 +102,7 @@ def filters() -> Figure:
         Panel(label, [Curve(milli, values, k)], 100.0)
         for k, (label, values) in enumerate(rows, 1)
     ]
-    said = "A longer filter lowers the noise and costs margin below the range and sensitivity inside of it"
+    said = "A longer filter lowers the noise, but costs margin below the range and raises Ms inside it"
     return Figure("filters", said, panels, "filter δ [ms]", scale=Scale(0.0, 40.0))
 
 
@@ -135,7 +135,7 @@ def damping() -> Figure:
 
 
 def offset() -> Figure:
-    """The tip after the gauge has got an offset."""
+    """The tip after an offset appears in the gauge."""
     made = design(0.0)
     run = fl.simulate(
         made.law(),
@@ -148,7 +148,7 @@ def offset() -> Figure:
     )
     seen = np.abs(1e3 * run.tip_angle)
     envelope = np.maximum.accumulate(seen[::-1])[::-1]
-    said = "The tip's largest error from then on falls to zero after the gauge has got an offset of 0.05 rad"
+    said = "After an offset of 0.05 rad appears in the gauge, the largest later error of the tip falls to zero"
     return lines(
         "offset",
         said,
@@ -364,7 +364,7 @@ def budget() -> Figure:
     y = Scale(float(len(steps)), 0.0, ticks=names)
     return Figure(
         "budget",
-        "What each element of the loop takes of the phase",
+        "What each element of the loop takes from the phase",
         (Panel("", marks, 26.0 * len(steps), y),),
         "phase at the crossover [°]",
         scale=Scale(0.0, 1.33 * max(end for *_, end, _ in steps)),
@@ -381,8 +381,8 @@ def moves() -> tuple[fl.Run, ...]:
     )
 
 
-def shaped_or_smooth() -> Figure:
-    """Steps of one loop, exact."""
+def link_steps() -> Figure:
+    """Exact step responses of links of three orders."""
     t = np.linspace(0.0, 3.0, 400)
     curves = []
     for order in (2.0, 1.95, 1.85):
@@ -466,7 +466,7 @@ PICTURES: dict[str, Picture] = {
     ),
     "damping": Picture("Two kinds of damping", "explanation/why-fractional", damping),
     "steps": Picture(
-        "Steps of fractional links", "how-to/fractional-calculus", shaped_or_smooth
+        "Steps of fractional links", "how-to/fractional-calculus", link_steps
     ),
     "stand-ins": Picture("Rational stand-ins", "explanation/numerics", stand_ins),
     "second-mode": Picture("The twin’s second mode", "explanation/twin", second_mode),

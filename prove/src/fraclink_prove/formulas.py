@@ -151,7 +151,7 @@ class Formulas:
         """Return `a sign b` as C computes it, for two reals or two words.
 
         A sum of a choice and the bounded command becomes a choice of sums, so that two
-        roundings of one difference are seen to be of one difference.
+        roundings of one difference are recognised as such.
         """
         if a.kind != b.kind or a.kind not in ("real", "word"):
             raise Unreadable(f"{a.kind} {sign} {b.kind}")
@@ -202,7 +202,7 @@ class Formulas:
             or self.bounded[a.term] > abs(limit)
         ):
             return None
-        # If a bound of |a| alone decides; the sign of a.term remains open.
+        # Only where the bound of |a| decides, since the sign of a is open.
         if sign == "<=" and limit >= self.bounded[a.term]:
             return TRUE
         if (sign == ">" and limit > 0) or (sign == "<" and limit < 0):
@@ -237,8 +237,8 @@ class Formulas:
 
         A sum meets it, too, where both parts are at most a quarter of the limit (a half
         would do but for the rounding), a multiple of a constant where the other factor
-        is small enough: what is left for a solver are comparisons, where an adder of 53
-        bits in every branch takes it minutes.
+        is small enough: only comparisons are left for a solver, which needs minutes for
+        an adder of 53 bits in every branch.
         """
         if value.term in self.choices:
             test, yes, no = self.choices[value.term]
@@ -260,7 +260,7 @@ class Formulas:
         return self.joined("||", [itself, parts])
 
     def number(self, text: str) -> Value:
-        """Return a constant of C; "float" is the kind of one that a cast makes a real."""
+        """Return a constant of C, of the kind "float" until a cast makes it a real."""
         if text.lower().startswith("0x") or text.rstrip("uU").isdigit():
             return Value("word", f"(_ bv{int(text.rstrip('uU'), 0)} 32)")
         if text[-1] not in "fF":
@@ -293,12 +293,12 @@ class Formulas:
         raise Unreadable(f"{value.kind} as {kind}")
 
     def relevant(self, goals: Sequence[str], *, arithmetic: bool = True) -> list[str]:
-        """Return the definitions that `goals` stand on, in their order.
+        """Return the definitions on which `goals` depend, in their order.
 
         A sum with a part that may be anything and is used nowhere else may be anything
         itself: it is set free, which leaves less to decide and allows no less than
-        before. Without `arithmetic` all results of it are set free: enough where
-        nothing but comparisons bounds what is asked about.
+        before. Without `arithmetic` all of its results are set free, which suffices
+        where only comparisons bound the goals.
         """
         defined = {line.split()[1]: line for line in self.lines}
         if not arithmetic:

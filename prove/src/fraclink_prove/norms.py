@@ -18,7 +18,7 @@ _GONE = 80.0  # |p|^k = e^(-80): 1e-35
 def worst_gain(law: Law) -> float:
     """Return the least g with |Ĉe| ≤ g · max|e| for every error signal, rounded up.
 
-    With the modes apart, the impulse response of Ĉ is h[0] = d, h[k] = Σ g (p − 1)
+    As a sum of modes, the impulse response of Ĉ is h[0] = d, h[k] = Σ g (p − 1)
     p^(k−2) + ...; its sum of moduli is taken to N and closed with the geometric tail Σ
     |g(p − 1)| |p|^(N−1)/(1 − |p|).
     """
@@ -46,8 +46,8 @@ def _ball_norm(
     direct: float, poles: list[complex], gains: list[complex], count: int
 ) -> float:
     # A rectangle around a complex number grows by a factor √2 with each rotation, half
-    # a bit: more bits while a pair decays, which is dropped when it is below the last
-    # bit of a double.
+    # a bit: more bits are needed until a pair has decayed below the last bit of a
+    # double, and is dropped.
     lives = max(
         (math.ceil(-_GONE / math.log(abs(p))) for p in poles if isinstance(p, complex)),
         default=0,

@@ -142,7 +142,7 @@ def rounding_claim(law: Law, folder: Path, *, error: float = 0.5) -> Claim:
 
     Gappa bounds each rounding of one period; an error that enters a state comes out
     multiplied by at most the l1 norm from there to the output, so that the sum of the
-    products holds at all times.
+    products is a bound at all times.
     """
     claim = Claim(
         "rounding",
@@ -212,8 +212,8 @@ def rounding_bound(law: Law, answer: str, gain: float, error: float) -> Rounding
         Fraction(_real(law, "acceleration_limit")),
         of_change=False,
     )
-    # An error of the error passes through the whole filter, whose worst-case gain is
-    # the l1 norm of the correction.
+    # The rounding of the error signal passes through the whole filter, whose worst-case
+    # gain is the l1 norm of the correction.
     from_samples = Fraction(gain) * step["error"]
     command = own + forward + from_samples + step["offset"] + step["wanted"]
     return Rounding(_up(own), _up(command), error)

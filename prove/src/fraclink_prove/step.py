@@ -48,9 +48,9 @@ def slew_claim(law: Law, folder: Path) -> Claim:
     """Prove that the command of two periods in a row differs by at most `slew_bound`.
 
     law_step is followed from the text of law.c with every coefficient and every other
-    state free; what is asked of the state is that it was started, that it is undamaged
-    (its sum is that of the last period), and that the last command is still in it and
-    in its range. A damaged one starts anew where the motor is.
+    state free; the state is assumed to be one that was started, that is undamaged (its
+    sum is that of the last period), and that still holds the last command, within its
+    range. A damaged law starts anew at the motor's angle.
     """
     bound, step = slew_bound(law), law.limits.motor_step
     claim = Claim(
@@ -84,8 +84,8 @@ def slew_claim(law: Law, folder: Path) -> Claim:
 
 
 def finite_claim(law: Law, folder: Path) -> Claim:
-    """Prove that the outputs that are no commands are finite too, whatever is in the
-    state and the inputs.
+    """Prove that the outputs other than the commands are finite, too, whatever is in
+    the state and the inputs.
     """
     claim = Claim(
         "finite",

@@ -32,8 +32,8 @@ Memory = dict[Place, Value]
 class Symbolic(Formulas):
     """Executes functions of `source` on terms.
 
-    constants: members of law_params with a known value; every other one may have any.
-    tracked: pairs (owner, member): calls that may change one are followed into.
+    constants: members of law_params with a known value; every other one may have any
+    value. tracked: pairs (owner, member): calls that may change one are followed.
     assumed: what functions return by assumption, by their names.
     """
 

@@ -53,9 +53,9 @@ class Comparison:
         structure → fit, in the order of the table of structures.
     preferred
         the structure to use: of those whose criterion (the AIC where the residual is
-        white) is within 8 of the lowest, the one with the fewest parameters, then with
-        the lowest criterion. One without damping is not preferred where a damped one of
-        these predicts the held-out part better (Diebold and Mariano's test).
+        white) is within 8.8 of the lowest, the one with the fewest parameters, then
+        with the lowest criterion. One without damping is not preferred where a damped
+        one of these predicts the held-out part better (Diebold and Mariano's test).
     verdict
         what may be concluded, in words.
     undecided

@@ -1,5 +1,5 @@
-"""The meaning of column names: the usual quantity of such a name, and the unit at its
-end.
+"""The meaning of column names: the quantity that a name usually denotes, and the unit
+at its end.
 
 Names are hints: `start` uses them and asks where they are ambiguous. `read_log` takes
 only names such as ``motor_angle_rad`` as stated.

@@ -55,8 +55,8 @@ def read_frequency_response(
         as ``frequency_Hz``, ``omega``, ``gain``, ``mag [dB]``,
         ``phase_deg``, ``real``, ``imag``, ``coherence``.
     columns
-        states it instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase": "p
-        [deg]"}``; ``"#1 [Hz]"`` is the first column, in Hz.
+        states the columns instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase":
+        "p [deg]"}``; ``"#1 [Hz]"`` is the first column, in Hz.
 
     Raises
     ------
@@ -197,9 +197,9 @@ def read_recording(
     input, output
         names of columns; ``"#2"`` is the second one.
     time
-        the column of stamps; by default the one that never decreases and is named as a
-        time. Its unit is the one that its name or the file states: s, ms, us or ns, as
-        in ``time_ms`` or ``t [us]``; s without one.
+        the column of time stamps; by default the one that never decreases and is named
+        as a time. Its unit is the one that its name or the file states: s, ms, us or
+        ns, as in ``time_ms`` or ``t [us]``; s without one.
     period
         sampling period [s] instead of stamps.
     input_at_rest

@@ -170,7 +170,7 @@ def _flat(name: str, value: object) -> Iterator[RawColumn]:
 
 
 def read_tdms(path: Path) -> list[RawColumn]:
-    """Every numeric channel as ``group/channel``; ``group/channel.time`` holds its own
+    """Every numeric channel as ``group/channel``; ``group/channel.time`` holds its time
     stamps [s].
     """
     from nptdms import TdmsFile

@@ -365,8 +365,8 @@ def _raw(file: int, speed: int) -> None:
 @contextmanager
 def _terminal(begin: Callable[[str], None]) -> Iterator[int]:
     """Open a pseudo-terminal and report its name."""
-    # Its other end stays open here, so that a controller that leaves is silent instead
-    # of an error.
+    # Its other end stays open here, so that a controller that leaves causes silence
+    # instead of an error.
     here, there = pty.openpty()
     try:
         _raw(there, termios.B1000000)

@@ -52,7 +52,7 @@ class ArmLine:
     """An open connection to an arm; `exchange` sends a voltage and returns the next
     sample.
 
-    An arm with a clock of its own (udp, shm) sets the pace; the others are read on
+    An arm with a clock of its own (udp, serial) sets the pace; a callback is read on
     deadlines of `clock`.
     """
 
@@ -87,7 +87,7 @@ class ArmLine:
         if self._way.clocked:
             # The sample's own number counts, not the number of polls: a process that
             # was suspended receives the newest sample at once, and the motion since
-            # then would be taken for that of one period. It has 32 bits.
+            # then would be taken for that of one period. The number has 32 bits.
             before, self._seen = self._seen, self._way.taken
             periods = max((self._seen - before) % 2**32, 1)
         return Reading(sample[1], sample[2], periods)
@@ -155,8 +155,8 @@ def open_line(
     check_machine()
     time = _NoClock() if clock == "none" else _kernels.RealtimeClock(clock)
     with contextlib.ExitStack() as stack:
-        # Every signal that would end or stop the process is recorded instead of acting
-        # on it, in any thread. This uses the signal handling of the loop, since Python's
+        # Every signal that would end or stop the process is only recorded, in any
+        # thread. This uses the signal handling of the loop, since Python's
         # `signal.signal` only works in the main thread, while a notebook or a server
         # runs this in a worker thread. Stop signals are included, because a process
         # suspended by Ctrl-Z no longer controls the arm.

@@ -62,10 +62,10 @@ def run_realtime(
     law reads a missing sample as NaN and a missed period as a jump of its tick; its
     guards decide, and trip if the arm stays silent. The last command to the arm is
     always a stop (voltage 0, mode 4), whatever ended the run: its time, the law, an
-    exception, any signal that can be caught, a crash of the process (not with a key
-    or a `Callback`). After SIGKILL, SIGSTOP or a loss of power the watchdog of the board
-    must switch the drive off. Signals are held until the record is complete; one that
-    arrives after the loop's end is delivered then.
+    exception, any signal that can be caught, a crash of the process (except with a key
+    or a `Callback`). After SIGKILL, SIGSTOP or a loss of power the watchdog of the
+    board must switch the drive off. Signals are held until the record is complete; one
+    that arrives after the loop's end is delivered then.
 
     Parameters
     ----------

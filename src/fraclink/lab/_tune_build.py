@@ -66,7 +66,7 @@ _DRIFT = StatedTolerances(
     gauge_delay=0.001,
     motor_pole=0.05,
 )
-# share of the settling time, or [s]: the effect of the noise of a sample
+# tolerance of a settling time: a share of it, or [s] for the effect of one noisy sample
 _AGREEMENT, _LEAST = 0.10, 0.05
 _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoot
 _UNSEEN_LINK = "with the heaviest link whose second mode would not have shown: a quieter gauge, which shows it, helps"
@@ -305,8 +305,9 @@ def _proved(
 def planned_move(
     design: Design, law: Law, limits: MotionLimits, motor: MotorResult
 ) -> tuple[tuple[float, float] | None, str]:
-    """Amplitude [rad] and duration [s] of the quintic move within the limits that
-    settles first with the payload that takes longest; None and a reason if none passes.
+    """Amplitude [rad] and duration [s] of the quintic move within the limits whose
+    longest settling time over the payloads is shortest; None and a reason if none
+    passes.
 
     Simulated with the extreme payloads and the tuning's own, with the link's own second
     mode and the gauge's noise, and judged as the arm's own moves will be; a move at the
@@ -404,7 +405,7 @@ def _objection(
 
 
 def _first_failure(runs: list[Run], failed: Callable[[Run], bool]) -> str:
-    """Why the first run fails that does; "" if none does."""
+    """Why the first run that fails does so; "" if none fails."""
     for number, run in enumerate(runs):
         if failed(run):
             # The first three are of the arm as it was measured.

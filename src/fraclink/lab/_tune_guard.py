@@ -28,11 +28,12 @@ __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 # drive off.
 PLANNED = 0.6
 # a voltage takes effect one or two periods later, and measured speeds are some periods
-# old: from the first share of the speed limit on, no voltage accelerates the motor
+# old: above the first share of the speed limit, no voltage accelerates the motor
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
 RECOVERY = 5.0  # [s] at most until a swing has decayed, and the arm is at rest
 # [s] in which the link's ringing shows beside the gauge's noise: the standard deviation of
-# 150 samples (4 ms) scatters by 6 %, and includes vibrations of up to twice that period.
+# 150 samples (4 ms) scatters by 6 %, and includes vibrations with periods up to twice
+# this window.
 WINDOW = 0.6
 # shares of the planned motion, tried if it reaches a limit: torque falls with size and
 # speed

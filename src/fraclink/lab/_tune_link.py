@@ -48,8 +48,8 @@ _SHORTEST, _LONGEST = 4.0, 16.0
 # quarter of the speed limit is small.
 _BIT, _BURST, _PUSH = 0.012, 2.0, 0.25
 _HALF, _SECOND = 2.8, 25.0
-# A clamped beam has its second mode at 6.27 times its first, either at √6.27 from their
-# geometric mean; a mass at its tip moves them farther apart.
+# A clamped beam has its second mode at 6.27 times its first, each a factor of √6.27
+# from their geometric mean; a mass at its tip moves them farther apart.
 _BETWEEN = math.sqrt(6.27)
 _STEEL = 5e-4  # damping ratio of steel alone, half its loss factor: no link has less
 # largest number of fits to a record corrected for effects outside the structure
@@ -100,7 +100,7 @@ def tune_link(
     reach = min(FIRST, PLANNED * limits.angle)
     # Plan with the same sequence on the model: near the resonance the limit of the
     # gauge is reached before that of the angle. Half of the planned torque leaves room
-    # for a larger excitation, and keeps a link that hardens near the deflections of its
+    # for a larger excitation, and keeps a hardening link near the deflections of its
     # moves.
     path = _sequence(guard, motor, model, reach, duration)
     peak = np.abs(simulated_torque(model, path[0], guard.period, hold="first")).max()

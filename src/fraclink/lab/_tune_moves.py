@@ -134,9 +134,9 @@ def first_moves(
         read = run.motor_angle_measured, run.torque_measured
         promises.append(judged(*read, band, length, design))
     # The motor loop holds the arm before the law takes over, so that a bump is due to
-    # the law and not to sagging. It also damps the link, since vibration left by the
-    # previous stage would be taken for that of the move: down to half of the band, √2
-    # times the standard deviation.
+    # the law and not to sagging. It also damps the link to half of the band (√2 times
+    # the standard deviation), since vibration left by the previous stage would be taken
+    # for that of the move.
     ringing = 0.5 / math.sqrt(2.0) * band * model.stiffness
     calm(
         guard,

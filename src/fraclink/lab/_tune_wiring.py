@@ -104,7 +104,8 @@ class Wiring:
 
     @property
     def count(self) -> float:
-        """Step of the encoder [rad], or if larger, the step s with its noise, s/√12."""
+        """Step of the encoder [rad], or if larger, the step whose rounding, s/√12, is
+        its noise."""
         return max(self.encoder_step, math.sqrt(12.0) * self.encoder_noise)
 
 
@@ -141,8 +142,8 @@ def check_wiring(
         )
     # The zero of the gauge is its mean at rest, not its first sample.
     guard.offset += float(np.mean(still.torque))
-    # Before the first doublet: six standard deviations of a coarse encoder's speed
-    # would end it.
+    # Before the first doublet, which the noise of a coarse encoder's speed would
+    # otherwise end.
     guard.allow(shake)
     strongest = (
         STRONGEST if stated is None else FAR * stated.motor.gain * guard.limits.voltage
@@ -190,8 +191,8 @@ class _Doublets:
     """Doublets about the place where the arm stood, each larger than the last. Internal,
     mutable.
 
-    Until the encoder has shown a motion, which the guard needs, a half is no longer than
-    the strongest motor takes for `MOST` or the speed limit.
+    Until the encoder has shown a motion, which the guard needs, a half is no longer
+    than the strongest motor takes to reach `MOST` or the speed limit.
     """
 
     def __init__(
@@ -485,8 +486,8 @@ def _link(
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     # Either channel may be sampled first, but neither shows a motion before it happens: a
     # vibration that leads is one of the opposite sign, later by half of its period, as
-    # that of the second mode behind a late gauge. For a slow first mode, half a period is
-    # later than any gauge, and the lead is an error of the fit.
+    # that of the second mode behind a late gauge. For a slow first mode, half a period
+    # is longer than the delay of any gauge, and the lead is an error of the fit.
     gain, delay, opposite = (
         fit.gain,
         fit.delay,

@@ -51,7 +51,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any]) -> Study:
 
 
 def cell_of(outcome: Outcome) -> dict[str, Any]:
-    """Return what marks the run of a fault in the page, whose cells show their worst."""
+    """Return the mark of a fault's run in the page, whose cells show the worst run."""
     case = outcome.case
     return {
         "fault": case.fault,
