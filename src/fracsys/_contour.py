@@ -216,6 +216,8 @@ def convolve(weights: Real, u: Real) -> Real:
 # Source: Dubner and Abate, J. ACM 15 (1968) 115, with the aliasing controlled as by
 # Crump (1976).
 
+# Spans in the window: with two, e^(σt) would raise rounding by e^(36/2). Points of the
+# inversion per sample; the one that it is compared with has half as many.
 WINDOW = 4
 OVERSAMPLING = 8
 

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     from fraclink._identify.uncertainty import Covariance
 
 _SCAN_ORDER = 1.85  # of the links of the scan: ζ = 0.13
-# Range of the delay as fractions of the vibration period.
+# Range of the delay as fractions of the vibration period. Less than a half in all, since
+# a delay by half a period changes the sign: up to an eighth for an angle that is late, the
+# rest for a late gauge.
 _DELAY_LIMITS = (-0.12, 0.35)
 _VALLEYS = (
     2  # valleys of the broad scan: the lowest need not be that of a narrow resonance

@@ -33,7 +33,9 @@ from fracsys.checks import Real
 _DRAWS, _DESCENTS, _FOLLOWED = 1000, 64, 16
 # blocks of a screen: orders, corners and delays show in its lowest 250 lines
 _BLOCKS = 500
-_NEARLY = 1.05  # costs on the samples within 5 % are followed
+# Costs on the samples within 5 % are followed: following all that are tried takes up to
+# twice the time and found no better place on the examples of benchmarks/bench_structures.py.
+_NEARLY = 1.05
 _TRIED = 4  # number of descents on the samples
 
 

@@ -28,7 +28,9 @@ __all__ = ["Programme"]
 
 Bounds = list[tuple[float, float]]
 
-FIRST = 31  # stride of the rows that are in the programme from the beginning
+# Stride of the rows that are in the programme from the beginning; it changes the time of a
+# solution, not the solution.
+FIRST = 31
 # Tolerance relative to the right-hand side of a row (0.1 mrad of 1 rad, 1 mV of 8 V), or
 # to PART of the largest one if that is more.
 BROKEN, PART = 1e-4, 1e-3

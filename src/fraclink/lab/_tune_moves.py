@@ -22,7 +22,9 @@ from fraclink.lab._tune_motor import MotorResult
 
 __all__ = ["FirstMove", "first_moves"]
 
-AFTER = 2.5  # [s] observed after a reference has come to rest
+# [s] observed after a reference has come to rest: half a second in which the motor stops,
+# and two in which it would slip
+AFTER = 2.5
 # the first move: a tenth of the speed, two fifths of the distance
 _SLOW, _PART = 10.0, 0.4
 _FIRST = 5  # periods in which a bump of the transfer would show

@@ -34,7 +34,9 @@ _REST = 0.4
 # share of the voltage limit; growth: a motion that has just begun must not reach 5° at
 # the next doublet
 _FIRST, _GROWTH = (0.01, 1.25)
-_ANSWER = 0.012  # [rad], 0.7°: size of motion at which the doublets stop growing
+# [rad], 0.7°: size of motion at which the doublets stop growing, half of what the plan
+# allows them
+_ANSWER = 0.012
 # [rad], 2.3°: farthest from where the arm stood
 MOST = 0.040
 # [rad/s²] at the voltage limit, the strongest motor that is expected if none is stated:
