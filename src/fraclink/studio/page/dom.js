@@ -47,8 +47,6 @@ export const takes = (node, drop) => {
   on(node, 'dragleave drop', () => node.classList.remove('over'));
   on(node, 'drop', (event) => { event.preventDefault(); drop(event.dataTransfer); });
 };
-/** Fill a list with texts. */
-export const items = (node, texts) => { const place = emptied(node); for (const text of texts) make('li', '', text, place); };
 /** Create an element with a name whose index, as in k_d, is set below the line. */
 export const symbol = (kind, name, parent) => {
   const [, letter, index] = name.match(/^(\S+)_(\w)$/) || ['', name], made = make(kind, '', letter, parent);
@@ -77,12 +75,11 @@ export function table(place, header, rows, caption = '') {
 }
 export function findings(place, list) {
   emptied(place);
-  for (const f of list || []) {
-    const item = make('li', typeof f === 'string' ? 'info' : f.severity, '', place);
-    if (typeof f === 'string') { item.textContent = f; continue; }
-    if (f.code) make('b', '', `${f.code} `, item);
-    item.append(f.code ? `${f.message}.` : f.message); // an error without a code is a whole sentence
-    if (f.remedy) make('span', 'remedy', ` ${capital(f.remedy)}.`, item);
+  for (const {severity, code, message, remedy} of list || []) {
+    const item = make('li', severity, '', place);
+    if (code) make('b', '', `${code} `, item);
+    item.append(code ? `${message}.` : message); // an error without a code is a whole sentence
+    if (remedy) make('span', 'remedy', ` ${capital(remedy)}.`, item);
   }
 }
 /** Hand a file to the browser, which saves it as a download. */

@@ -1,6 +1,6 @@
 // Steps 6 and 7: the certificate, the trials, and the exported files.
 import {Plot, ends, joined, ring} from './plot.js';
-import {$, make, button, emptied, items, on, table, say} from './dom.js';
+import {$, make, button, emptied, on, table, say} from './dom.js';
 import {plain} from './svg.js';
 
 const precision = () => document.querySelector('input[name=precision]:checked').value;
@@ -16,6 +16,7 @@ export class Proof {
     on('cancel', 'click', () => this.app.ask('cancel'));
     this.swept = new Plot('p-swept');
     this.plane = new Plot('p-nyquist');
+    this.plane.cross('critical', -1, 0);
     this.arms = new Plot('p-fan');
     on(document.querySelector('.choice'), 'change', () => this.board());
     for (const one of document.querySelectorAll('[data-target]')) on(one, 'click', () => this.export(one.dataset.target));
@@ -57,7 +58,7 @@ export class Proof {
   async board() {
     const {board, power_on} = await this.app.need('board', {precision: precision()});
     table($('board-facts'), ['need', 'built for this design', 'with room for any design'], board, 'What the board needs');
-    items('power-on', power_on);
+    $('power-on').replaceChildren(...power_on.map((text) => make('li', '', text)));
   }
   fan({fan_t, ...fans}) {
     $('moves-of-arms').hidden = !fan_t;
@@ -84,21 +85,14 @@ export class Proof {
   matrix() { this.cells = {}; emptied('matrix'); }
   /** One row per fault, one column per severity and payload; a cell shows its worst run. */
   cell({fault, severity, payload, phase, passed}) {
-    const id = `${fault}|${severity}|${payload}`;
-    let square = this.cells[id];
-    if (!square) {
-      let row = this.cells[fault];
-      if (!row) {
-        row = this.cells[fault] = make('div', 'faultrow', '', $('matrix'));
-        make('span', 'faultname', fault, row);
-      }
-      square = this.cells[id] = make('span', 'cell good', '✓', row);
-      square.title = `${fault}, severity ${severity}, ${plain(1e3 * payload)} g`;
-    }
-    if (passed || square.matches('.bad')) return;
-    const words = `${square.title}: see it happen`, failed = this.cells[id] = button('✗', 'cell bad', null, () => this.arm.play('fault', {fault, severity, payload, phase}), words);
+    const {cells} = this, title = `${fault}, severity ${severity}, ${plain(1e3 * payload)} g`, words = `${title}: see it happen`;
+    if (!cells[fault]) make('span', 'faultname', fault, cells[fault] = make('div', 'faultrow', '', $('matrix')));
+    cells[title] ||= Object.assign(make('span', 'cell good', '✓', cells[fault]), {title});
+    if (passed || cells[title].matches('.bad')) return;
+    const failed = button('✗', 'cell bad', null, () => this.arm.play('fault', {fault, severity, payload, phase}), words);
     failed.title = words;
-    square.replaceWith(failed);
+    cells[title].replaceWith(failed);
+    cells[title] = failed;
   }
   took(answer) {
     if (!answer.certificate) this.proved = null;
@@ -109,10 +103,7 @@ export class Proof {
     if (this.app.step === 'proof') this.draw();
   }
 
-  draw() {
-    if (this.proved) this.plane.curve('disk', 'disk', ...ring(-1, this.proved.modulus)); else this.plane.remove('disk');
-    this.plane.cross('critical', -1, 0);
-  }
+  draw() { if (this.proved) this.plane.curve('disk', 'disk', ...ring(-1, this.proved.modulus)); else this.plane.remove('disk'); }
 
   export(target) {
     this.app.write('export', {target, precision: precision()}, ({written, export_command}) => {
