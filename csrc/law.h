@@ -180,7 +180,7 @@ typedef struct {
     law_real voltage_limit;
     law_real torque_voltage;  /* compensation of the coupling torque [V/(N m)] */
     law_real coulomb_voltage; /* compensation of Coulomb friction [V] */
-    law_real coulomb_slope;   /* 1/(step of the motor reference in a period below which it decreases) [1/rad] */
+    law_real coulomb_slope;   /* 1/(step of the motor model in a period below which it decreases) [1/rad] */
     /* A given payload multiplies the feed-forward by link_scale + payload_scale payload. The tip estimate is then
      * expected to follow the reference with the dynamics of the motor loop. */
     law_real link_scale;
