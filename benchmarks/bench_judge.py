@@ -254,7 +254,7 @@ class ChangedLaw(fl.Law):
 
 
 def changed_law(law: fl.Law, change: dict[str, float]) -> fl.Law:
-    """Return the law with each field of its block times a factor."""
+    """Return the law with the named fields of its block multiplied by their factors."""
     values = {item.name: getattr(law, item.name) for item in fields(fl.Law)}
     made = ChangedLaw(**values)
     made.__dict__["change"] = change
@@ -328,7 +328,7 @@ def _is_certified(design: fl.Design, law: fl.Law) -> bool:
 
 def drawn_rig(seed: int) -> tuple[fl.Rig, ArmParams, str]:
     """Return a rig, its arm and the structure that its model is to have: gauge 0 to 60 ms
-    late with a gain of 0.8 to 1.3, hub of 0.5 to 10 times the arm's inertia.
+    late with a gain of 0.8 to 1.3, hub of 0.5 to 10 times the tip's inertia.
     """
     random = np.random.default_rng(seed)
     frequency, payload = random.uniform(4.0, 25.0), 10.0 ** random.uniform(-2.0, 0.0)
@@ -376,7 +376,9 @@ def drawn_rig(seed: int) -> tuple[fl.Rig, ArmParams, str]:
 
 
 def excitation(frequency: float, period: float, seed: int) -> Real:
-    """Return steps of random size about the link's vibration, smoothed to 0.1 s."""
+    """Return steps of random size, each held for 0.3 to 1.5 periods of the link's
+    vibration, smoothed over 0.1 s. 
+    """
     random, count = np.random.default_rng(seed), round(24.0 / period)
     reference, k = np.zeros(count), 0
     while k < count:
@@ -401,7 +403,8 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
     for seed in range(first, first + count):
         rig, arm, structure = drawn_rig(seed)
         frequency = math.sqrt(arm.stiffness / arm.tip_inertia)
-        # 20 rad/s with a damping ratio of one: θ'' = (k V − B) …
+        # PD gains for 20 rad/s with a damping ratio of one, as if the hub were alone
+        # and # without friction
         per_volt = arm.torque_per_volt / arm.inertia
         gain, rate = 400.0 / per_volt, 40.0 / per_volt
         log = harness.record(

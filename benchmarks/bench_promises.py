@@ -53,8 +53,8 @@ def total(terms: Terms, log: Any, derivative: bool = False) -> Any:
 
 @dataclass(frozen=True)
 class Exact:
-    """N/D without delays, its impulse (n = 0, less the δ), step (1) or ramp (2)
-    response in many digits.
+    """The impulse (n = 0, without its δ), step (1) or ramp (2) response of a delay-free
+    N/D in many digits.
     """
 
     top: Terms
@@ -157,7 +157,7 @@ def delay_series(
 
 
 def response(parts: list[tuple[float, Exact]], t: Any, degree: int) -> Any:
-    """The response at t [s]; the value after a jump at a jump."""
+    """The response at t [s]; at a jump, its value after the jump."""
     value = mpf(0)
     for delay, exact in parts:
         late = mpf(t) - mpf(delay)
