@@ -377,7 +377,7 @@ def drawn_rig(seed: int) -> tuple[fl.Rig, ArmParams, str]:
 
 def excitation(frequency: float, period: float, seed: int) -> Real:
     """Return steps of random size, each held for 0.3 to 1.5 periods of the link's
-    vibration, smoothed over 0.1 s. 
+    vibration, smoothed over 0.1 s.
     """
     random, count = np.random.default_rng(seed), round(24.0 / period)
     reference, k = np.zeros(count), 0
