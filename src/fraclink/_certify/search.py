@@ -25,9 +25,9 @@ __all__ = ["MarginFailure", "prove"]
 # The proof is for slightly more than the claim, so that a different arithmetic confirms
 # the same leaves.
 _SLACK = 1.0 + 1e-6
-# Near a pole of Ĉ the arc of frequencies alone makes F unbounded, and cuts along the
-# other axes do not help. With a factor of 3 instead of 8 a proof takes twice the
-# leaves, with 50 a tenth more.
+# Weight of the frequency where the widths decide: near a pole of Ĉ the arc of
+# frequencies alone makes F unbounded, and cuts along the other axes do not help. With a
+# factor of 3 instead of 8 a proof takes twice the leaves, with 50 a tenth more.
 _FIRST = 8.0
 _TURNED = (AXES.index("delay"), AXES.index("gauge_delay"))
 

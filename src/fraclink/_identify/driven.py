@@ -71,8 +71,8 @@ class DrivenLinkFit(StructureFit):
     output
         "motor_angle" or "torque".
     peak
-        where the magnitude of the fitted response is largest above the anti-resonance
-        [rad/s]; None where it only falls.
+        highest local maximum of the fitted response [rad/s], for a motor angle above
+        the anti-resonance; None where there is none.
     findings
         those of the fit, and W315 where the band misses the anti-resonance or the
         peak.
@@ -192,7 +192,7 @@ def identify_driven_link(
     output
         what was measured, "motor_angle" or "torque".
     band
-        lines to fit, from and until [rad/s]; default: all lines or, if that fit fails,
+        lines to fit, (from, until) [rad/s]; default: all lines or, if that fit fails,
         the widest band, shortened by octaves at either end, in which it passes (W349).
     weighting
         of the errors, as in `identify_structure`.

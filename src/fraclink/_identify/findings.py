@@ -150,7 +150,7 @@ def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
     """W231: a vibration from before the first sample, which the model does not include.
 
     A log that begins in motion and is fitted well from its first sample had little such
-    vibration; otherwise the fit takes it for delay and damping.
+    vibration, which a fit takes for delay and damping.
     """
     output = log.output - fit.offset
     _, begins = motion_at_start(log.motor_angle, output, float(output.std()))

@@ -61,7 +61,7 @@ def quadratic_of(
 
 
 def _stiffening(order: float) -> float:
-    """r/ζ: what a damping of this order adds to the stiffness at the resonance."""
+    """r/ζ, with r the damping's share of the stiffness at the resonance."""
     return 2 / math.tan(order * math.pi / 2)
 
 
@@ -188,8 +188,9 @@ class LinkProblem(Problem):
 
     @cached_property
     def _weights(self) -> Real:
-        """Weights (q, 2 + k) of the response, a constant and the derivatives along the
-        structure's coordinates in ∂(output)/∂(coordinates, then gain and offset if free).
+        """Matrix (q, 2 + k) that forms ∂(output)/∂(coordinates, then gain and offset if
+        free) from the response, a constant and the derivatives along the structure's
+        coordinates.
         """
         chain = self.expanded(self.place[None, :])[1][0, list(self.solution.free)]
         weights = np.zeros((len(self.free) + 2, 2 + len(chain)))

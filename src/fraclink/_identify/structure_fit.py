@@ -39,7 +39,7 @@ class StructureFit(Judged, Saved):
     parameters
         value of every parameter, in the order of the text.
     fixed
-        those that were given and not fitted.
+        names of the parameters that were given, not fitted.
     limits
         range of every fitted parameter.
     intervals

@@ -69,7 +69,8 @@ def identify_structure(
         several times; one in an exponent of s is an order, one in ``exp`` a delay, any
         other a coefficient.
     start
-        values of all free parameters to begin at, in addition to the starts tried anyway.
+        values of all free parameters from which to begin, in addition to the usual
+        starts.
     fixed
         values of parameters that are known; ``"offset"`` is the output's constant part.
     bounds

@@ -234,9 +234,9 @@ def structure_criteria(search: Search) -> dict[str, tuple[float, float]]:
     optimum after that filter, and σ² is the variance of the rest. It distinguishes more
     structures under slow noise, but on a log whose residual is a misfit (friction, a
     motor angle that is not a straight line between samples) the filter amplifies the
-    misfit; k, the excess variance of the richest fit's scores over that of white noise,
-    does not compensate for all of that. The two fail in different cases, so only a
-    conclusion of both counts as shown.
+    misfit; k, the ratio of the variance of the richest fit's scores to that under white
+    noise, does not compensate for all of that. The two fail in different cases, so only
+    a conclusion of both counts as shown.
     """
     solutions = {name: search.solve(name) for name in STRUCTURES}
     effective = {

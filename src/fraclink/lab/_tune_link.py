@@ -42,10 +42,10 @@ ENOUGH = {"order": 0.018, "natural_frequency": 0.012, "gain": 0.045, "delay": 0.
 # [s] of one excitation. Errors fall with the square root of the length, but in
 # proportion to the amplitude, which is therefore increased first.
 _SHORTEST, _LONGEST = 4.0, 16.0
-# [s] at most; [s]; share of the speed limit. A random voltage that changes every T has
-# half of its power below 2.8/T: 250 rad/s for 12 ms, up to the second mode of a link
-# that weighs an eighth of its payload. The smooth moves end at a tenth of that. A
-# quarter of the speed limit is small.
+# [s] at most; [s]; share of the speed limit. The power density of a random voltage that
+# changes every T falls to half at 2.8/T, here at 25 times the resonance: the second
+# mode of a link that weighs an eighth of its payload. The smooth moves end at a tenth
+# of that. A quarter of the speed limit is small.
 _BIT, _BURST, _PUSH = 0.012, 2.0, 0.25
 _HALF, _SECOND = 2.8, 25.0
 # A clamped beam has its second mode at 6.27 times its first, each a factor of √6.27
@@ -192,7 +192,7 @@ def _sequence(
         3.0 / motor.loop.pole,
         6 * guard.period,
     )
-    # Half of the sequence's power lies below the vibration.
+    # The sequence's power density falls to half at the vibration.
     bit = max(_HALF / model.resonance, 1.2 * rise)
     # Fewer than eight bits may leave out the frequency band of the resonance.
     bits = max(8, math.floor(duration / bit))
