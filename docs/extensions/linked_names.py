@@ -67,9 +67,7 @@ def fields_of(value: object) -> tuple[str, ...]:
 
 
 def is_module(name: str) -> bool:
-    """Whether this is a module of this package: named in prose as a place, and a place
-    needs no entry.
-    """
+    """Whether this is a module: prose may name one without an entry in the reference."""
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:

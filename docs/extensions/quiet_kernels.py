@@ -1,7 +1,7 @@
 """Silences the kernels that execute the pages, so that the output of `make docs` is
 only about the pages.
 
-Each kernel would warn of TCP without encryption, which is in order on the loopback
+Each kernel would warn of TCP without encryption, which is harmless on the loopback
 interface of the build machine, and each page would be announced.
 """
 

@@ -45,7 +45,7 @@ def slew_bound(law: Law) -> float:
 
 
 def slew_claim(law: Law, folder: Path) -> Claim:
-    """Prove that the command of two periods in a row differs by at most `slew_bound`.
+    """Prove that the commands of consecutive periods differ by at most `slew_bound`.
 
     law_step is followed from the text of law.c with every coefficient and every other
     state free; the state is assumed to be one that was started, that is undamaged (its

@@ -54,8 +54,9 @@ class Comparison:
     preferred
         the structure to use: of those whose criterion (the AIC where the residual is
         white) is within 8.8 of the lowest, the one with the fewest parameters, then
-        with the lowest criterion. One without damping is not preferred where a damped
-        one of these predicts the held-out part better (Diebold and Mariano's test).
+        with the lowest criterion. A structure without damping is not preferred if a
+        damped one within this range predicts the held-out part better (Diebold and
+        Mariano's test).
     verdict
         what may be concluded, in words.
     undecided

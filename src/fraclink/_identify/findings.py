@@ -196,8 +196,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             "look for a payload that slipped, a gauge that drifts, a cable that came off, a blow, a wrong "
             "channel or saturation",
         )
-    # Both conditions: at a quiet end the relative error is large because of the small
-    # power alone, at a loud end the mean square is.
+    # Both conditions: at a quiet end the relative error is large merely because the
+    # power is small, at a loud end the mean square merely because it is large.
     elif CLEARLY_LESS * relative > fit.nmse and heldout > 2 * fit.mse:
         yield Finding(
             "W318",

@@ -238,7 +238,7 @@ class Fit(Judged, Saved):
         return int(self.predicted.size)
 
     def loop_model(self, rig: Rig) -> LinkModel:
-        """Return the model as the control loop of this rig meets it.
+        """Return the model as it appears in the control loop of this rig.
 
         A delay that belongs to the logger and not to the loop (``[gauge] delay_in_loop
         = false`` in the rig file) is left out, and the rig's stiffness stands in where

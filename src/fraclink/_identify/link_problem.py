@@ -149,7 +149,7 @@ class LinkProblem(Problem):
         shapes[:, list(self.free)] = places
         if self.turned:
             share = shapes[:, 3].copy()
-            # Below that ζ, α has no meaning.
+            # Below this ζ, α has no meaning.
             double = 2 * np.maximum(shapes[:, 2], RESOLUTION)
             square = math.pi / 2 * (double**2 + share**2)
             shapes[:, 3] = 2 / math.pi * np.arctan2(double, share)
@@ -157,7 +157,8 @@ class LinkProblem(Problem):
         return shapes, chain[:, :, list(self.free)]
 
     def clip(self, places: Real) -> Real:
-        """See `Problem`: the range of r is that of α at each damping ratio."""
+        """See `Problem`: the range of r follows from that of α at each damping
+        ratio."""
         places = super().clip(places)
         if self.turned and 3 in self.free:
             ratio, column = places[:, self.free.index(2)], self.free.index(3)

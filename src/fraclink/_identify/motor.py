@@ -58,7 +58,7 @@ class MotorFit(Judged):
     nmse
         unexplained share of the accelerations' mean square [1].
     windows
-        how many stretches of motion in one direction the fit rests on.
+        number of stretches of motion in one direction on which the fit is based.
     findings
         codes W33x; one of severity "error" means that the motor must not be used.
     spring

@@ -24,8 +24,8 @@ from scipy.special import ndtri
 from fracsys._precision import BLUR, EPSILON, ROUNDS
 from fracsys.checks import Mask, Real
 
-# Chance below which something counts as shown, the standard errors that noise exceeds
-# with this chance (two-sided), and those of a 95 % interval.
+# Chance below which something counts as shown; how many standard errors noise exceeds
+# with this chance (two-sided), and how many a 95 % interval has on either side.
 LEVEL = 1e-3
 CERTAIN, QUANTILE = (float(-ndtri(chance / 2)) for chance in (LEVEL, 0.05))
 # Share of a power that is clearly less than the whole: half of the amplitude, 6 dB. A law
@@ -93,7 +93,7 @@ class Problem(ABC):
     @property
     def reach(self) -> Real:
         """The longest step (p,) within the validity of a quadratic model: 1 for a
-        logarithm, where the parameter itself would reach zero.
+        logarithm, for which the linearised parameter reaches zero there.
         """
         return np.full(self.box[0].size, math.inf)
 

@@ -286,9 +286,9 @@ _HIGHEST = 0.8
 _STEP, _RATIO = (0.04, 0.03)
 # a more strongly damped one is friction or a filter rather than a mode
 _RATIO_LIMITS = (5e-4, 0.2)
-# Standard deviations of its gain. The scan tries some hundred frequencies, among which
-# noise alone reaches 3.5; the spread of a coloured residual is itself known to a third
-# only.
+# Standard deviations of the mode's gain. The scan tries some hundred frequencies, among
+# which noise alone reaches 3.5; the spread of a coloured residual is itself known to a
+# third only.
 _SIGNIFICANT = 6.0
 # A mode with this share of the gain matters for a design: at ζ = 0.02 its peak is 1.25 c.
 _SEEN = 0.05

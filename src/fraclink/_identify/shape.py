@@ -211,8 +211,8 @@ def chosen_hold(motor_angle: Real, hold: Hold) -> Literal["zero", "first"]:
         return hold
     steps = np.abs(np.ediff1d(motor_angle, to_begin=0.0, to_end=0.0))
     calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
-    # A jump exceeds a twentieth of the whole range: a step of an encoder that counts
-    # rarely also has rest on both sides.
+    # A jump exceeds a twentieth of the whole range: a step of a coarse encoder also has
+    # rest on both sides.
     jumps = calm & (steps[1:-1] > 0.05 * np.ptp(motor_angle))
     return "zero" if steps[1:-1][jumps].sum() > 0.5 * steps.sum() > 0 else "first"
 

@@ -51,7 +51,7 @@ class StructureFit(Judged, Saved):
     at_bound
         parameters that ended at a limit of their range.
     undetermined
-        parameters that the data do not determine, whatever their value says.
+        parameters that the data do not determine, whatever value is stated.
     offset
         constant part of a recording's output.
     period, hold
@@ -64,7 +64,7 @@ class StructureFit(Judged, Saved):
         frequency response.
     heldout_nmse
         the same over the samples held out, or of every line as predicted from all
-        others; None where none were held out.
+        others; None if nothing was held out.
     place
         time [s] of the samples, or frequency [rad/s] of the lines, shape (N,).
     measured, predicted

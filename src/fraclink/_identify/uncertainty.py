@@ -176,7 +176,7 @@ def link_intervals(
     """The 95 % intervals of the link's parameters and the delay: n ln(cost/least cost)
     ≤ 1.96² times the factor by which the residual's colour widens a variance.
 
-    α has one even if it ended at a limit.
+    α has an interval even if it ended at a limit.
     """
     problem = LinkProblem.of(search, solution, inside=False)
     if solution.cost <= RESOLUTION * problem.power:
@@ -243,8 +243,8 @@ def structure_criteria(search: Search) -> dict[str, tuple[float, float]]:
         name: link_covariance(search, solution, coloured=True)[0].effective
         for name, solution in solutions.items()
     }
-    # If the residual of any structure is noise, it is that of the richest one; with a
-    # poorer one, its misfit would be whitened away.
+    # If the residual of any structure is noise, it is that of the richest one; the
+    # filter of a poorer one would whiten its misfit away.
     richest = max(STRUCTURES, key=lambda name: len(STRUCTURES[name].free))
     filtered = autoregression(
         LinkProblem.of(search, solutions[richest], inside=True).linearised()[1]

@@ -82,7 +82,7 @@ _UNITS_ELSEWHERE = KNOWN | {
     *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day"),
     *("days", "tick", "ticks", "count", "counts", "samples"),
 }
-# in any case: GHZ and ghz are units too, although none that can be converted
+# in upper or lower case: GHZ and ghz are units too, although none that can be converted
 _PREFIXES = "kmgtuµnp"
 
 

@@ -55,8 +55,8 @@ def engine_bytes() -> bytes:
     >>> engine_bytes()[:4]
     b'\\x00asm'
     """
-    # Read from the package instead of being built: a user has no compiler for it, and a
-    # test compares its digest with csrc.
+    # Read from the package instead of being built: a user has no compiler for it. A test
+    # compiles csrc and compares.
     return (files("fraclink._simulate") / "engine.wasm").read_bytes()
 
 

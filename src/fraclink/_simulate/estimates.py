@@ -118,8 +118,7 @@ def estimate_findings(
     outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0
     if outside.any():
         low, high = estimator.certified
-        # The last time outside: early in a move the interval is wide, and part of it
-        # lies outside the range for a while.
+        # The last time outside: early in a move the estimate is less accurate.
         last = np.flatnonzero(outside)[-1]
         share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
         findings.append(

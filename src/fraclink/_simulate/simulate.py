@@ -107,8 +107,8 @@ def simulate(
         an event changes it, a number [kg] for one that may be wrong, False or 0 for
         none. With a payload, the law scales its feed-forward and corrects the tip towards
         the reference as delayed by its motor loop. "estimated": the output of the
-        design's payload estimator while the arm moves; a `PayloadEstimator`: that of
-        your own.
+        design's payload estimator while the arm moves; a `PayloadEstimator`: the output
+        of that one.
     duration
         time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end
         where it is left out, long enough to see a vibration grow.

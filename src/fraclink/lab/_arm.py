@@ -140,8 +140,8 @@ def serve_arm(
     seed
         of the gauge's noise.
     priority
-        of SCHED_FIFO, below the controller's; 0 asks for none. What is refused is in
-        the result.
+        of SCHED_FIFO, below the controller's; 0 asks for none. The result states a
+        refusal.
     begin
         called with the name of the pseudo-terminal, once a controller may open it.
     clock
@@ -150,7 +150,7 @@ def serve_arm(
     Raises
     ------
     FieldError
-        A value out of its range, a port or name in use, another system than Linux.
+        A value out of its range, a port or name in use, a system other than Linux.
     """
     check_machine()
     # Whole nanoseconds, as in the message: both ends test their periods for equality.

@@ -112,7 +112,7 @@ class Serial:
 
     A message is 56 bytes of 10 bits: at 1 000 000 bits/s it takes 0.6 ms, at 115 200
     4.9 ms, in either direction. The port "pty", for `serve_arm` alone, is a
-    pseudo-terminal with a name of the system's.
+    pseudo-terminal whose name the system chooses.
 
     >>> str(Serial("/dev/ttyACM0", 2_000_000))
     'serial:/dev/ttyACM0@2000000'

@@ -153,7 +153,7 @@ def measure_wake_ups(
     Raises
     ------
     FieldError
-        A value out of its range, another system than Linux.
+        A value out of its range, a system other than Linux.
     KeyboardInterrupt
         A signal that would have ended the run.
     """

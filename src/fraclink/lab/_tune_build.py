@@ -167,7 +167,7 @@ def _moves(motor: MotorFit, limits: MotionLimits) -> Moves:
     """The largest moves of the law: those of the limits, as far as the weakest motor of
     the box can make them.
 
-    The acceleration is in the same ratio to the speed as that of the default moves. A
+    The acceleration is in the same ratio to the speed as in the default moves. A
     motor gives its largest power at half its no-load speed; a faster move would leave
     it less to accelerate with.
     """
@@ -188,8 +188,8 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
     """Laws with a design over the box of the fit, a proof, and moves on links with
     mass.
 
-    The preferred one first; each is computed on demand. If there is none, the reasons
-    why the first one failed.
+    The preferred one first; each is computed on demand. If none passes, the first one
+    with the reasons why it failed.
     """
     fit = link.fit
     if not fit.passed:
@@ -385,7 +385,7 @@ def _objection(
     """Why a move cannot be promised, "" if it can; `far` are the runs that nearly reach
     the angle limit.
     """
-    # Over four periods: one count of an encoder from one to the next is a high speed.
+    # Over four periods: one count of an encoder in a single period is a high speed.
     speed = max(
         largest(run.motor_angle_measured[4:] - run.motor_angle_measured[:-4])
         / (4 * period)

@@ -168,7 +168,7 @@ class Guard:
         if self._driven:
             self._check()
         most = self.limits.voltage
-        # Comparisons with NaN are false: it would be sent unclipped.
+        # NaN would be sent unclipped, since comparisons with it are false.
         sent = min(max(voltage, -most), most) if math.isfinite(voltage) else 0.0
         sent = self._slowed(sent)
         self._sent.append(sent)

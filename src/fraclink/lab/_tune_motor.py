@@ -214,8 +214,8 @@ def closed_motor(fit: MotorFit, guard: Guard, wiring: Wiring) -> MotorResult:
 def breakaway_voltage(
     record: Record, motor: MotorResult, count: float, gauge_delay: float
 ) -> float:
-    """The largest voltage, with the torque of the link, that left the encoder of steps
-    `count` [rad] where it was [V]: the friction that a motor at rest has to overcome.
+    """The largest voltage [V], including the torque of the link, at which the encoder of
+    steps `count` [rad] did not move: the friction that a motor at rest has to overcome.
 
     Each is the median over so many periods that a tenth more of the sliding friction
     would have moved the motor by a count, ½ΔV·A·t²: a voltage that jumps in the last of

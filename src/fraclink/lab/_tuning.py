@@ -206,7 +206,7 @@ class Tuning:
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
         # Compared with the promise instead of the arm, since this scope is that of the
-        # model. One that still vibrated would leave the band within the last window.
+        # model. A move that still vibrated would leave the band within the last window.
         last = {move.payload: move for move in self.moves}
         model = (
             Scope("passed")

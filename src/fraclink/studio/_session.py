@@ -173,7 +173,7 @@ class Session:
         study = moved(study)
         with self.lock:
             # Compared by identity: an equal log that was read again is a different one,
-            # whose findings may differ. It may have been read in the meantime.
+            # whose findings may differ. The page may have read a log in the meantime.
             if newer() or any(
                 getattr(self.study, name) is not getattr(before, name)
                 for name in ("rig", "experiment", "fit")
