@@ -376,6 +376,24 @@ def test_an_estimate_is_kept_while_the_arm_stands() -> None:
     assert found.given[-1] == pytest.approx(found.given[-4000], rel=0.01)
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_after_a_rest_in_which_the_filters_die_away_a_move_tells_as_much(
+    precision: str,
+) -> None:
+    angle, torque = (x[:400] for x in sensors(moved(0.03)))
+    rest = np.full(4000, angle[-1]), np.full(4000, torque[-1])
+    short, long = (
+        over(
+            bank(precision),
+            np.concatenate([angle, rest[0][:count], 1.0 - angle]),
+            np.concatenate([torque, rest[1][:count], 0.1 - torque]),
+        )
+        for count in (200, 4000)
+    )
+    assert long.given[-1] == pytest.approx(0.03, rel=0.03)
+    assert short.given[-1] == pytest.approx(long.given[-1], rel=0.01)
+
+
 def test_a_payload_outside_the_design_is_told() -> None:
     run = moved(0.08)
     assert np.any(run.extras["payload_flags"].astype(int) & FLAGS["OUTSIDE"])

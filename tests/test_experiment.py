@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fraclink import Experiment, read_log
 from fraclink.errors import FieldError, LogError
@@ -77,6 +79,14 @@ def test_stamps_of_another_length_are_refused() -> None:
     with pytest.raises(LogError, match="8 stamps"):
         frame = {"t": 0.004 * np.arange(8), "theta": samples, "gamma": samples}
         Experiment.from_frame(frame, STATED)
+
+
+@pytest.mark.parametrize("angle", [np.ones((9, 2)), np.ones((1, 9)), np.ones(1)])
+def test_a_column_of_a_frame_is_one_array_of_samples(angle: NDArray[Any]) -> None:
+    frame = {"t": 0.004 * np.arange(9), "theta": angle, "gamma": np.ones(9)}
+    with pytest.raises(LogError, match="one-dimensional arrays") as caught:
+        Experiment.from_frame(frame, STATED)
+    assert caught.value.value == STATED["motor_angle"].split()[0]
 
 
 def test_b18_lengths_differ() -> None:

@@ -103,6 +103,14 @@ def test_the_closed_loop_without_a_fault_is_clean() -> None:
     assert abs(tip[-1] - 1.0) < 5e-3
 
 
+def test_a_gauge_that_is_lost_from_the_start_has_as_many_periods_as_later() -> None:
+    rows = quiet()
+    rows[3] = np.nan
+    outputs = run(law(), rows)
+    assert ended(outputs) == ("degraded", "gauge")
+    assert int(np.argmax(outputs.mode == 2)) == law().limits.bad_limit - 1
+
+
 @pytest.mark.parametrize("bad", [np.nan, 4.1, 3.9])
 def test_a_lost_gauge_degrades_to_feed_forward(bad: float) -> None:
     tip, outputs = closed_loop(
