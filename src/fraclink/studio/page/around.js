@@ -7,8 +7,7 @@ export class Around {
   constructor(app, design) {
     Object.assign(this, {app, design, of: '', pictures: new Map(), pinned: new Map()});
     this.map = new Plot('p-map');
-    this.both = (x, y) => { design.set('gain_crossover', digits(x, 3)); design.set('phase_margin_deg', Math.round(y)); };
-    this.map.painted(app.hand, (from, to) => this.both(...to));
+    this.map.painted(app.hand, (from, [x, y]) => { design.set('gain_crossover', digits(x, 3)); design.set('phase_margin_deg', Math.round(y)); });
     on('fan', 'change', () => app.change());
   }
 

@@ -25,8 +25,6 @@ const axisOf = (text) => {
   const [name, range, ticks, unit = ''] = text.split('; '), [low, high, log] = range.split(' ');
   return {name, low: Number(low), high: Number(high), log: Boolean(log), ticks: ticks ? ticks.split(' ').map(Number) : null, unit};
 };
-/** The value at a share of an axis. */
-const valueAt = (axis, share) => scaleOf(axis, 0, 1)[1](share);
 /** The index of the value at the least distance. */
 const nearest = (values, distance) => values.reduce((best, v, i) => (distance(v) < distance(values[best]) ? i : best), 0);
 /** At most `count` indices, spread evenly over a list. */
@@ -79,7 +77,7 @@ export class Plot extends Axes {
     on(svg, 'pointermove', (event) => { if (!event.buttons) this.point(this.spot(event)[0]); });
     on(this.tools, 'toggle', () => this.tell());
     on(svg, 'pointerleave', () => this.point(NaN));
-    on(svg, 'wheel', (event) => { if (event.ctrlKey) { event.preventDefault(); this.zoom(2 ** (event.deltaY / 200), ...this.parts(event)); } });
+    on(svg, 'wheel', (event) => { if (event.ctrlKey) { event.preventDefault(); this.zoom(2 ** (event.deltaY / 200), this.spot(event)); } });
     on(svg, 'dblclick', () => this.zoom(WHOLE));
     on(figure, 'keydown', (event) => { const factor = {'+': 0.5, '-': 2, 0: WHOLE}[event.key]; if (factor && !event.ctrlKey) this.zoom(factor); });
   }
@@ -95,14 +93,14 @@ export class Plot extends Axes {
     clearTimeout(this.later);
     this.later = setTimeout(() => this.tell(), 500);
   }
-  /** Show this share of the axes about a place of the plot; plots over the same axis follow. */
-  zoom(share, across = 0.5, up = 0.5) {
-    const ends = (axis, home, part) => {
-      const [low, high] = [part - part * share, part + (1 - part) * share].map((p) => valueAt(axis, p));
-      Object.assign(axis, {low: Math.max(low, home.low), high: Math.min(high, home.high)});
+  /** Show this share of the axes about values of them, or about their middle; plots over the same axis follow. */
+  zoom(share, [x, y] = []) {
+    const narrow = (axis, {low, high}, about) => {
+      const [to, of] = scaleOf(axis, 0, 1), at = about === undefined ? 0.5 : limited(to(about), 0, 1);
+      Object.assign(axis, {low: Math.max(of(at - at * share), low), high: Math.min(of(at + (1 - at) * share), high)});
     };
-    ends(this.y, this.home[1], up);
-    for (const plot of plots) if (plot.x.name === this.x.name) { ends(plot.x, plot.home[0], across); plot.lay(); }
+    narrow(this.y, this.home[1], y);
+    for (const plot of plots) if (plot.x.name === this.x.name) { narrow(plot.x, plot.home[0], x); plot.lay(); }
   }
 
   /** @param {Handle} h @param {Hand} given */
@@ -184,13 +182,11 @@ export class Plot extends Axes {
     });
   }
   told() { return [...this.curves].filter(([, c]) => c.xs?.length && !SILENT.test(c.kind)).map(([key, {xs, ys, path}]) => ({name: this.names[key] || key, xs, ys, path})); }
-  /** The position of a pointer as shares of the axes, and in their units. */
-  parts(event) {
+  /** The position of a pointer in the units of the axes. */
+  spot(event) {
     const box = this.svg.getBoundingClientRect();
-    const x = (event.clientX - box.left - LEFT) / (this.W - LEFT - RIGHT), y = (event.clientY - box.top - TOP) / (this.height - TOP - FOOT);
-    return [limited(x, 0, 1), 1 - limited(y, 0, 1)];
+    return [this.ofX(limited(event.clientX - box.left, LEFT, this.W - RIGHT)), this.ofY(limited(event.clientY - box.top, TOP, this.height - FOOT))];
   }
-  spot(event) { const [x, y] = this.parts(event); return [valueAt(this.x, x), valueAt(this.y, y)]; }
 
   place() {
     if (!this.W) return;
@@ -216,9 +212,10 @@ export class Plot extends Axes {
     this.desc.textContent = told.map(({name, xs, ys}) => `${name} from ${at(ys[0], y.unit)} at ${at(xs[0], x.unit)} to ${at(ys[ys.length - 1], y.unit)} at ${at(xs[xs.length - 1], x.unit)}, least ${least(ys, Math.min)}, most ${least(ys, Math.max)}`).join('; ');
     emptied(this.numbers);
     if (!this.tools.open) return;
-    const alike = new Map(), add = (...rest) => table(make('div', '', '', this.numbers), ...rest);
-    for (const c of told) { const key = Object.values({...ends(c.xs), n: c.xs.length}).join(); alike.set(key, [...(alike.get(key) || []), c]); }
-    for (const same of alike.values()) add([x.name, ...same.map(({name}) => `${name}: ${y.name}`)], spread(same[0].xs.length, ROWS).map((i) => [plain(same[0].xs[i], 3), ...same.map(({ys}) => plain(ys[i], 3))]));
+    const add = (...rest) => table(make('div', '', '', this.numbers), ...rest);
+    for (const same of Object.values(Object.groupBy(told, ({xs}) => [...Object.values(ends(xs)), xs.length].join()))) {
+      add([x.name, ...same.map(({name}) => `${name}: ${y.name}`)], spread(same[0].xs.length, ROWS).map((i) => [plain(same[0].xs[i], 3), ...same.map(({ys}) => plain(ys[i], 3))]));
+    }
     if (!grid) return;
     const columns = spread(grid.xs.length, 9);
     add([`${y.name} over ${x.name}`, ...columns.map((j) => plain(grid.xs[j], 3))], spread(grid.ys.length, 9).map((i) => [plain(grid.ys[i], 3), ...columns.map((j) => grid.said(grid.values[i][j], 3))]));
