@@ -264,7 +264,7 @@ def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError
         connection,
         f"refused ({error.strerror or error})",
         allowed,
-        "choose another, or end the other",
+        "choose another, or end the program that uses it",
     )
 
 

@@ -102,8 +102,8 @@ def _sticking(motor: MotorResult, period: float) -> tuple[str, ...]:
     cause = "the amplifier has a dead zone" if dead else "the motor sticks"
     return (
         f"{cause}: {fit.dead_zone:.2g} V of dead zone and {fit.coulomb_voltage:.2g} V of friction hold the motor "
-        f"until it is {math.degrees(slip):.2g}° off, and it slips by as much again and again; "
-        + ("an amplifier without one" if dead else "less friction")
+        f"until it is {math.degrees(slip):.2g}° off, and then it slips, over and over again; "
+        + ("an amplifier without a dead zone" if dead else "less friction")
         + ", or no play in the gear, helps",
     )
 
@@ -127,8 +127,9 @@ def domain(period: float | None) -> str:
     if period is not None:
         part += f" ({1e3 * period:g} ms: vibrations up to {1.0 / (_PERIODS * period):.2g} Hz)"
     return (
-        f"domain: {part}; a gauge that is late by at most 1/{math.tau / _LATE:.0f} of it and does not clip; "
-        f"{math.ceil(math.tau / COUNT)} encoder counts a turn or more; no play in the gear, no cable that pulls"
+        f"domain: {part}; a gauge that is late by at most 1/{math.tau / _LATE:.0f} of the vibration's period and does "
+        f"not clip; {math.ceil(math.tau / COUNT)} encoder counts a turn or more; no play in the gear, "
+        "no cable that pulls"
     )
 
 
