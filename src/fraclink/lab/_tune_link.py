@@ -52,7 +52,9 @@ _HALF, _SECOND = 2.8, 25.0
 # from their geometric mean; a mass at its tip moves them farther apart.
 _BETWEEN = math.sqrt(6.27)
 _STEEL = 5e-4  # damping ratio of steel alone, half its loss factor: no link has less
-# largest number of fits to a record corrected for effects outside the structure
+# Largest number of fits to a record corrected for effects outside the structure. The second
+# mode is known after two; without one, every fit leaves 0.1 to 0.7 of the ringing's error,
+# and what the sixth changes is at most a thirtieth of the residual.
 _CLEANED = 6
 # orders λ of links that ring for a long time, and for a few periods
 _DECAYS = (1.97, 1.87)
