@@ -35,24 +35,21 @@ def loop_values(
     place: Mapping[str, ArrayLike],
     *,
     held: Mask | None = None,
+    held_law: Complex | None = None,
 ) -> Complex:
     """Return L at `frequency` [rad/s], up to Nyquist; `place` contains the parameters
     of the statement.
 
     It includes the same aliases as the proof: `ALIASES` from `ALIASES_FROM` on, or
     where `held` is set. "softness" is q = 1/ω₀², "loss" η = μ/ω₀², "motor" p or A. All
-    arguments are broadcast.
+    arguments are broadcast. `held_law` is that of the law where it is known.
     """
     w, at = (
         np.asarray(frequency, float),
         {k: np.asarray(v, float) for k, v in place.items()},
     )
     turn = math.tau / law.period
-    outer = (
-        law.frequency_response(w.ravel()).reshape(w.shape)
-        * -np.expm1(-1j * w * law.period)
-        / law.period
-    )
+    outer = _held_law(law, w) if held_law is None else held_law
     if statement.motor_loop == "sampled":
         outer = outer * motor_loop(statement, w, at["delay"], at["motor"])[0]
     # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the
@@ -66,6 +63,15 @@ def loop_values(
     return outer * spectrum
 
 
+def _held_law(law: Law, frequency: Real) -> Complex:
+    """The response of a law with the factor of the hold that all aliases share."""
+    return (
+        law.frequency_response(frequency.ravel()).reshape(frequency.shape)
+        * -np.expm1(-1j * frequency * law.period)
+        / law.period
+    )
+
+
 def _continuous(
     statement: Statement, frequency: Real, at: Mapping[str, Real]
 ) -> Complex:
@@ -73,7 +79,7 @@ def _continuous(
     held command.
     """
     s = 1j * frequency
-    drag = at["loss"] * s**statement.damping_order
+    drag = at["loss"] * s**statement.damping_order if np.any(at["loss"]) else 0.0
     tip = (1.0 + drag) / (1.0 + at["softness"] * s ** at["order"] + drag)
     mode = 0.0 * s
     if np.any(at["mode_gain"]):
@@ -146,11 +152,16 @@ class CornerLoops:
 def corner_loops(statement: Statement, law: Law) -> CornerLoops:
     """Return the loop of a statement at the corners of its box."""
     w, place = _grid(statement, law), _corners(statement)
+    held_law = _held_law(law, w)
     # One row at a time: with many uncertain parameters all rows at once would take 200
     # MB and more time.
     rows = [
         loop_values(
-            statement, law, w, {name: column[k] for name, column in place.items()}
+            statement,
+            law,
+            w,
+            {name: column[k] for name, column in place.items()},
+            held_law=held_law,
         )
         for k in range(len(place["softness"]))
     ]

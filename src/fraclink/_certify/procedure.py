@@ -164,15 +164,23 @@ def _certificate(
         return Certificate(claim, outcome, sum(map(outcome.count, LEAVES)))
     if outcome.refuted:
         return _too_close(claim, outcome.distance, outcome.place)
-    reason = f"{outcome.reason}, while a search finds |1 + L| = {distance:.4g},"
-    return _refused(claim, reason, outcome.place, distance)
+    return _refused(
+        claim,
+        f"{outcome.reason}, while a search finds |1 + L| = {distance:.4g},",
+        outcome.place,
+        distance,
+    )
 
 
 def _too_close(
     claim: Statement, distance: float, place: dict[str, float]
 ) -> Certificate:
-    reason = f"|1 + L| = {distance:.4g} is not above {claim.modulus:g}"
-    return _refused(claim, reason, place, distance)
+    return _refused(
+        claim,
+        f"|1 + L| = {distance:.4g} is not above {claim.modulus:g}",
+        place,
+        distance,
+    )
 
 
 def _refused(

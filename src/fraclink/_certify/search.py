@@ -213,7 +213,6 @@ def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
     axis to cut along or for a leaf. The box is cut generation by generation, and the
     letters are put into preorder at the end.
     """
-    s = loop.statement
     corner = loop.place(np.array([loop.low[name] for name in AXES]))
     if not all(abs(pole) < 1.0 for pole, _ in loop.modes):
         # The tree proves that the curve keeps away from −1; for stability the poles of
@@ -230,7 +229,7 @@ def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
                 corner | {"delay": delay, "motor": motor},
             )
     # Negated, so that a bound of NaN or infinity ends here as well.
-    if not loop.low_bound() < 1.0 - s.modulus:
+    if not loop.low_bound() < 1.0 - loop.statement.modulus:
         return MarginFailure("the loop gain is not small at low frequency", corner)
 
     low, high = loop.root()
@@ -242,7 +241,7 @@ def prove(loop: BoxLoop, *, most: int) -> str | MarginFailure:
         nodes += low.shape[0]
         # A point of the box whose value violates the claim ends the search: further
         # cuts cannot help.
-        wrong = possible & (np.abs(1.0 + value) < s.modulus)
+        wrong = possible & (np.abs(1.0 + value) < loop.statement.modulus)
         wrong &= loop.possible(point, point)[2]
         if wrong.any():
             k = int(np.argmin(np.where(wrong, np.abs(1.0 + value), np.inf)))
