@@ -3,10 +3,11 @@ given frequencies.
 
     R(x) = P(x) [ d + Σ r_i σ_i/(x + σ_i) + Σ conjugate pairs ],      x = jΩ
 
-The worst error is reached through the p-norm with p = 2, 4, … 128: each is a smooth
-problem, solved by Newton's method (csrc/kernels/minimax.c, the exact Hessian of the
-p-norm of a linearised error) from the solution for the previous p. The last one lies
-within ln(rows)/128 ≈ 4 % of the minimax error; no pole leaves the stable half plane.
+The minimum of the worst error is approached through the p-norms, p = 2, 4, … 128: each
+is a smooth problem, solved by Newton's method (csrc/kernels/minimax.c, the exact Hessian
+of the p-norm of a linearised error) from the solution for the previous p. The last one
+lies within ln(rows)/128 ≈ 4 % of the minimax error; no pole leaves the stable half
+plane.
 """
 
 from __future__ import annotations

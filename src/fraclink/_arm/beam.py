@@ -210,8 +210,8 @@ _STIFFNESS = np.array(
 
 
 def mass_matrix(beam: Beam) -> Real:
-    """Mass matrix [kg] of the clamped beam; its slope coordinates are times the element
-    length.
+    """Mass matrix [kg] of the clamped beam; its slope coordinates are h·w′, with h the
+    length of an element.
     """
     mass = _unloaded(beam.with_payload(1.0))[0].copy()
     mass[-2, -2] += beam.payload
@@ -249,7 +249,7 @@ def residual_inertia(beam: Beam, modes: BeamModes) -> float:
 
 @lru_cache(
     maxsize=256
-)  # without it, the vibration period would be half of the cost of a twin's run
+)  # uncached, the modes for the vibration period would be half of a twin's run time
 def _modes(beam: Beam, count: int) -> BeamModes:
     # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω², so the wanted modes are the largest. A
     # massless link (singular M) needs no special case, while K φ = ω² M φ would require
@@ -328,8 +328,8 @@ def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
 
 def assumed_ratio(model: LinkModel) -> float | None:
     """The damping ratio of the modes that a model does not include: that of its second
-    mode if the power law gives less, an assumed one if the model has no damping, or
-    else None: the model's damping law applies.
+    mode if the model's fractional order gives less, an assumed one if the model has no
+    damping, or else None: the model's damping law applies.
     """
     mode = model.second_mode
     if mode is not None and mode.damping_ratio > -math.cos(math.pi / model.order) > 0.0:

@@ -95,8 +95,8 @@ class MotorLoop:
     def sampled(
         self, motor: MotorConstants, period: float, *, ratio: float = 1.0
     ) -> SampledMotorLoop:
-        """Return the loop of the PID placed for `motor` and a motor with `ratio` times
-        its gain, with the computation delay.
+        """Return the loop, with its computation delay, of a motor with `ratio` times the
+        gain of `motor` under the PID that was placed for `motor`.
         """
         true = MotorGain(motor.gain * ratio, motor.decay)
         return SampledMotorLoop(self.pid(motor, period), true, self.delay_samples)

@@ -65,8 +65,8 @@ def connection_of(
 
 
 def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
-    """The law of a design with the design, or the law of a fractional PID, which has no
-    design.
+    """The law and its design, from a file with a design; the law and None, from a file
+    with a fractional PID.
     """
     # The content of the file decides, not its name: a design may be called pid.json.
     if kind_of(path) == "pid-tuning":

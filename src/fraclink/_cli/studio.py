@@ -37,8 +37,8 @@ def studio(
     ] = 0,
     open: Annotated[bool, "Open the page in a browser"] = True,
 ) -> Answer:
-    """Open a study in a page on this machine: drag the loop, see the arm; Keep writes
-    the commands' files.
+    """Open a study in a page on this machine: drag the loop, see the arm; Keep saves
+    what the commands would write.
 
     $ fraclink studio results
     """

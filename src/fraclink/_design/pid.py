@@ -198,15 +198,15 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "ask for a slower gain crossover, or take a shorter period",
             ),
         )
-    # the law's tolerance, and the same again for the difference between hold and
-    # computation and a delay of 1.5 periods
+    # the law's tolerance, and as much again because hold and computation are not
+    # exactly a delay of 1.5 periods
     if made.phase_margin - margin <= math.radians(2.0 * TOLERANCE_DEG):
         return ()
     return (
         Finding(
             "W404",
-            # With less than half of the margin it is a different loop: gauge, motor and
-            # damping are known to 5 % each at best.
+            # Half of the margin lost is no rounding: it is another loop than the one
+            # that was tuned.
             "error" if margin < 0.5 * made.phase_margin else "warning",
             "the shipped law keeps less phase margin than was asked for",
             evidence,

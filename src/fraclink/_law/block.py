@@ -397,14 +397,14 @@ def _motor_loop(
     loop = motor_loop.pid
     friction = motor_loop.coulomb_voltage
     if pole > 0:
-        # At the largest speed of the reference the motor lags by the loop's lag, plus
-        # the error of its model.
+        # The largest error: at the largest speed of the reference the motor lags by 2/p
+        # and 1.5 periods, and its model may be off.
         error = (
             2 / (pole * loop.period) + 1.5
         ) * limits.motor_step + limits.residual_angle
         credible = loop.direct * error
-    # a PID without a motor: the largest error, and as much again that the integral may
-    # hold against it
+    # a PID without a motor: twice the response to the largest error, since the integral
+    # may hold as much again
     else:
         error = limits.motor_limit + limits.angle_limit
         credible = (

@@ -205,8 +205,9 @@ def _stuck_torque(
 
     The reading of a sound gauge stays constant while the motor turns by less than one
     quantum, q/c. With the jerk j of the reference this takes (6q/cj)^(1/3); the torque
-    of the model is then c j/ω² times that time. For no j is this more than n periods
-    after the model passed 8q/(9n²ω²T²). Noise can only make the reading change sooner.
+    of the model is then c j/ω² times that time. Whatever j is, the reading then changes
+    at most n periods after the torque of the model passed 8q/(9n²ω²T²), and with noise
+    even sooner.
     """
     step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
     slow = 8 / (9 * (STILL * link.resonance * period) ** 2)

@@ -116,7 +116,7 @@ class Response:
 
 
 def decibels(values: Complex | Real) -> Real:
-    """Return 20 lg of the size of some values, −∞ for 0."""
+    """Return 20 lg of the modulus of some values, −∞ for 0."""
     with np.errstate(divide="ignore"):
         return 20 * np.log10(np.abs(values))
 

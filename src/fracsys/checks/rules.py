@@ -312,7 +312,8 @@ def _any_of(members: Sequence[Rule]) -> Rule:
         # A member that accepts this type but not this value gives the reason.
         for item, refusal in zip(members, refusals, strict=True):
             if not refusal.is_type:
-                # With a wrong word, the numbers or objects of the union are expected, too.
+                # A wrong word: the message also lists the numbers or objects that the
+                # union accepts.
                 refusal.expected = expected if item.kind is Literal else item.expected
                 raise refusal
         raise Refused(
