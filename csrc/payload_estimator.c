@@ -7,8 +7,8 @@
  *    that is right before the frequency is known.
  *  - The models use means over a few periods and are updated in turn: a vibration of 20 rad/s does not need 250
  *    samples per second, and the work of a sample is spread over the periods until the next.
- *  - Evidence fades only while the arm moves. It is halved in every sample in which the best model fails for the
- *    second time in a row, since the payload has then changed.
+ *  - Evidence fades only while the arm moves. Once the best model has failed in two consecutive samples, the payload
+ *    has changed: the evidence is halved in every sample until the best model fits again, or has failed in ten.
  *  - Bounds do not find damaged memory: a sum that is wrong by as much as a move may add takes many moves to fade.
  *    Checksums of all that outlasts a period are kept instead; a mismatch, which NaN always is, restarts the estimate.
  */
