@@ -403,8 +403,8 @@ def rigs(harness: Harness, first: int, count: int, arms: int) -> None:
     for seed in range(first, first + count):
         rig, arm, structure = drawn_rig(seed)
         frequency = math.sqrt(arm.stiffness / arm.tip_inertia)
-        # PD gains for 20 rad/s with a damping ratio of one, as if the hub were alone
-        # and # without friction
+        # PD gains for 20 rad/s with a damping ratio of one, of a hub without friction
+        # and link
         per_volt = arm.torque_per_volt / arm.inertia
         gain, rate = 400.0 / per_volt, 40.0 / per_volt
         log = harness.record(

@@ -63,9 +63,9 @@ TABLE: tuple[tuple[str, dict[str, Any], float, str], ...] = (
 def table() -> None:
     """Print the known requests: CPU time with the law, and the worst noise gain; with
     every row, and with only what the sketch considers: its motor loop, no empty
-    gripper, and of a box the corners at the payloads' own ω₀ (with the interval of ω₀,
-    which widens the range of the payloads on both sides, the least noise at 45° is half
-    as much again).
+    gripper, and the corners of a box without its interval of ω₀ (which widens the range
+    of the payloads on both sides; with it the least noise at 45° is half as large
+    again).
     """
     light = replace(RIG, payloads=replace(RIG.payloads, empty=RIG.payloads.low))
     for name, options, sketch, before in TABLE:
@@ -193,9 +193,9 @@ class Judge:
         return np.array(loops)
 
     def kept(self, x: Real) -> Real:
-        """By how much each of some controllers (ln k_d ω_r^β, β, ln δ; (3, S)) keeps the
-        row that it misses most: crossover on both sides, margins, delay margin, noise,
-        higher modes; negative where it misses one, (S,).
+        """The slack of each of some controllers (ln k_d ω_r^β, β, ln δ; (3, S)) in its
+        worst row of crossover (both sides), margins, delay margin, noise and higher
+        modes, (S,); negative where it misses that row.
         """
         options, period = self.options, self.rig.period
         w = self.frequencies()

@@ -151,8 +151,8 @@ def spillover(filter_time: float | None) -> None:
     of.
 
     The linear sampled loop of the shipped law with the twin behind the ideal motor
-    servo, no friction. The power-law link has relaxations slower than any run, poles at
-    1 to eleven digits, so "stable" is below 1 + 1e-9.
+    servo, no friction. The power-law link has relaxations slower than any run, with poles
+    that equal 1 to eleven digits: "stable" therefore means a radius below 1 + 1e-9.
     """
     result = designed(filter_time)
     rig = result.rig
