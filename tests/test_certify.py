@@ -610,6 +610,18 @@ def _interval(
     return change
 
 
+def _widened(field: str, by: float) -> Callable[[dict[str, Any]], None]:
+    """Move both ends apart; the middle, for which the claim is true, stays."""
+
+    def change(data: dict[str, Any]) -> None:
+        numbers = data["content"]["statement"]
+        for end, step in (("low", -by), ("high", by)):
+            old = float.fromhex(numbers[f"{field}_{end}"])
+            numbers[f"{field}_{end}"] = (old + step).hex()
+
+    return change
+
+
 FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "leaf missing": _tree(lambda t: t[:-1]),
     "leaf too many": _tree(lambda t: t + "."),
@@ -643,6 +655,8 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "orders up to 1.99": _number("order_high", value=1.99),
     "orders from 1.5": _number("order_low", value=1.5),
     "orders turned round": _number("order_low", value=1.96),
+    "orders on both sides": _widened("order", 0.07),
+    "gauge gains on both sides": _widened("gauge_gain", 0.7),
     "order of one": _number("order_low", value=1.0),
     "slow motor admitted": _number("gain_low", factor=0.5),
     "gain of zero": _number("gain_low", value=0.0),
