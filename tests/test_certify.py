@@ -816,6 +816,11 @@ def test_the_discs_of_the_checker_hold_the_loop_at_random_points_of_boxes(
                 room = value.r + (alias if plain else 0.0) + 1e-9 * np.abs(exact)
                 assert np.all(np.abs(exact - value.c) <= room)
     assert bounded >= 90  # of 120
+    # What is left out of L counts against the claim.
+    point = tuple((x, x) for x in (100.0, *(0.5 * (low + high))[1:].tolist()))
+    assert loop.leaf(point, True)
+    loop.aliases = lambda _: 1e6
+    assert not loop.leaf(point, True)
 
 
 def slow_claim(lowest: float) -> Any:
@@ -1208,6 +1213,10 @@ def test_a_motor_loop_that_barely_decays_is_proved_and_one_that_does_not_is_name
     place = dict(refused.place)
     assert "the sampled motor loop is not stable" in refused.verdict
     assert slowest(place["motor"] / rig.motor.gain) > 1.0
+    gain = 1.1 * rig.motor.gain
+    other = replace(proved.statement, gain_low=gain, gain_high=gain)
+    with pytest.raises(ValueError, match="motor loop is not stable"):
+        checker.Loop(asdict(other))
 
 
 def test_a_law_of_another_link_or_none_is_refused(law: Law):
