@@ -227,7 +227,9 @@ def board(library: Any, period: float, sent: set[float]) -> Iterator[str]:
             if message is not None:
                 sent.add(angle)
                 os.write(here, b"\xffFLR" if number % 10 == 0 else b"")
-                os.write(here, message)
+                os.write(here, message[:20])
+                time.sleep(0.2 * period)  # the other end reads a part of it
+                os.write(here, message[20:])
 
     thread = threading.Thread(target=lives)
     thread.start()

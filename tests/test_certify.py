@@ -458,6 +458,17 @@ def test_a_law_whose_limits_leave_no_room_is_not_certified(
     assert caught.value.field in {"law.limits", *(f"law.{name}" for name in limits)}
 
 
+@pytest.mark.parametrize("factor", [3.0, 0.3])
+def test_a_law_that_scales_its_link_out_of_reach_is_not_certified(factor: float):
+    plan = plan_for("sampled")
+    made = plan.law()
+    assert made.tracking is not None
+    scaled = replace(made.tracking, nominal=factor * made.tracking.nominal)
+    with pytest.raises(FieldError) as caught:
+        certify(plan, law=replace(made, tracking=scaled), modulus_margin=0.3)
+    assert caught.value.field == "law.payload_scale"
+
+
 @pytest.mark.slow
 def test_no_limit_acts_on_errors_within_the_linear_range(
     certificate: Certificate, law: Law

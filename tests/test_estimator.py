@@ -5,6 +5,7 @@ robustness against any input and any memory content.
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import subprocess
 from dataclasses import replace
@@ -169,6 +170,14 @@ def _bottom(curve: np.polynomial.Polynomial) -> float:
     real = flat[np.abs(flat.imag) < 1e-9].real
     low = [x for x in real if abs(x) <= 1.0 and curve.deriv(2)(x) > 0]
     return min(low, key=curve, default=np.nan)
+
+
+def test_evidence_fades_over_two_vibrations_of_the_heaviest_payload() -> None:
+    made = bank()
+    value = dict(zip(REALS, made.values, strict=True))
+    heaviest = GEARED.model.at_payload(float(made.models[-1][-1]) - value["link"])
+    samples = 2 * math.tau / heaviest.resonance / (made.together * made.period)
+    assert value["keep"] ** samples == pytest.approx(math.exp(-1.0), rel=0.02)
 
 
 @pytest.mark.slow

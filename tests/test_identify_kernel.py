@@ -96,6 +96,25 @@ def test_gram_matrix_is_that_of_the_columns() -> None:
     assert np.allclose(gram, full @ full.T, rtol=1e-11, atol=1e-11 * np.abs(gram).max())
 
 
+def test_a_search_says_whether_it_converged() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(2000))
+    output = simulated_torque(TRUTH, angle, PERIOD)
+    kernel = Window(angle, output, PERIOD, "first").kernel(10.0, longest_delay=0.1)
+    start, open_ends = shape_of(LINKS[1]), (np.full(5, -9.0), np.full(5, 9.0))
+    open_ends[0][0], open_ends[1][0] = 1.01, 2.0
+    for rounds, done in ((0, False), (1, False), (100, True)):
+        converged, *_, cost, _ = kernel.solve(
+            start, 0b00011, *open_ends, np.nan, np.nan, rounds
+        )
+        assert converged is done
+    assert cost < 1e-9 * np.sum(output**2)
+    too_late = shape_of(LINKS[1], delay=50.0)
+    converged, *_, cost, _ = kernel.solve(
+        too_late, 0b00011, *open_ends, np.nan, np.nan, 100
+    )
+    assert not converged and cost == np.inf
+
+
 def test_fractional_link_is_the_edge_of_the_damped_one() -> None:
     angle = smooth_pulse(PERIOD * np.arange(2000))
     kernel = Window(angle, angle, PERIOD, "first").kernel(10.0, longest_delay=0.1)

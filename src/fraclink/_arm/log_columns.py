@@ -365,6 +365,8 @@ def drive_columns(texts: Iterable[str]) -> LogColumns:
 
     >>> drive_columns(["time=t [s]", "motor_angle=enc [deg]", "voltage=u [V]"]).output.column
     'enc'
+    >>> drive_columns(["time=t [s]", "motor_angle=enc [deg]", "torque=m [mNm]"]).output.column
+    'm'
     """
     statements = list(texts)
     roles = {ColumnStatement.of(text).role: text for text in statements}
