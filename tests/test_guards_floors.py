@@ -195,7 +195,7 @@ CEILINGS = {
     "_law": 939,
     "_reading": 875,
     "_simulate": 1161,
-    "lab": 1880,
+    "lab": 1878,
     "logs": 697,
     "studio": 1056,
     "trials": 1264,

@@ -420,5 +420,5 @@ def rival_finding(values: Mapping[str, float]) -> Finding:
         "error",
         "other parameters fit as well as the data can tell",
         values,
-        "give bounds that exclude them, or excite more of the band",
+        "record a log that excites more of the band; the bounds of a formula can exclude them, too",
     )

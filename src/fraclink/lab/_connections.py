@@ -223,8 +223,11 @@ def arm_end(
             try:
                 plug.bind(address)
             except OSError as error:
-                raise _refused(
-                    connection, error, "a free port of this machine"
+                raise _error(
+                    connection,
+                    f"refused ({error.strerror or error})",
+                    "a free port of this machine",
+                    "choose another, or end the program that uses it",
                 ) from error
             yield _kernels.RealtimeIo.socket(plug.fileno(), True, _seal(connection))
     elif isinstance(connection, Serial):
@@ -259,15 +262,6 @@ def silent(connection: Connection, patience: float) -> FieldError:
     )
 
 
-def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError:
-    return _error(
-        connection,
-        f"refused ({error.strerror or error})",
-        allowed,
-        "choose another, or end the program that uses it",
-    )
-
-
 @contextmanager
 def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     try:
@@ -275,7 +269,12 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
             connection.host, connection.port, type=socket.SOCK_DGRAM
         )
     except OSError as error:
-        raise _refused(connection, error, "a host that can be found") from error
+        raise _error(
+            connection,
+            f"not found ({error.strerror or error})",
+            "a host that can be found",
+            "give its address, or a name that this machine resolves",
+        ) from error
     # The first address only: trying another one could send commands to two arms.
     family, kind, protocol, _, address = addresses[0]
     # The address instead of the name, which may resolve to anything.
