@@ -1,9 +1,9 @@
 """Whether `error_estimate` keeps its promise: random responses of random functions
 against mpmath.
 
-Every call is checked at a few of its times by an independent inversion with 50 or more
-digits: Talbot's contour with two numbers of nodes, the residues of the poles outside it
-added, repeated with more nodes until both agree. The true error must never exceed the
+Every call is checked at a few of its times by an independent inversion with 60 or more
+digits: Talbot's method, plus the residues of the poles outside its contour, with more
+and more nodes until two successive results agree. The true error must never exceed the
 estimate, and the estimate should be at most 100 times the true error in the median.
 """
 
@@ -35,14 +35,16 @@ Terms = tuple[Term, ...]
 
 
 class UnknownError(Exception):
-    """The oracle's contours did not agree: the call is left out and counted."""
+    """The oracle has no answer, since its contours do not agree or a pole cannot be
+    refined: the call is left out and counted.
+    """
 
 
 # --- the oracle: f(t) = L⁻¹ [N(s)/D(s) s^(−n)] --------------------------------------------------------
 
 
 def total(terms: Terms, log: Any, derivative: bool = False) -> Any:
-    """Σ c s^a at s = e^log, or its derivative by ln s."""
+    """Σ c s^a at s = e^log, or its derivative with respect to ln s."""
     return mp.fsum(
         mpf(t.coefficient)
         * (mpf(t.order) if derivative else 1)
@@ -54,7 +56,7 @@ def total(terms: Terms, log: Any, derivative: bool = False) -> Any:
 @dataclass(frozen=True)
 class Exact:
     """The impulse (n = 0, without its δ), step (1) or ramp (2) response of a delay-free
-    N/D in many digits.
+    N/D, to many digits.
     """
 
     top: Terms
@@ -201,8 +203,8 @@ def near_integer(g: np.random.Generator) -> FractionalTransferFunction:
 
 
 def polynomial(g: np.random.Generator) -> FractionalTransferFunction:
-    """A product of lags with a common factor multiplied out: up to order 6, poles of
-    any kind.
+    """The reciprocal of a product of sums s^a + b, multiplied out: up to order 6.1,
+    poles of any kind.
     """
     bottom = power(0.0)
     while bottom.numerator[0].order < 4.2:
@@ -371,7 +373,8 @@ def _sampled(
     found = time_response(G, u, period, hold=hold)
     chosen = np.unique(np.concatenate([g.integers(0, count, 2), [count - 1]]))
     parts, true = list(delay_series(G, count * period)), []
-    steps = np.diff(u, prepend=0.0)  # the exact values of the doubles of the input
+    # Of the rounded samples, which are what the package gets.
+    steps = np.diff(u, prepend=0.0)
     for i in chosen:
         exact = mpf(0)
         if hold == "zero":
@@ -388,8 +391,8 @@ def _sampled(
                 if j < i
             )
         true.append(abs(mpf(found.output[i]) - exact))
-    # The slopes of a linear input are only known to the rounding of its values; this is
-    # the effect on G.
+    # The oracle takes the slopes of a linear input as drawn, so that the rounding of the
+    # samples counts as an error of the response.
     return _outcome(kind, mode, found, float(max(true)), G, seed)
 
 
@@ -416,7 +419,7 @@ def main() -> None:
         try:
             done.append(attempt(kind, mode, seed * 100_000 + n))
         except UnknownError:
-            left[f"{kind}: the oracle's contours disagree"] += 1
+            left[f"{kind}: the oracle has no answer"] += 1
         except (errors.FieldError, errors.NotConvergedError) as error:
             left[
                 f"{kind}: refused, {getattr(error, 'problem', type(error).__name__)[:60]}"
@@ -425,7 +428,7 @@ def main() -> None:
 
 
 def report(done: list[Outcome], left: collections.Counter[str], seconds: float) -> None:
-    tiny = 1.1e-16  # beyond the resolution of a double
+    tiny = 1.1e-16  # half the spacing of doubles at 1; a smaller error counts as this
     broken = [o for o in done if o.true > o.claimed]
     for title, key in (("kind", "kind"), ("mode", "mode"), ("method", "method")):
         for name in sorted({getattr(o, key) for o in done}):

@@ -100,7 +100,8 @@ static void begin(arm_state *s, const law_params *law, const payload_params *ban
     }
 }
 
-/* A run; `called` is 0 in the periods that the law misses, and `stuck` the period from which the gauge stands still. */
+/* A run. The law misses the periods in which `called` is 0; the gauge is stuck from period `stuck` on, never if that is
+ * negative. */
 void arm_run(const law_params *law, const payload_params *bank, const arm_params *p, int32_t count,
              const double *reference, const double *acceleration, double given, const uint8_t *called, int32_t stuck,
              double *tip, double *voltage, uint8_t *mode, uint8_t *reason)
@@ -125,10 +126,10 @@ void arm_run(const law_params *law, const payload_params *bank, const arm_params
     }
 }
 
-/* Flip bits `first` to `last` of the memory (the estimator's behind the law's), each in every second period from
- * `from` to `to`, and follow the arm for `rest` periods. worst[w]: largest distance [rad] of the tip from that of the
- * clean arm, over the flips in word w after which the law is not off within ten periods; counts[0]: runs, counts[1]:
- * those of them that exceed `bound`. */
+/* Flip the bits from `first` to before `last` of the memory (the law's, then the estimator's), one bit in each run, in
+ * every second period from `from` to before `to`, and follow the arm for `rest` periods. A run in which the law
+ * switches off within ten periods is not judged. worst[w]: largest distance [rad] of the tip from that of the clean
+ * arm, over the judged flips in word w; counts[0]: all runs, counts[1]: judged runs that exceed `bound`. */
 void arm_flips(const law_params *law, const payload_params *bank, const arm_params *p, int32_t count,
                const double *reference, const double *acceleration, double given, int32_t from, int32_t to,
                int32_t rest, int32_t first, int32_t last, double bound, double *worst, int64_t *counts)

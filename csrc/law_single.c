@@ -1,4 +1,4 @@
 /* Desktop only: law.c in single precision, under names of its own (see law_single.h). */
 #include "law_single.h"
-/* The names are set before the file itself is read, so that it stays the file that is shipped. */
+/* The names are defined before the file is included, so that the shipped file itself stays unchanged. */
 #include "law.c"

@@ -9,8 +9,9 @@
  *    samples per second, and the work of a sample is spread over the periods until the next.
  *  - Evidence fades only while the arm moves. Once the best model has failed in two consecutive samples, the payload
  *    has changed: the evidence is halved in every sample until the best model fits again, or has failed in ten.
- *  - Bounds do not find damaged memory: a sum that is wrong by as much as a move may add takes many moves to fade.
- *    Checksums of all that outlasts a period are kept instead; a mismatch, which NaN always is, restarts the estimate.
+ *  - Bounds do not find damaged memory: an error no larger than what one move adds to a sum is within every bound, and
+ *    takes many moves to fade. What the estimate is computed from in later periods has checksums instead; a mismatch
+ *    restarts the estimate, and NaN never matches.
  */
 #include "payload_estimator.h"
 
@@ -45,7 +46,8 @@ static uint32_t one_more(uint32_t count)
     return (count < 0x7FFFFFFFU) ? (count + 1U) : count;
 }
 
-/* What outlasts a period beside the models and the means: the inputs of the models and what the estimate rests on. */
+/* Checksum of what is kept between periods apart from the models and the means: the inputs of the models and what the
+ * estimate rests on. */
 static law_real lasting(const payload_state *s)
 {
     return (((s->angle + s->change) + (s->torque + s->offset)) + ((s->offset_variance + s->shift) + (s->drift + s->samples))) +
@@ -209,7 +211,8 @@ static inline payload_fit fitted(const payload_state *s, const payload_params *p
     return fit;
 }
 
-/* The filters of a model from one sample to the next, in the form that stores their contribution to it. */
+/* Advance the filters of a model by one sample, in transposed direct form: a state is what the samples so far
+ * contribute to a later one. */
 static void pass_on(const payload_state *s, const payload_model *c, payload_memory *m, law_real seen, law_real told)
 {
     m->torque[0] = ((c->a1 * s->torque) - (c->c1 * seen)) + m->torque[1];
@@ -220,7 +223,7 @@ static void pass_on(const payload_state *s, const payload_model *c, payload_memo
     m->angle[2] = -(c->c3 * told);
 }
 
-/* Errors of a model in this sample: whether it is the best so far, or the one after the best. */
+/* Add the error of a model in this sample to its sums, and keep it if the model is the best so far or the next one. */
 static void look(payload_state *s, const payload_params *p, uint32_t i, law_real e, law_real told, law_real offset_weight)
 {
     payload_memory *const m = &s->model[i];
@@ -253,7 +256,7 @@ static void look(payload_state *s, const payload_params *p, uint32_t i, law_real
     s->before_left = left;
 }
 
-/* A model while nothing moves: its filter goes on, its sums remain those from before, relative to the new offset. */
+/* A model while nothing moves: its filter runs on, and its sums keep what they held, corrected for the new offset. */
 static void stand(payload_state *s, const payload_params *p, uint32_t i, law_real told)
 {
     payload_memory *const m = &s->model[i];
@@ -288,9 +291,9 @@ static void judge(payload_state *s, const payload_params *p)
     s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
 }
 
-/* The noise in the estimate, which is a sum of `slope` e over the samples, where slope is the change of the remaining
- * error from model to model; the noise of consecutive errors e is correlated by the filter of the model. Returns the
- * variance of that sum relative to one of independent errors, with the gauge's gain as one more of them. */
+/* Noise moves the estimate in proportion to the sum of `slope` e over the samples: slope is the change of the remaining
+ * error from model to model, and the filter of the model correlates consecutive errors e. Returns the variance of that
+ * sum relative to its variance for independent errors; the uncertainty of the gauge's gain adds to it. */
 static law_real spread(payload_state *s, const payload_params *p, uint32_t inside, law_real gain)
 {
     const payload_model *const c = &p->model[s->best];
@@ -304,8 +307,8 @@ static law_real spread(payload_state *s, const payload_params *p, uint32_t insid
     return (s->spread + (p->gain_weight * (gain * gain))) / s->white;
 }
 
-/* The minimum of the curve through the costs of seven models, as its distance in models from the model that is `start`
- * models from their middle, and the curvature there. */
+/* The minimum of the curve through the costs of seven models, and its curvature there. The search starts at the best
+ * model, which is the middle one + `start`; the minimum is returned relative to that model, in models. */
 static law_real lowest(const payload_fit fit[PAYLOAD_NEAR], law_real start, law_real *bend)
 {
     law_real odd[3];
@@ -343,8 +346,9 @@ static law_real lowest(const payload_fit fit[PAYLOAD_NEAR], law_real start, law_
     return at - start;
 }
 
-/* The squared error of this sample for the model `at` between those of the bank, as that of a prediction: the error
- * that remains is smaller by the sample's own share in gain, offset and mass. */
+/* The squared error of this sample for the model that is `at` models from the best one, between those of the bank. The
+ * fit of gain, offset and mass includes this sample and so makes its error smaller than that of a prediction, by the
+ * sample's own share in the fit; this is corrected. */
 static law_real unexplained(payload_state *s, const payload_params *p, law_real at, law_real bend)
 {
     const payload_memory *const m = &s->model[s->best];
@@ -404,7 +408,7 @@ static void conclude(payload_state *s, const payload_params *p)
             const law_real curve = (law_real)0.5F * ((p->model[i + 1U].mass - here) - (here - p->model[i - 1U].mass));
             const law_real mass = here + (at * (rise + (at * curve)));
             const law_real slope = (rise + (((law_real)2 * at) * curve)) / mass;
-            /* one sample of the stated noise takes the place of the one that the mass uses up */
+            /* the fit of the mass uses up one degree of freedom: one sample of the stated noise replaces it */
             const law_real noise = ((s->remaining / p->model[i].power) + p->variance) / s->samples;
             const law_real variance = ((((law_real)2 * share) * noise) / bend) * (slope * slope);
             if (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION)) {

@@ -143,8 +143,8 @@ def rule_filter(which: str, order: int) -> float:
 
 
 def matched_integer(designed: Design, nominal: float) -> tuple[float, float]:
-    """(k_d', β') that give λ = 2 the crossing and the margin of `designed` at ϖ =
-    `nominal`, from (42).
+    """(k_d', β') that give the integer model, λ = 2, the crossing and the margin of
+    `designed` at ϖ = `nominal`, from (42).
 
     (ω_c² − ϖ²)/ϖ² is |1/G| above the resonance, and the phase of −L is β'π/2.
     """
@@ -306,8 +306,8 @@ def _matched_in_loop(designed: Design) -> Controller:
     s = 1j * crossing.frequency
     fractional = nominal**2 / (np.exp(ORDER * np.log(s)) + nominal**2)
     integer = nominal**2 / (s**2 + nominal**2 + 0j)
-    # (jω)^β is made to compensate both differences between the links: β the phase, k_d
-    # the modulus.
+    # k_d (jω)^β is made to compensate both differences between the links: β that of the
+    # phase, k_d that of the modulus.
     shift = np.angle(fractional / integer)
     order = (
         designed.controller.derivative_order

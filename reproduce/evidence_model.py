@@ -72,7 +72,7 @@ def _order_of_payloads(published: Published) -> Evidence:
         )
         rows.append(Reading(name, text, HOLDS if found.test.common else NOT))
     return Evidence(
-        "one λ = 1.92 was written into the twin: what its logs say tests the method, never the paper's arm",
+        "the twin was built with one λ = 1.92: what its logs say tests the method, never the paper's arm",
         LOGS,
         tuple(rows),
     )
@@ -107,8 +107,8 @@ def _ratios(published: Published) -> Evidence:
     worst = 100 * max(abs(value / asked - 1) for value, asked in at)
     return together(
         rows,
-        "the printed ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g), each against the value by (5); the resonances of section 3.3 "
-        f"do follow (5), within {worst:.0f} % of its ratios",
+        "the printed ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g), each against the value given by (5); the resonances of "
+        f"section 3.3 do follow (5), within {worst:.0f} % of its ratios",
     )
 
 
@@ -149,9 +149,9 @@ def _gap_of_aic(published: Published) -> Evidence:
     ]
     digits = SAMPLES * 0.000005 / mse["UD-FOM"]  # half of the last printed digit
     text = (
-        f"AIC of D-FOM and D-IOM lie {gaps[0]:.1f} and {gaps[1]:.1f} above UD-FOM's, all on fitted "
-        f"samples; the printed digits of an MSE leave ±{digits:.1f} in its AIC, so the order of UD-FOM and "
-        "D-FOM is not decided by them, and that of UD-FOM and D-IOM is; UD-IOM has one parameter, UD-FOM two"
+        f"the AICs of D-FOM and D-IOM lie {gaps[0]:.1f} and {gaps[1]:.1f} above that of UD-FOM, all on fitted "
+        f"samples; each AIC is known to ±{digits:.1f} from the printed MSE: enough to tell UD-FOM from D-IOM, "
+        "but not from D-FOM; UD-IOM has one parameter, UD-FOM two"
     )
     decided = [gap > 2.0 * digits for gap in gaps]
     return Evidence(

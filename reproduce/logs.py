@@ -1,9 +1,9 @@
 """The paper's identification repeated on the twin: its pulse, its PRBS, and fits under
 the same conditions.
 
-The laboratory's logs are not published. The twin is an arm into which λ = 1.92 and c =
-1.56 N·m were written, so whatever is fitted here tests the method and the paper's
-arithmetic, never the paper's arm.
+The laboratory's logs are not published. The twin was built with λ = 1.92 and c = 1.56
+N·m, so whatever is fitted here tests the method and the paper's arithmetic, never the
+paper's arm.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ print does not establish is that λ = 1.92 in place of 2 is the reason.
 {list_logs}
 
 Nothing here can confirm or refute that a payload leaves λ = 1.92 alone: the twin has this λ because it
-was written into it. [If you are the authors]({page}) says which data would decide what.
+was built with it. [If you are the authors]({page}) says which data would decide what.
 """
 
 PAGE = "../docs/explanation/if-you-are-the-authors.md"

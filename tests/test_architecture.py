@@ -23,7 +23,7 @@ from guard_sources import PACKAGES, ROOT
 
 PAGE = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
 BLOCK = re.compile(
-    r"```(?:python|toml)\n# src/fraclink/(\S+), (?:behind: (.*?)|at the end)\n(.*?)```",
+    r"```(?:python|toml)\n# src/fraclink/(\S+), (?:after: (.*?)|at the end)\n(.*?)```",
     flags=re.DOTALL,
 )
 RECIPES = {

@@ -564,7 +564,7 @@ def test_a_plan_says_what_will_move() -> None:
     assert "34.4°" in lines[1] and "10 V" in lines[1]
     assert lines[2].startswith("domain") and "6.9 Hz" in lines[2]
     with pytest.raises(
-        FieldError, match=r"payloads: without the payload of the tuning"
+        FieldError, match=r"payloads: the tuning payload is not in the range"
     ):
         replace(PLAN, payloads=(0.040, 0.050))
 

@@ -1,5 +1,5 @@
-"""Build the sdist, the wheel from the sdist, and run the README's session with the
-wheel alone, with numpy and scipy, in a separate environment outside the repository.
+"""Build the sdist, build the wheel from it, and run the README's session with nothing
+but the wheel, numpy and scipy, in a separate environment outside the repository.
 
 python tools/check_dist.py [--out dist] needs the build tools of requirements.lock.
 """
@@ -37,7 +37,7 @@ def run(*command: object, cwd: Path) -> None:
 
 
 def locked(names: tuple[str, ...]) -> str:
-    """The entries of requirements.lock, versions and hashes, of some packages."""
+    """The entries of some packages in requirements.lock, with versions and hashes."""
     text = (ROOT / "requirements.lock").read_text("utf-8")
     entries = re.findall(r"^\S.*(?:\n[ \t].*)*", text, flags=re.MULTILINE)
     return "\n".join(row for row in entries if re.split(r"[=\s]", row)[0] in names)
@@ -67,7 +67,7 @@ def main() -> None:
         run(*into, "--require-hashes", "--no-deps", "-r", "needed.txt", cwd=away)
         run(*into, "--no-deps", wheel, cwd=away)
         run(*into[:-1], "check", cwd=away)
-        # Line by line, without the fences: the text that a reader would paste.
+        # The block without its fences: the text that a reader would paste.
         readme = (ROOT / "README.md").read_text("utf-8")
         (session,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
         (away / "session.txt").write_text(session, encoding="utf-8")

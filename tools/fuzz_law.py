@@ -1,9 +1,10 @@
-"""Fuzz law.c for as long as asked and print executions and coverage: tools/fuzz_law.py
---seconds 60.
+"""Fuzz law.c for as long as asked and print executions and coverage.
 
-libFuzzer with the address, undefined-behaviour and float sanitizers of clang on
-tests/firmware/fuzz.c, whose invariants (finite, in limits, slew, trips latch) are the
-oracle. The exit code is 1 if one is violated; the input is then in the printed folder.
+For example: tools/fuzz_law.py --seconds 60. libFuzzer runs tests/firmware/fuzz.c with
+the address, undefined-behaviour and float sanitizers of clang. The invariants in that
+file are the oracle: outputs are finite, within their limits and limited in slew rate,
+and trips latch. The exit code is 1 if one is violated; the input is then in the printed
+folder.
 """
 
 from __future__ import annotations

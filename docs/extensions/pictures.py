@@ -1,5 +1,5 @@
-"""The pictures of the pages, drawn by the package in every build: title, page that
-explains it, drawing.
+"""The pictures of the pages, drawn by the package in every build. Each has a title, the
+page that explains it, and a function that draws it.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def damping() -> Figure:
         0.0628 * np.array([rig().natural_frequency(float(m)) for m in payloads]) / base
     )
     w = [abs(model.pole) for model in law]
-    said = "The damping ratio of a viscous link rises with its frequency, that of a power law does not"
+    said = "The damping ratio of a viscous link rises with its frequency; that of a power law does not"
     curves = [
         ("power law, λ = 1.92", w, [100 * m.damping_ratio for m in law]),
         ("viscous", w, 100 * viscous),
@@ -282,7 +282,7 @@ def published() -> Figure:
                 ],
             )
         )
-    said = "Of the margin that the published procedure promises, the loop that runs keeps little"
+    said = "The loop that runs keeps little of the margin that the published procedure promises"
     return lines(
         "published",
         said,
@@ -448,7 +448,7 @@ PICTURES: dict[str, Picture] = {
         lambda: figures.response_figure(log(), fit()) or "",
     ),
     "residual": Picture(
-        "What a model leaves",
+        "What a model leaves unexplained",
         "explanation/identification",
         lambda: figures.residual_figure(fit()) or "",
     ),
@@ -466,7 +466,7 @@ PICTURES: dict[str, Picture] = {
     ),
     "damping": Picture("Two kinds of damping", "explanation/why-fractional", damping),
     "steps": Picture(
-        "Steps of fractional links", "how-to/fractional-calculus", link_steps
+        "Step responses of fractional links", "how-to/fractional-calculus", link_steps
     ),
     "stand-ins": Picture("Rational stand-ins", "explanation/numerics", stand_ins),
     "second-mode": Picture("The twin’s second mode", "explanation/twin", second_mode),
@@ -487,7 +487,9 @@ PICTURES: dict[str, Picture] = {
         "explanation/what-the-margins-mean",
         lambda: loops.margins_figure(design()),
     ),
-    "published": Picture("Promised and left", "explanation/the-paper", published),
+    "published": Picture(
+        "Promised and actual margin", "explanation/the-paper", published
+    ),
     "budget": Picture(
         "Where the phase goes",
         "explanation/margins",

@@ -1,5 +1,5 @@
 """Conversion of python-control systems to fractional ones, and of fractional systems to
-its frequency responses.
+frequency responses of python-control.
 
 python-control is only imported by the first call, since that takes seconds.
 """
@@ -115,7 +115,7 @@ def from_control(system: Any) -> FractionalTransferFunction:
         raise FieldError(
             "system",
             (system.noutputs, system.ninputs),
-            "of several inputs or outputs",
+            "has several inputs or outputs",
             "one input and one output",
             "select one channel, such as system[0, 0]",
         )

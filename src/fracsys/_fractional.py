@@ -62,7 +62,7 @@ class FractionalTransferFunction:
 
     `numerator`, `denominator`: terms, a single term, or a number. Raises `FieldError`
     for an empty or zero denominator, for NaN or infinite entries, for a negative order
-    in a denominator and for a function that would answer before its input.
+    in a denominator and for a function that would respond before its input.
 
     >>> FractionalTransferFunction((Term(2, 0.5),), (Term(4, 1.5), Term(2, 0.5)))
     0.5/(s + 0.5)
@@ -75,7 +75,7 @@ class FractionalTransferFunction:
 
     __made_by__ = "fracsys.s, such as 100 / (s**1.92 + 100)"
 
-    # numpy must not multiply an array by G entry by entry: an array is no operand.
+    # numpy must not multiply an array by G entry by entry: an array is not a valid operand.
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
@@ -176,7 +176,7 @@ class FractionalTransferFunction:
                 "exponent",
                 exponent,
                 f"a real power of {'a negative term' if single else 'a sum'}",
-                "integers to 64, or any real power of a single term c·s^a with c > 0",
+                "integers from -64 to 64, or any real power of a single term c·s^a with c > 0",
                 "take a whole number, or write the power out",
             )
         top, bottom = self.numerator[0], self.denominator[0]
@@ -370,7 +370,7 @@ class FractionalTransferFunction:
         \\frac{1}{s^{0.5} + 2}
         """
         top, bottom = (
-            # Python writes 1e-05.
+            # Python's 1e-05 is set as 1 · 10^{-5}.
             re.sub(
                 r"(?<=\d)e\+?(-?)0*(\d+)", r" \\cdot 10^{\1\2}", written(terms, LATEX)
             )

@@ -206,7 +206,7 @@ def normal(
             early,
             "negative",
             "≥ 0 s",
-            "the function would answer before its input",
+            "the function would respond before its input",
         )
     # Monic in the highest order, whose coefficient is never zero.
     lead = bottom[0].coefficient

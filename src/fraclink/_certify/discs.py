@@ -1,10 +1,10 @@
 """Arrays of intervals and of complex discs that contain every value, including
 rounding.
 
-The relative error of one IEEE operation is at most 2^-50 (for a complex quotient, the
-worst case), that of numpy's elementary functions a few units in the last place. Every
-result is widened by at least `ROUNDING` of its size, four times 2^-50. The proof does
-not rest on these bounds, since the checker recomputes every leaf.
+The relative error of one IEEE operation is at most 2^-50 (the worst case is a complex
+quotient), and numpy's elementary functions are accurate to a few units in the last
+place. Every result is widened by at least `ROUNDING` of its size, four times 2^-50. The
+proof does not rest on these bounds, since the checker recomputes every leaf.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class Disc:
     def __add__(self, other: Disc | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         centre = self.c + other.c
-        # Relative to the terms instead of their sum: where they cancel, the sum is small
-        # but its error is not.
+        # Relative to the terms, which is cautious: the rounding of a sum is relative to
+        # the sum, which is smaller where the terms cancel.
         rounding = ROUNDING * (np.abs(self.c) + np.abs(other.c))
         slopes = dict(self.d)
         for name, slope in other.d.items():
@@ -116,8 +116,8 @@ class Disc:
         """1/z; the whole plane for a disc that contains zero.
 
         The image of a disc is the disc of centre c*/(|c|² − r²) and radius r/(|c|² −
-        r²). The closer the disc comes to zero, the larger is the rounding error of the
-        difference.
+        r²). The closer the disc comes to zero, the larger the relative rounding error
+        of |c|² − r².
         """
         # The divisor |c|² − r² cancels where the disc nearly contains zero. A disc
         # whose margin is below twice the rounding of the difference counts as
@@ -141,8 +141,8 @@ class Disc:
     def exp(self) -> Disc:
         """e^z: |e^(c + h) − e^c| <= |e^c| (e^|h| − 1)."""
         centre = np.exp(self.c)
-        # The error of the library's exponential is a few units of its result, plus |c|
-        # units from the rounding of its argument.
+        # The library's exponential is accurate to a few units in the last place; |c|
+        # times as much is added for the rounding of its argument.
         disc = Disc(
             centre,
             np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))),
@@ -152,8 +152,8 @@ class Disc:
         )
 
     def closer(self, middle: Disc, steps: Mapping[str, Real]) -> Disc:
-        """The discs about the values at the middle of the variables, if the slopes make
-        them smaller.
+        """The smaller of each disc and the one about the value at the middle of the
+        variables, whose radius follows from the slopes.
 
         `steps`: largest distance of each variable from its middle.
         """

@@ -1,4 +1,4 @@
-"""The same sampled loop in plain floating point: a search that precedes the proof."""
+"""The loop of the proof in plain floating point, for a search that precedes it."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ def loop_values(
     """Return L at `frequency` [rad/s], up to Nyquist; `place` contains the parameters
     of the statement.
 
-    It includes the same aliases as the proof: `ALIASES` from `ALIASES_FROM` on, or
-    where `held` is set. "softness" is q = 1/ω₀², "loss" η = μ/ω₀², "motor" p or A. All
-    arguments are broadcast. `held_law` is that of the law where it is known.
+    It includes the same aliases as the proof: `ALIASES`, from `ALIASES_FROM` of the
+    Nyquist frequency on, or instead where `held` is set. "softness" is q = 1/ω₀²,
+    "loss" η = μ/ω₀², "motor" p or A. All arguments are broadcast. `held_law`: the
+    response of the law with its hold, if it has already been computed.
     """
     w, at = (
         np.asarray(frequency, float),

@@ -32,8 +32,8 @@ __all__ = ["certify"]
 PayloadRange = Annotated[tuple[Payload, Payload], ascending()]
 # At infinite frequency the distance is one, so that no loop keeps more.
 ModulusMargin = Annotated[float, above(0.0, 1.0, high_open=True)]
-# Gap between the distance found by the search and the distance claimed. Half of it
-# takes 3 to 7 % more leaves on four claims, a fifth of it up to 19 %.
+# Gap between the distance found by the search and the distance claimed. On four claims
+# half this gap takes 3 to 7 % more leaves, and a fifth of it up to 19 % more.
 _ROOM = 0.005
 # Limit on the nodes for every claim but the smallest that passes.
 _USUAL = 80_000
@@ -61,8 +61,8 @@ def certify(
     The box holds the link's order, frequency and damping, the gauge's gain and delay,
     the second mode and the motor. The proof covers the law's exact coefficients, its
     motor loop as it is sampled, the zero-order hold and all aliases, and that no guard
-    acts in the moves that it states; tools/check_certificate.py checks it with other
-    arithmetic against the files of `export_c`.
+    acts in the moves that the certificate states; tools/check_certificate.py checks it
+    with other arithmetic against the files of `export_c`.
 
     The certificate contains ``passed`` and ``verdict`` and, where the proof fails, the
     payload, the frequency and the distance found there.
@@ -70,18 +70,19 @@ def certify(
     Parameters
     ----------
     subject
-        a design; or a law, then `model` and `rig` are needed.
+        a design, or a law; a law needs `model` and `rig`, too.
     model, rig
         the link and the rig; the design's own when left out.
     payloads
         (lightest, heaviest) [kg], > 0; the design's or the rig's when left out.
     delay
         (shortest, longest) computation delay [s], at most Ts apart where the law closes
-        the motor loop; when left out, anything within the last of the motor loop's
-        periods of delay.
+        the motor loop; when left out, from n − 1 to n periods for a motor loop with a
+        delay of n periods, and from 0 to 1 for one without a delay.
     modulus_margin
-        m, 0 < m < 1; when left out what can be proved, usually within a hundredth of
-        what a search finds, and not below 0.25: a loop that comes closer does not pass.
+        m, 0 < m < 1; when left out, as much as can be proved: usually within a
+        hundredth of the distance that a search finds, and never below 0.25, since a
+        loop that comes closer does not pass.
     law
         the law to prove, if not the design's own (double precision, another order).
     box
@@ -252,17 +253,17 @@ def _statement(
             "give both beside a law, or certify a design",
         )
     subject_law = law if law is not None else subject
-    assert isinstance(subject_law, Law)  # a design gave its own  # noqa: S101
+    assert isinstance(subject_law, Law)  # a design has its own  # noqa: S101
     period = subject_law.period
-    # The board may take between zero and one period to compute; the design assumed one,
-    # after a whole number of periods of other delay.
+    # The board may take between zero and one period to compute. The design assumed a
+    # full period; any further periods of the motor loop's delay are always there.
     motor_loop = subject.motor_loop if isinstance(subject, Design) else rig.motor_loop
     whole = max(motor_loop.delay_samples - 1, 0) * period
     first, last = (whole, whole + period) if delay is None else delay
     first = Between(0.0, 8.0 * period, "s").check("delay[0]", first)
     most = 8.0 * period
     if subject_law.motor_loop is not None:
-        # within one period: beyond, the order of the sampled motor loop changes
+        # within one period: beyond it, the order of the sampled motor loop changes
         most = (math.floor(first / period * (1 + 1e-9)) + 1) * period
         if last == first:
             most = max(most, last)

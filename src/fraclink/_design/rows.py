@@ -72,8 +72,8 @@ class Row:
     def kept(
         self, request: Request, wanted: float, reserve: float = 0.0
     ) -> tuple[Figure, ...]:
-        """Return the slack of the row beyond a reserve, negative where it is missed;
-        relative, so that one number eases all rows.
+        """Return the slack of the row beyond a reserve, negative where the row is
+        missed. The slack is relative, so that one number can relax all rows alike.
         """
         reserve += self.reserve
         if self.bound is not None:
@@ -268,8 +268,8 @@ _HINTS: Mapping[str, Any] = get_type_hints(Specification, include_extras=True)
 
 
 def specification(wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the request with every value checked for its range; None leaves a value to
-    its rule.
+    """Return the request with every value checked for its range; a value of None is
+    dropped, and its default applies.
 
     Raises TypeError for an unknown name, FieldError for a value out of its range.
     """

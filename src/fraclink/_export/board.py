@@ -51,7 +51,7 @@ _HEADER = """\
  * A row for each period of {period} s; in period k, counted from 0, give the law
  *     input.reference = origin + {name}_angle[k];
  *     input.reference_acceleration = {name}_acceleration[k];
- * origin being where the arm stands [rad]; then the last angle, with acceleration 0.
+ * where origin [rad] is the angle at which the arm starts. After the last row, keep its angle, with acceleration 0.
  * Reals are hex floats, so that no decimal conversion can round them. */
 #ifndef FRACLINK_{guard}_H
 #define FRACLINK_{guard}_H
@@ -78,19 +78,19 @@ static const law_real {name}_acceleration[{guard}_LENGTH] = {{
 def export_reference(
     reference: Reference, path: Path, *, period: Period, force: bool = False
 ) -> Path:
-    """Write a reference as a table with one row for each `period` [s], up to its rest,
-    and return the file.
+    """Write a reference as a table with one row for each `period` [s] until it is at
+    rest, and return the file.
 
     A name that ends in .csv gets the columns time_s, angle_rad, velocity_rad_per_s and
-    acceleration_rad_per_s2, which `read_reference` reads back bit for bit; a name in .h
-    gets the angles and accelerations as constant arrays in C99, named after the file,
+    acceleration_rad_per_s2, which `read_reference` reads back bit for bit; one that
+    ends in .h gets the angles and accelerations as constant arrays in C99, named after the file,
     for a program that runs the exported law.
 
     Raises
     ------
     FieldError
-        another ending, a name that is no C identifier, a file that is there already
-        without `force`.
+        another ending, a name that is not a C identifier, or without `force` a file
+        that already exists.
     SizeError
         more than 2 000 000 rows.
 
@@ -128,7 +128,7 @@ def export_reference(
 def _rows(values: Real, period: float) -> str:
     time = period * np.arange(values.shape[1])
     # repr gives the shortest text that reads back to the same double; tolist() gives
-    # Python floats, because the repr of numpy's starts with their type.
+    # Python floats, because the repr of a numpy float names its type.
     lines = (",".join(map(repr, row)) for row in np.vstack([time, values]).T.tolist())
     return "\n".join([",".join(COLUMNS), *lines]) + "\n"
 

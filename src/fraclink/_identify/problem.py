@@ -5,8 +5,8 @@ A problem gives, for M candidates at once, the cost of each and its change aroun
     cost(x + d) = cost − 2 slopeᵀ d + dᵀ normal d,
 
 with the offset, and the gain of a link, projected out (Golub and Pereyra, SIAM J. Numer.
-Anal. 10 (1973) 413): a start needs no values for them, and a step cannot trade one for
-the other. Each problem computes these numbers in its own way (a Gram matrix of the compiled kernel, a
+Anal. 10 (1973) 413): a start needs no values for them, and no step can trade them for
+other parameters. Each problem computes these numbers in its own way (a Gram matrix of the compiled kernel, a
 Laplace transform, exact responses).
 """
 
@@ -24,9 +24,10 @@ from scipy.special import ndtri
 from fracsys._precision import BLUR, EPSILON, ROUNDS
 from fracsys.checks import Mask, Real
 
-# Chance below which something counts as shown; how many standard errors noise exceeds
-# with this chance (two-sided), and how many a 95 % interval has on either side.
+# Chance below which something counts as shown.
 LEVEL = 1e-3
+# In standard errors: the deviation that noise exceeds with this chance (two-sided), and
+# half the width of a 95 % interval.
 CERTAIN, QUANTILE = (float(-ndtri(chance / 2)) for chance in (LEVEL, 0.05))
 # Share of a power that is clearly less than the whole: half of the amplitude, 6 dB. A law
 # whose model leaves more than this of an unseen motion cannot cancel more than half of the
@@ -43,7 +44,8 @@ RESOLUTION = 2.0**-32
 # Smallest eigenvalue of a normal matrix scaled to ones on its diagonal: since its
 # entries are sums of products of doubles, a weaker direction is rounding.
 _UNSEEN = 1e-10
-# Factors down by ten and up by eight, so that no damping that failed is tried again.
+# Factors on the damping after a success and a failure: one tenth and eight, so that no
+# damping that failed is tried again.
 _FASTER, _SLOWER = 0.1, 8.0
 # Measured numbers per free parameter, at least: a fit of noise then leaves four fifths of
 # its sum of squares, which a gate rejects.
@@ -108,7 +110,8 @@ class Problem(ABC):
 
 def at_limits(places: Real, low: Real, high: Real) -> Mask:
     """Which coordinates (p,) ended on a limit of their range."""
-    # Share of the range: for the coordinate of 1e-12 to 1e12 a factor of 1 + 5e-6.
+    # Share of the range: on the logarithmic scale of a coefficient from 1e-12 to 1e12, a
+    # factor of 1 + 7e-6.
     near = BLUR * (high - low)
     return (places <= low + near) | (places >= high - near)
 
@@ -138,7 +141,7 @@ def descend(
     box: tuple[Real, Real] | None = None,
 ) -> Descent:
     """Levenberg-Marquardt descents from all rows of `places` at once, within the
-    problem's limits or within a narrower `box` of each row, (M, p) and (M, p).
+    problem's limits, or within a narrower `box`: low and high, (M, p) each.
 
     A descent ends where an undamped step would gain less than the problem's precision
     (the Newton decrement: a short step says only that the damping is large) or less
@@ -150,7 +153,7 @@ def descend(
     at = problem.quadratic(places)
     costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
     damping = np.full(len(places), 1e-3)
-    # A start without a response has no slope along which to leave it.
+    # A start whose cost is not finite has no slope along which to leave it.
     moving, settled = np.isfinite(costs), np.zeros(len(places), bool)
     for _ in range(iterations):
         own = np.flatnonzero(moving)
@@ -168,9 +171,9 @@ def descend(
         trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
         at = problem.quadratic(trial)
         better = at.cost < costs[own]
-        # At its end a descent continues while each step succeeds at its first trial.
+        # After a success a descent continues while a step may gain 1 % of `least`; after
+        # a failure, if it has not settled and the damping still leaves a step.
         moving[own] = np.where(
-            # So much damping makes a step negligible.
             better,
             gain > 0.01 * least,
             ~settled[own] & (BLUR * damping[own] < 1.0),
@@ -201,7 +204,7 @@ def descend_within_samples(
     # At a delay of zero the interval is that single value, and only the others are
     # fitted.
     inside = low[:, k] <= high[:, k]
-    # From the sample itself, where the cost is smooth from below.
+    # The descent starts at the sample, where the cost is smooth from below.
     rows = np.where(np.arange(place.size) == k, high, place)
     box = low[inside], high[inside]
     return descend(problem, rows[inside], box=box)
@@ -212,8 +215,9 @@ def _damped_steps(
 ) -> tuple[Real, Real]:
     """Damped steps (M, p) between `low` and `high`, and the gain of undamped ones (M,).
 
-    A coordinate that would go beyond is held at its limit, and the others follow from the
-    quadratic model given its step: cut off alone, it would lead them out of the valley.
+    A coordinate that would go beyond its limit is held there, and the others follow from
+    the quadratic model given that step. If it were only cut off, the step would lead out
+    of the valley.
     """
     held = (low >= 0) & (slope < 0) | (high <= 0) & (slope > 0)
     # An overflow says nothing about the other entries.
@@ -303,10 +307,10 @@ Parameters = Callable[
     [Real], tuple[Real, Real]
 ]  # (M, p) -> values (M, q), gradients (M, q, p)
 
-# Ends that no limit stops are found in 4 to 13 iterations; the others move along a cost
-# without an end.
+# Ends that no limit stops are found in 4 to 13 iterations; for others the cost never
+# rises far enough.
 _TURNS = 30
-_MET = 2e-3  # relative to the quantile: 0.01 % of the coverage
+_MET = 2e-3  # relative to the quantile: 0.02 % of coverage at each end
 _FAR = 1.5  # multiple of the quantile, beyond which the quadratic model fails
 
 
@@ -387,7 +391,8 @@ def _outward(
     # Twice: a coordinate stopped by a limit is held in the second pass.
     for _ in range(2):
         values, vectors, size = _axes(at.normal, at_limit)
-        # Along an undetermined direction any step would do.
+        # The floor on the eigenvalues keeps the step along an undetermined direction
+        # finite.
         inverse = np.einsum(
             "mpk,mk,mqk->mpq", vectors, 1.0 / np.maximum(values, _UNSEEN), vectors
         ) / (size[:, :, None] * size[:, None, :])

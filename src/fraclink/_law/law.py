@@ -1,5 +1,5 @@
-"""The control law at its period: a frozen object, saved as one file, with the block of
-numbers that a board gets.
+"""The discretised control law: a frozen object, saved as one file, with the parameter
+block that a board gets.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ class LawOutputs(NamedTuple):
     """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from
     `Law.run`.
 
-    motor_reference θm* [rad], voltage [V], compensation: its part against the coupling
-    torque [V], tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason
-    (index of REASONS), flags (bits of law.h).
+    motor_reference θm* [rad], voltage [V], compensation (the part of the voltage against
+    the coupling torque) [V], tip_estimate θm − Γ/c [rad], error [rad], mode (index of
+    MODES), reason (index of REASONS), flags (bits of law.h).
     """
 
     motor_reference: Any
@@ -100,7 +100,7 @@ def _complex_text(value: complex) -> str:
 )
 @dataclass(frozen=True)
 class Law(Block, Saved):
-    """A controller as it runs: every coefficient of law.c at its period.
+    """A controller as it runs, discretised: every coefficient of law.c.
 
         θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c,    (22), (23)
         Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z − p)),                          (28)
@@ -129,10 +129,10 @@ class Law(Block, Saved):
     motor_loop
         None for a robot that has its own position servo.
     limits
-        of the guards.
+        the thresholds of the guards.
     tracking
-        what the law needs to use a payload that is given; None where its link model
-        knows none.
+        what the law needs to use a given payload; None if the payload of its link
+        model is not known.
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel
@@ -161,11 +161,11 @@ class Law(Block, Saved):
 
     @property
     def order(self) -> int:
-        """Number of states of the correction Ĉ, without the one of its difference."""
+        """Number of states of Ĉ, not counting the one of its factor 1 − z⁻¹."""
         return len(self.correction.poles) + 2 * len(self.correction.pair_poles)
 
     def overview(self) -> Overview:
-        """Poles, gains and the error of the fit; the law's name is its digest."""
+        """Poles, gains and the error of the fit, and the digest of the law."""
         motor = (
             "with its motor loop"
             if self.motor_loop
@@ -279,9 +279,7 @@ class Law(Block, Saved):
         )
 
     def frequency_response(self, frequency: ArrayLike) -> Complex:
-        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any
-        shape.
-        """
+        """Return Ĉ(e^(jωT)) with the rounded coefficients, at ω [rad/s] of any shape."""
         w = np.asarray(frequency, float)
         direct, poles, gains, pairs, crossed = self._filter
         half = 0.5 * w * self.period

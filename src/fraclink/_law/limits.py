@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "derive_limits"]
 
-# Largest payload, relative to the nominal one, and with it the flexion and the torque of
-# a move: more is a wrong unit.
+# Largest payload relative to the nominal one, and with it the flexion and the torque of
+# a move: a larger value is taken for a wrong unit.
 LARGEST_SCALE = 4.0
 # [s] in which the scale of the feed-forward changes by 1: within a move, but without a
 # jump
@@ -40,8 +40,8 @@ CREDIBLE_SHARE = 0.975
 TRIP_SHARE = 0.9
 # [rad]: about 3°, a swing that a person next to the arm can see
 SWING = 0.05
-# Far above every angle, torque, speed and voltage of an arm, and within the range of a
-# block in single precision, which holds finite numbers.
+# Far above every angle, torque, speed and voltage of an arm, but not infinite: a block
+# holds finite numbers only, and may be in single precision.
 UNBOUNDED = 1e6
 
 
@@ -76,8 +76,8 @@ class Limits:
     missed_limit: int = 5
     residual_limit: int = 10
     stuck_limit: int = STILL
-    # lost samples do not come in such long rows, and the motor has not moved far by
-    # then
+    # samples are not lost in runs as long as this, and the motor does not move far
+    # within one
     frozen_limit: int = 8
     block_limit: int = 100  # derived from the resonance
     stop_ringing: bool = False
@@ -107,9 +107,9 @@ def derive_limits(
     `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where it is unknown.
     `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. `heaviest`: ratio of the heaviest
     payload to the link's, by which a lasting deflection grows. Largest torque of a move: c a
-    |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
-    as it was placed, with its delay. The reason for each number is given beside it in
-    the source.
+    |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop`: how the placed
+    motor loop, with its delay, follows its reference, and the error of its model. The
+    reason for each number is given beside it in the source.
     """
     resonance = link.resonance
     flexible = float(abs(link.lead(resonance))) * moves.acceleration
@@ -206,8 +206,8 @@ def _stuck_torque(
     The reading of a sound gauge stays constant while the motor turns by less than one
     quantum, q/c. With the jerk j of the reference this takes (6q/cj)^(1/3); the torque
     of the model is then c j/ω² times that time. Whatever j is, the reading then changes
-    at most n periods after the torque of the model passed 8q/(9n²ω²T²), and with noise
-    even sooner.
+    at most n = `STILL` periods after the torque of the model passed 8q/(9n²ω²T²), and
+    with noise even sooner.
     """
     step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
     slow = 8 / (9 * (STILL * link.resonance * period) ** 2)

@@ -43,7 +43,7 @@ class TuningPlan:
     limits
         of angle, speed, torque and voltage.
     payload
-        at the tip during the tuning [kg], which no motion shows.
+        at the tip during the tuning [kg]; it cannot be determined from motion.
     payloads
         (lightest, heaviest) that the law is for [kg]; default: from three quarters of
         the payload to a third more.
@@ -82,9 +82,9 @@ class TuningPlan:
                 raise FieldError(
                     "payloads",
                     self.payloads,
-                    "without the payload of the tuning",
+                    "the tuning payload is not in the range",
                     f"low <= {self.payload:g} <= high [kg]",
-                    "tune with a payload of the range",
+                    "tune with a payload in the range",
                 )
 
     @property
@@ -115,14 +115,14 @@ class TuningPlan:
                 f"limits: {math.degrees(limits.angle):.3g}° to each side of where the arm stands, "
                 f"{limits.speed:g} rad/s, {limits.torque:g} N·m at the gauge, {limits.voltage:g} V",
                 domain(self.period),
-                "1 wiring: short pulses that grow until the motor turns by 1°, over "
-                f"{math.degrees(2.0 * MOST):.2g}° at most and within the speed limit, also with dead sensors if the "
+                "1 wiring: short pulses that grow until the motor turns by 1°; they move it over "
+                f"{math.degrees(2.0 * MOST):.2g}° at most and keep the speed limit, even with dead sensors if the "
                 f"motor accelerates by no more than {STRONGEST:g} rad/s²; no loop is closed; 8 s",
                 f"2 motor: slow moves within ±{math.degrees(min(FIRST, PLANNED * limits.angle)):.2g}°, "
                 f"growing to {part} % of the limits where that is needed; 5 to 15 s",
                 f"3 link: a random sequence within ±6.9°, growing to {part} % of the limits where that is "
                 "needed, and a random voltage for 2 s; 8 to 25 s",
-                f"4 the drive is off: model, design for {low:.3g} to {high:.3g} g, proof, law; some seconds",
+                f"4 the drive is off: model, design for {low:.3g} to {high:.3g} g, proof, law; a few seconds",
                 f"5 first moves: up to {math.degrees(PLANNED * limits.angle):.3g}°, at a tenth of the speed and "
                 "twice at full speed; 11 to 17 s for each law, three at most",
             )
@@ -205,8 +205,9 @@ class Tuning:
                 Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
-        # Compared with the promise instead of the arm, since this scope is that of the
-        # model. A move that still vibrated would leave the band within the last window.
+        # Judged by the promised settling time instead of the arm's, since this scope is
+        # that of the model: a move that still vibrates leaves the band again in the last
+        # window, and so settles within that.
         last = {move.payload: move for move in self.moves}
         model = (
             Scope("passed")
@@ -254,7 +255,7 @@ class Tuning:
     def overview(self) -> Overview:
         """The measured values with their errors, the first moves, and the scopes."""
         verdict = self.verdict
-        time = f"{self.arm_time:.0f} s of the arm, {self.computing:.1f} s of computing"
+        time = f"{self.arm_time:.0f} s on the arm, {self.computing:.1f} s of computing"
         moves = Table.of("moves", self.moves)
         rows = rows_of(self, "stopped", "reasons", "verdict", *self._measured())
         return Overview(
@@ -278,7 +279,7 @@ class Tuning:
 
 
 def measured(tuning: Tuning) -> tuple[Wiring, MotorResult, LinkResult]:
-    """Wiring, motor and link of a tuning; FieldError where it ended before."""
+    """Wiring, motor and link of a tuning; FieldError if one is missing."""
     if tuning.wiring is None or tuning.motor is None or tuning.link is None:
         raise FieldError(
             "tuning",

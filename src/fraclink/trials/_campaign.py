@@ -174,7 +174,7 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     # reduced on both sides, so that its mean remains the model's.
     reach = min(0.02, 2.0 - model.order)
     # The amplitude of a torque log determines only the product of stiffness and gain;
-    # its ω₀ determines the stiffness.
+    # the link's ω₀ determines the stiffness.
     link = with_payload(model, rig).at_payload(rig.payloads.nominal)
     stiffness = (
         rig.link.stiffness
@@ -244,8 +244,8 @@ class Campaign:
     payloads: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        # At least a second to settle: with less, every run would fail because of the
-        # length of the campaign.
+        # At least a second to settle: with less, every run would fail merely because it
+        # ends too early.
         if self.reference is not None and self.reference.duration + 1.0 > self.duration:
             raise FieldError(
                 "reference",
@@ -257,8 +257,8 @@ class Campaign:
 
     @cached_property
     def estimator(self) -> PayloadEstimator | None:
-        """The estimator of the payload of each arm, which starts at the nominal one; None
-        if the payload is not estimated.
+        """The payload estimator of each arm, None if the payload is not estimated; until
+        it has an estimate, the law assumes the nominal payload.
         """
         if self.payloads is None:
             return None
@@ -268,7 +268,7 @@ class Campaign:
 
     @property
     def references(self) -> tuple[Reference, ...]:
-        """The references: the tip of a run follows one of these times its amplitude."""
+        """The references: each run follows one of them, scaled by its amplitude."""
         moves = tuple(smooth_step(1.0, duration) for duration in SHAPES)
         return moves if self.reference is None else (self.reference,)
 
