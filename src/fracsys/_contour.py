@@ -59,8 +59,8 @@ def step_error(quotient: Quotient, times: Real, values: Real) -> float:
     """Return an estimate of the largest error of `step_values`.
 
     Another number of nodes means another parabola, with other truncation and rounding
-    errors, which grow with the nodes: the differences among five rules exceed the error
-    of one. The poles are shifted by their uncertainty. The error changes slowly with
+    errors, which grow with the nodes: the differences from five other rules exceed the
+    error. The poles are shifted by their uncertainty. The error changes slowly with
     time, so a selection of the times is enough.
     """
     sample = np.argsort(times)
@@ -134,8 +134,8 @@ def _on_parabola(quotient: Quotient, times: Real, nodes: int) -> Real:
 def _nodes(order: float) -> int:
     """Nodes N for a transform that behaves as s^-order at 0, which is the point u = i.
 
-    The error e^(-2πN/3) then carries the factor (2πN/3)^(2a-1)/Γ(2a). More nodes than
-    needed raise the rounding error, e^(πN/12).
+    With a = `order` the error e^(-2πN/3) then carries the factor (2πN/3)^(2a-1)/Γ(2a).
+    More nodes than needed raise the rounding error, e^(πN/12).
     """
     # 2.1 stands for 2π/3, and e^-32 = 1e-14. With e^-20 the contours would be too
     # coarse for test_a_contour_per_lag_where_modes_would_cancel.
@@ -216,9 +216,8 @@ def convolve(weights: Real, u: Real) -> Real:
 # Source: Dubner and Abate, J. ACM 15 (1968) 115, with the aliasing controlled as by
 # Crump (1976).
 
-# Spans in the window: with two, e^(σt) would raise rounding by e^(36/2). Points of the
-# inversion per sample; the one that it is compared with has half as many.
-WINDOW = 4
+WINDOW = 4  # spans in it: with two, e^(σt) would raise rounding by e^(36/2)
+# Points of the inversion per sample; the one that it is compared with has half as many.
 OVERSAMPLING = 8
 
 

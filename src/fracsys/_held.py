@@ -154,7 +154,7 @@ class HeldQuotient:
             gains = parts.weights * np.expm1(x) ** 2 / x
             pole_gains = 2.0 * parts.pole_weights * np.expm1(z) ** 2 / z
         # A sample lies `ahead` later than the input that it responds to; each mode has
-        # decayed by that time.
+        # decayed for that long.
         gains = gains * np.exp(x * ahead / period)
         pole_gains = pole_gains * np.exp(z * ahead / period)
         if integrator:
@@ -196,7 +196,7 @@ class HeldQuotient:
     def _checked(
         self, shortest: float, longest: float, tolerance: float, steps: int
     ) -> tuple[Expansion, float, float] | None:
-        """The modes, the error of their step response after so many steps, and its
+        """The modes, the error of their step response after `steps` steps, and its
         first exact value without the integrator; None where there are no modes or they
         cancel.
         """
@@ -230,7 +230,7 @@ class HeldQuotient:
         times = np.arange(count, dtype=np.float64) * period + ahead
         values, error = _sampled(quotient, times, start)
         output[lag:] = convolve(np.diff(values, prepend=0.0), forcing)
-        # The error common to neighbouring lags counts once, with the largest input. The
+        # The error common to neighbouring lags counts with twice the largest input. The
         # independent part counts with the root of the sum of squares of the input's
         # changes, at four standard deviations.
         changes = float(np.linalg.norm(np.diff(forcing, prepend=0.0)))

@@ -121,8 +121,7 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
         return loop(np.exp(s * step) if step > 0.0 else s)
 
     high = _HIGH if limit is None else limit
-    # Six decades below the highest frequency, so that a loop at 1e-3 rad/s has the same
-    # range below it.
+    # At least six decades below the highest frequency, however low that limit is.
     return SampledLoop(response, math.log(min(_LOW, high * 1e-6)), math.log(high))
 
 

@@ -301,8 +301,8 @@ def _relocated(
     band: tuple[float, float], order: int, target: Target
 ) -> PartialFractions:
     """The poles after twelve rounds, each of which solves a linear problem. The starts
-    are spread evenly over ln Ω: for an odd order a real pole at the lowest place, pairs
-    at 45° above it.
+    are spread evenly over ln Ω: for an odd order a real pole at the lowest place, and
+    pairs at 45° at the others.
 
     R = N/σ with N = d + Σ r φ and σ = 1 + Σ c φ over the present poles: P N − F Σ c φ =
     F is linear, and the zeros of σ are the next poles.

@@ -206,8 +206,8 @@ def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
         distance[distance == 0] = np.inf
         step = newton / (1 - newton * (1 / distance).sum(axis=1))
         # A step longer than the usual spacing of the zeros leaves the basin of the
-        # starting zero. The zeros of two terms are 2π/ν apart; 0.7 is the smallest
-        # spacing in practice, for ν ≤ 8.
+        # starting zero. The zeros of two terms are 2π/ν apart, farther than 0.7 up to ν
+        # = 8.
         step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
         z = z - step
         # Newton's method converges quadratically: after a relative step of 1e-9 the

@@ -1,9 +1,9 @@
 """Output of the command line, its streams and exit codes; never a traceback.
 
 Results go to standard output, everything else to standard error, so that a pipe carries
-results only. Names that come from files are stripped of terminal escapes before they
-are printed: a log's column called ``\\x1b]0;...`` must not retitle, recolour or rewrite
-a terminal.
+results only. Terminal escapes in names that come from files are made visible before
+they are printed: a log's column called ``\\x1b]0;...`` must not retitle, recolour or
+rewrite a terminal.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def export_c(
     Raises
     ------
     FieldError
-        an existing folder.
+        a folder that is not empty, unless `force` is given.
     MissingExtraError
         `prove` without fraclink-prove.
 

@@ -93,7 +93,7 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     path
         the file's name.
     force
-        whether a file that is there already may be replaced.
+        whether an existing file may be replaced.
 
     Raises
     ------

@@ -116,8 +116,8 @@ def class_of(kind: object) -> type | None:
     The kind comes from a file that may be hostile: it is compared with those of the
     classes, and never imported itself.
     """
-    # Importing every package takes a second: names like the kind come before all others,
-    # and neither is imported if a loaded class has the kind.
+    # Importing every package takes a second: the classes already loaded are searched
+    # first, then names like the kind, then all names.
     for asked in ("none", "alike", "all"):
         for package in filter(find_spec, PACKAGES if asked != "none" else ()):
             module = import_module(package)

@@ -127,8 +127,8 @@ def serve_arm(
     twin
         with a `voltage_delay` of at least 1.
     connection
-        `Serial` or `Udp`, where controllers reach it. `Udp` is bound to
-        that host; the port "pty" of `Serial` is a pseudo-terminal.
+        `Serial` or `Udp`, where controllers reach it. `Udp` listens at its host; the
+        port "pty" of `Serial` is a pseudo-terminal.
     period
         the law's [s].
     duration

@@ -96,8 +96,8 @@ class ArmLine:
         """The next sample from an arm that sends them; None if none came within 1.5
         periods.
         """
-        # A sample up to half a period late is jitter; later it counts as lost, since
-        # the next one is due.
+        # A sample up to half a period late is jitter; later, it is closer to the next
+        # one and counts as lost.
         last = self._clock.now + 1.5 * self.period
         while (sample := _sample(self._way)) is None:
             if self._clock.now > last:

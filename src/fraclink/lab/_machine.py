@@ -199,8 +199,8 @@ def period_ns(period: float) -> int:
 
 @contextlib.contextmanager
 def real_time() -> Iterator[None]:
-    """Run the block under SCHED_FIFO with its memory locked, if the machine grants it; if
-    it does not and misses the period, `WakeUps.check` rejects it.
+    """Run the block under SCHED_FIFO with its memory locked, if the machine grants it.
+    Where it does not, `WakeUps.check` refuses a machine that misses the period.
     """
     before = _kernels.realtime_prepare(PRIORITY, 1)
     try:

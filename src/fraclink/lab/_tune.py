@@ -65,8 +65,8 @@ def tune(
     out
         folder for the results.
     resume
-        try the law in `out` with a payload of its range: the wiring is checked again,
-        and the first moves are made.
+        try the law in `out` with a payload within its range: the wiring is checked
+        again, and the first moves are made.
     force
         overwrite an earlier tuning.
     moves

@@ -57,8 +57,8 @@ __all__ = [
 # link without a law.
 _MODE_FREQUENCY, _MODE_SIZE = 0.03, 0.10
 # Drift allowed for an arm measured a minute ago, until `watch` reports a change; the
-# intervals of the fit are added. It is a quarter of what a rig file assumes for an arm
-# measured a year ago, and costs less margin.
+# intervals of the fit are added. It is less than the defaults of a rig file, except in
+# ω₀, and costs less margin.
 _DRIFT = StatedTolerances(
     natural_frequency=0.015,
     order=0.01,

@@ -41,7 +41,7 @@ _FRICTIONS = np.linspace(0.0, 0.95, 96)
 def motor_of_doublets(
     record: Record, half: int, gauge_delay: float
 ) -> tuple[float, float, float]:
-    """(A [rad/(s²·V)], its standard error, delay [s]); from doublets of
+    """Return A [rad/(s²·V)], its standard error and the delay [s], from doublets of
     `half` periods in each direction, with a torque that is `gauge_delay` [s] late.
     """
     period, most = record.period, largest(record.voltage)

@@ -27,8 +27,9 @@ __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 # gauge that reads too low, and for coming to rest after the guard has switched the
 # drive off.
 PLANNED = 0.6
-# a voltage takes effect one or two periods later, and measured speeds are some periods
-# old: above the first share of the speed limit, no voltage accelerates the motor
+# Shares of the limits, since a voltage takes effect one or two periods later. At the
+# first, no voltage accelerates the motor any further, and angle or torque switches the
+# drive off; at the second, the speed does.
 _TRIP, _SPEED_TRIP = (0.8, 0.95)
 RECOVERY = 5.0  # [s] at most until a swing has decayed, and the arm is at rest
 # [s] in which the link's ringing shows beside the gauge's noise: the standard deviation of
@@ -110,8 +111,8 @@ class Guard:
         opened: Callable[[], AbstractContextManager[tuple[ArmLine, Reading]]],
         limits: MotionLimits,
     ) -> None:
-        # A geared motor coasts for a few hundredths of a second: ν/J of 5 to 20 1/s and
-        # friction stop it sooner.
+        # A geared motor coasts for a few hundredths of a second: with ν/J of 5 to 20
+        # 1/s alone it would be 50 to 200 ms, but friction stops it sooner.
         self.limits, self.coast, self.shake = limits, 0.05, 0.0
         self._driven, self._gain = False, 0.0
         # the voltage that acted last, and those still in transit

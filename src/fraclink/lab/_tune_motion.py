@@ -278,7 +278,8 @@ def random_steps(
     # It starts at rest, because an identification takes the first samples as rest.
     parts = [_move(start, start, 0.2, round(0.2 / period), period)]
     if start:
-        # An edge is at most 2 reach; a larger distance is covered at the same speed.
+        # An edge from 0 turns by `reach`; a larger distance is covered at the same
+        # speed.
         slow = rise * max(1.0, abs(start) / reach)
         parts.append(_move(start, 0.0, slow, round(slow / period), period))
     count = max(round(bit / period), 2)

@@ -27,7 +27,7 @@ __all__ = ["FirstMove", "first_moves"]
 AFTER = 2.5
 # the first move: a tenth of the speed, two fifths of the distance
 _SLOW, _PART = 10.0, 0.4
-_FIRST = 5  # periods in which a bump of the transfer would show
+_FIRST = 5  # periods in which a bump at the hand-over would show
 _HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
 
 
@@ -120,7 +120,8 @@ def first_moves(
 ) -> tuple[FirstMove, ...]:
     """Transfer control from the motor loop to the law, move at a tenth of the speed,
     then back and forth at full speed: `move` is its amplitude [rad] and duration [s].
-    Of the two full moves, the one that differs more from the promise counts.
+    Of the two full moves, the one that hunts counts, or else the one that differs more
+    from the promise.
     """
     period, model = guard.period, design.model
     amplitude, duration = move

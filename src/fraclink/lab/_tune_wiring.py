@@ -340,8 +340,9 @@ def _concluded(
         record, doublets.half, 0.0 if link is None else max(link[3], 0.0)
     )
     # Checked before the gauge: with the counts of another encoder the torque would not
-    # fit a link either, and would be blamed. FAR is allowed for each of two measured values
-    # (here gain and friction, then stiffness and gain); wrong units are off by ten.
+    # fit a link either, and would be blamed. FAR is allowed for each of two measured
+    # values (here the gain and, downwards only, the friction; then stiffness and gain);
+    # wrong units are off by ten.
     if (
         stated is not None
         and abs(gain) > SURE * error

@@ -24,8 +24,9 @@ from fracsys.checks import checked
 
 __all__ = ["Change", "Watch", "changed_link", "watch"]
 
-# Smallest changes that are reported: half of what justifies a new tuning, and more than
-# the drift covered by the box of the design. Relative, except for delay [s] and order.
+# Smallest changes that are reported: half of what justifies a new tuning, and no less
+# than the drift covered by the box of the design. Relative, except for delay [s] and
+# order.
 _WORTH = {
     "natural_frequency": 0.04,
     "gauge_gain": 0.05,

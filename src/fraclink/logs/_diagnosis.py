@@ -173,7 +173,7 @@ def _outliers(log: Experiment) -> Iterator[Finding]:
     for name, values, _unit in _channels(log):
         # Quantiles, because a single spike of 100 times the motion would raise the
         # standard deviation so far that the spike lies within it. At most one sample in
-        # a hundred lies beyond both quantiles, so only few are reported.
+        # a hundred lies outside the two quantiles, so only few are reported.
         low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
         # An output at rest in 99 % of the samples has no such range.
         reach = max(high - middle, middle - low) or float(values.std())

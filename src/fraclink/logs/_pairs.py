@@ -23,7 +23,7 @@ from fracsys.checks import Real
 # early one of the other sign. With unknown sign the limit is a quarter in either
 # direction; half of that is allowed.
 LATE = math.pi / 4
-# The roles, by its name, of a column that may be an angle.
+# Roles of the columns that may be angles, by their names.
 _ANGLES = ("motor_angle", "the tip", "deflection", "")
 
 

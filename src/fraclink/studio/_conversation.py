@@ -237,7 +237,7 @@ class Conversation:
         await self._sent(data)
 
     async def _sent(self, data: bytes) -> None:
-        # Three tasks send answers: two at the same time would mix their frames.
+        # Several tasks send answers: two at the same time would mix their frames.
         async with self._sending:
             with contextlib.suppress(
                 RuntimeError, WebSocketDisconnect

@@ -89,13 +89,13 @@ def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) ->
     # `LinkModel.at_payload`.
     stiff = own["stiffness"] / (own["payload"] * rig.link.length**2)
     order, damping = own["order"], campaign.model.loss * own["damping"] * stiff
-    # The pole Ω e^(iπ/λ) oscillates at Ω sin(π/λ). With Ω alone, the windows in which
-    # growth and residual vibration are measured would be 0.3 % short for λ = 1.9, and
-    # 13 % for λ = 1.5.
     # Twice as long as a run: a vibration that seems to grow is followed that far.
     links = batch_links(
         campaign.model, stiff, order, damping, period, 2.0 * campaign.duration
     )
+    # The pole Ω e^(iπ/λ) oscillates at Ω sin(π/λ). With Ω alone, the windows in which
+    # growth and residual vibration are measured would be 0.3 % short for λ = 1.9, and
+    # 13 % for λ = 1.5.
     pole = np.log(links.pair[:, 0]) / period
     number = part * PART_RUNS + at + np.arange(len(stiff), dtype=np.uint64)
     # an odd multiplier maps the run number to the seed one to one

@@ -75,6 +75,8 @@ def run(
         whether a proof is asked for.
     arms
         varied arms to try; 0 leaves them out.
+    seed
+        from which they are drawn.
     out
         folder to write the study to.
     begin

@@ -221,8 +221,8 @@ def _data(
 
 
 def _times(half: float) -> list[float]:
-    """Durations of a move [s] that fit into half a run; scaled ones if a run is too
-    short for all of them.
+    """Durations of a move [s] that fit into half a run; scaled down if a run is too
+    short for any of them.
     """
     longest = _LONGEST_SHARE * half
     scale = 1.0 if _TIMES[0] <= longest else longest / _TIMES[-1]

@@ -44,8 +44,9 @@ def write_arm_page(study: Study, path: Path | str) -> Path:
     Raises
     ------
     FieldError
-        the study has no design, or a period too long for its model. MissingExtraError
-        if jinja2 is not installed.
+        the study has no design, or a period too long for its model.
+    MissingExtraError
+        jinja2 is not installed.
 
     Examples
     --------

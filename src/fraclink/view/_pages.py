@@ -45,7 +45,7 @@ def squeezed(name: str, folder: Traversable = _FOLDER) -> str:
 
 
 def scoped(*names: str) -> str:
-    """Return scripts as one, behind the helpers of drawings that they use, with names
+    """Return scripts as one, preceded by the drawing helpers that they use, with names
     that no other script of the page sees.
     """
     body = re.sub(

@@ -41,8 +41,8 @@ def _equal(self: Any, other: object) -> Any:
 
 
 def _hash(self: Any) -> int:
-    """Hash of all fields that are neither arrays nor containers: equal results have
-    equal hashes.
+    """Hash of the fields that are words, integers or bools: equal results have equal
+    hashes.
     """
     values = (
         getattr(self, field.name) for field in dataclasses.fields(self) if field.compare

@@ -174,7 +174,7 @@ class Between:
         return cast(float, number(self).check(name, value))
 
 
-# The same range without its lower end.
+# The same range, its lower bound excluded.
 above = partial(Between, low_open=True)
 
 
@@ -235,13 +235,15 @@ def ascending(*, strict: bool = False) -> Where:
 
 
 def _figure(number: float) -> str:
-    """A bound as people write it: 1e6 for 1000000.0, but all digits of an int."""
+    """A bound as people write it: 1e6 for 1000000.0, but all digits of an int below
+    that.
+    """
     # A bound on a number of samples is written in full, 300000; one on a physical
     # quantity as 1e6.
     if isinstance(number, int) and abs(number) < 10**6:
         return str(number)
     mantissa, mark, exponent = f"{number:g}".partition("e")
-    # Python writes 1e+06.
+    # Python's own 1e+06 has a sign and zeros that nobody writes.
     return f"{mantissa}e{int(exponent)}" if mark else mantissa
 
 
