@@ -19,8 +19,8 @@ from fracsys.checks import Complex
 __all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "in_loop", "outward"]
 
 Interval = tuple[float, float]
-# Relative uncertainty where neither the fit nor the rig states one: two logs of the
-# same arm rarely agree on the damping to better than a tenth, and the second mode
+# Least relative uncertainty of parameters without a tolerance in the rig: two logs of
+# the same arm rarely agree on the damping to better than a tenth, and the second mode
 # varies with the material by a few per cent.
 _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
 
@@ -153,7 +153,8 @@ class ParameterBox:
         Raises
         ------
         FieldError
-            the gauge leads the encoder by more than its tolerance.
+            the gauge leads the encoder by more than its tolerance, or one of `others`
+            has a second mode and `model` has none.
         """
         return _around(with_payload(model, rig), rig).with_others(others, model, rig)
 

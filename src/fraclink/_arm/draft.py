@@ -110,7 +110,7 @@ def draft_text(
     columns
         the [log] table.
     remarks
-        comments above each line of it, by role.
+        comments above each line of that table, by role.
     known
         numbers that are known, such as "link.stiffness", with a comment on each.
     """
@@ -163,9 +163,9 @@ def _inline(channel: object) -> str:
 
 
 # The paper's stated and computed stiffness differ by 30 %, the calibration of a gauge
-# is off by some 20 %, and a beam rolled 15 % thicker has 1.5 times the stiffness: all
+# may be off by 20 %, and a beam rolled 15 % thicker has 1.5 times the stiffness: any two
 # of these together stay below a factor of 2. A link mass missing from the rig lowers
-# the frequency: by 1.55 for 60 g and a payload of 10 g.
+# the frequency by a factor of 1.55 for 60 g and a payload of 10 g.
 _MOST = 2.0
 _UNITS = {
     math.degrees(1.0): "as if degrees were called radians",

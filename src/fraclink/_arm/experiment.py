@@ -65,8 +65,8 @@ class Experiment:
         header entries of the log, such as (("simulated", "true"),).
     earlier_angle
         θm at the samples just before the first, shape (H,) [rad], of a log that was
-        cut; None for one that begins with the recording. If the link was moving at the
-        cut, its vibration depends on it.
+        cut; None for one that begins with the recording. The vibration of a link that
+        was moving at the cut depends on these samples.
 
     Arrays are stored as read-only copies.
 

@@ -329,9 +329,9 @@ class LinkModel:
         """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α
         + ω₀² = 0.
 
-        Without damping exactly ω₀^(2/λ) e^(jπ/λ). With damping, Newton's iteration in
-        ln s follows it; overdamped, it ends on the negative real axis (a pole only for λ
-        = 2, α = 1, otherwise a time scale).
+        Without damping exactly ω₀^(2/λ) e^(jπ/λ). With damping it is found by Newton's
+        method in ln s, which ends on the negative real axis for an overdamped link (at a
+        pole only for λ = 2, α = 1, otherwise at a time scale).
         """
         if self.damping == 0:
             return cmath.rect(

@@ -7,8 +7,8 @@ M is the motor loop, τ half a period of hold and the computation delay, and B t
 with the gauge's delay and gain and its second mode (`fraclink._arm.gauged_link`).
 
 `Loop` is its logarithm with the true, unwrapped phase. Every factor is continuous in ω,
-so neither a crossing nor an encirclement can be lost to a phase that jumps by 2π. It is
-evaluated over many frequencies and many links (ω₀, and so payloads) at once.
+so neither a crossing nor an encirclement can be lost to a phase that jumps by 2π. Many
+frequencies and many links (ω₀, and so payloads) are evaluated at once.
 `fraclink._arm.sampled` has the exactly sampled plant of this loop.
 """
 
@@ -304,7 +304,7 @@ class Loop(GaugedLink):
             points = self._gauge_points(w0)
             parts.append(np.broadcast_to(points, (w0.size, points.size)))
         grid = np.minimum(np.sort(np.concatenate(parts, axis=1), axis=1), self.highest)
-        # past `highest` all points of a row coincide there
+        # the points of a row beyond `highest` all coincide with it
         count = int(np.sum(np.any(grid < self.highest, axis=0))) + 1
         return grid[:, :count]
 
@@ -323,8 +323,8 @@ class Loop(GaugedLink):
                 min(self.highest, 1e3 * float(mode.max())),
             )
             scan = np.geomspace(low, high, 80)
-            # Above the modes |X| stays below |g| (1 + the share of mode 2); the grid of
-            # G and the points below cover the resonances themselves.
+            # Away from the resonances |X| stays below |g| (2 + the share of mode 2); the
+            # grid of G and the points about mode 2 cover the resonances themselves.
             most = 1.0 + abs(self.gauge_gain) * (
                 2.0 + (self.second_mode.gain if self.second_mode else 0.0)
             )

@@ -192,8 +192,8 @@ class SampledMotorLoop:
         """Return the ratio of hold, PID and motor to the approximation
         ``M(s)·e^{-(d+1/2)Ts s}``, at ω [rad/s].
 
-        Aliases are omitted: they are 1e-4 of it at half the Nyquist frequency, and 1e-9
-        at the crossover.
+        Aliases are omitted: with the paper's motor at 4 ms they are 3 % of it at half
+        the Nyquist frequency, and 1e-7 at the crossover.
         """
         w = np.asarray(frequency)
         s, period = 1j * w, self.pid.period

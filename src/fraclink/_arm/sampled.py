@@ -25,7 +25,7 @@ __all__ = ["SampledPlant", "sampled_plant"]
 
 
 # Aliases on either side: F/s falls at least like s^-3, and 1e-9 of the sum is left out,
-# or with a late or wrong gauge up to 1e-5 near the Nyquist frequency.
+# or with a late or wrong gauge 1e-6 near the Nyquist frequency.
 _ALIASES = 60
 
 
@@ -47,7 +47,7 @@ class SampledPlant:
         `frequency`.
 
         With ``aliases=1``, for coarse tables, the error is of the order of 1e-2 at the
-        Nyquist frequency and 1e-5 at a tenth of it, at a twentieth of the cost.
+        Nyquist frequency and 1e-5 at a tenth of it, with 3 terms instead of 121.
         """
         w = np.asarray(frequency, float)
         rate = math.tau / self.period

@@ -89,8 +89,8 @@ class BoxLoop:
         self.low["detuning"] = self.second[0] / self.high["frequency"]
         self.high["detuning"] = self.second[1] / self.low["frequency"]
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
-        # Bound of all aliases of L below the lowest frequency, divided by |K| |y|. Only
-        # leaves include some of them in L.
+        # Bound of all aliases below the lowest frequency, where L includes none of them,
+        # divided by |K| |y|.
         low, high = self.root()
         low[:, 0] = 0.0
         self.tail = float(self._alias_sum(self.box(low, high))[0]) * 2 / self.period

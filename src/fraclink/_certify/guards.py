@@ -88,8 +88,8 @@ def _least_limits(s: Statement, link: LinkModel) -> Iterator[tuple[str, float]]:
 
 
 def _followed(s: Statement) -> Following:
-    """The tracking of the motor loop in the middle of the box, and the law's model of
-    it.
+    """The tracking of the motor loop in the middle of the box, with the longest delay,
+    and the law's model of it.
     """
     c, period = s.coefficients, float(s.coefficients["period"])
 

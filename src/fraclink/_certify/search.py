@@ -74,7 +74,7 @@ def _plane_of_inverse(value: Complex, m: Real) -> tuple[Complex, Real]:
     centre = 1.0 / (1.0 - m**2)
     straight, away = _unit(value), _unit(value + centre)
     # The hull of the disc and 0 has two straight sides, the tangents from 0: along
-    # their normal, of cosine m, both supports are zero.
+    # their normal, whose real part is m, the supports of disc and 0 are both zero.
     kink = m + 1j * np.where(value.imag >= 0.0, 1.0, -1.0) * np.sqrt(1.0 - m**2)
     normal = np.where(
         straight.real >= m, straight, np.where(away.real <= m, away, kink)

@@ -84,8 +84,8 @@ CLAIM = (
     "{velocity} rad/s and {acceleration} rad/s² none of a sensor or of the motor (friction {friction} V, coupling "
     "{coupling} V/(N m))."
 )
-# [rad per sample] From 0 to here |L| is bounded: 2^-20 of the Nyquist frequency, 0.7
-# mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its value at the crossover; or a twentieth
+# [rad per sample] From 0 to here |L| is bounded: 2^-20 of the Nyquist frequency, 0.75
+# mrad/s at 4 ms, where |Ĉ| is about 1e-3 of its value at the crossover; or a twentieth
 # of the rate of the slowest mode, if that is less.
 _LOWEST, _SLOWEST = 2.0**-20 * math.pi, 0.05
 
@@ -145,7 +145,7 @@ class Statement:
     linear_range: (
         float  # [rad]: tip errors up to it stay below all limits of the command
     )
-    angle: float  # [rad]: moves up to it, and to the next two, trip no guard
+    angle: float  # [rad]: moves up to this and the two limits below trip no guard
     velocity: float  # [rad/s]
     acceleration: float  # [rad/s²]
     friction: float  # Coulomb friction of the motor [V]

@@ -140,8 +140,8 @@ class MarginCurve:
 
 @dataclass(frozen=True)
 class Links:
-    """A link at some payloads [kg], shape (N,), with the loop without Ĉ tabulated once: a
-    drag shows the margins of many controllers.
+    """A link at some payloads [kg], shape (N,), with the loop without Ĉ tabulated once
+    for the margins of many controllers, as while a slider is dragged.
     """
 
     model: LinkModel
@@ -172,8 +172,8 @@ class Links:
         )
 
     def margins(self, controller: Controller) -> Real:
-        """Return the smallest phase margin [rad] of each, π without a crossing, negative
-        where the loop is unstable.
+        """Return the smallest phase margin [rad] at each payload, π without a crossing,
+        negative where the loop is unstable.
         """
         trial = Trial(self._table, Outer.of(controller, 1.0))
         (margins,) = trial.value(Figure("margin"))

@@ -80,7 +80,7 @@ class PidTuning(Saved):
     output_limit, measurement_limit
         of the law; None where they were not given.
     findings
-        codes W42x.
+        codes W4xx.
 
     Examples
     --------
@@ -198,7 +198,7 @@ class PidTuning(Saved):
             ("itae", "ITAE", "s²"),
             ("horizon", "over", "s"),
         )
-        # A requirement on an arm states the payload at which it is worst.
+        # Without the column of the worst payload, which only a design for an arm has.
         requirements = Table.of("requirements", self.requirements).columns(
             "requirement", "", "required", "achieved", "verdict"
         )
@@ -253,8 +253,8 @@ class PidTuning(Saved):
         step = above(0.0, 1e3, "s").check("period", values["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / step
         band = None
-        # If the crossover lies in the last fifth of the band, a band up to fifty times
-        # the crossover does not exist, and the default band is used.
+        # With the crossover above a fifth of the highest frequency hardly any band is
+        # left above it, and the default band is used.
         if math.isfinite(crossover) and crossover < 0.2 * high:
             band = (
                 max(crossover / LAW_BAND[0], 1e-5 * high),

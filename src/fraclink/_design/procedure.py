@@ -184,9 +184,9 @@ def sketched(
     box: ParameterBox | bool | None = None,
     **wanted: Unpack[Specification],
 ) -> Design | None:
-    """Return a quick design to show during a drag, from one search that starts at the
-    controller `near`; it measures no requirement and checks no vibration. None if the
-    search misses a row, if no speed is asked for, or if there is a box.
+    """Return a quick design to show while a slider is dragged, from one search that
+    starts at the controller `near`; no requirement is measured and no vibration checked.
+    None if the search misses a row, if no speed is asked for, or if there is a box.
     """
     request = request_of(link_of(model, rig), rig, specification(wanted), box)
     one_search = request.box is None and request.speed is not None
@@ -406,7 +406,7 @@ def _offer(request: Request, solution: Solution, goal: Goal) -> dict[str, float]
 
 
 def _eased(item: Requirement, share: float) -> float:
-    """The achieved or the wanted value, whichever demands less, reduced by a share and
+    """The achieved or the wanted value, whichever demands less, eased by a share and
     rounded to three digits, an angle in degrees.
     """
     sign, less = (1.0, min) if item.bound == "at least" else (-1.0, max)

@@ -201,8 +201,8 @@ def identify(
         log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold
     )
     if len(names) < len(STRUCTURES):
-        # With one structure, or two that have the fixed parameter, the pair of
-        # criteria, which needs the whole table, does not apply.
+        # With a structure that is given, or the only one with the fixed parameter, the
+        # pair of criteria, which needs the whole table, does not apply.
         fits = [
             fit_from(search, name, log, stiffness=stiffness, details=details)
             for name in names

@@ -28,8 +28,8 @@ from fraclink.findings import Finding, worst_first
 # The calibration of a strain gauge is accurate to about 20 %; mrad for rad or volts for
 # radians differ by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
-# Relative standard error of the resonance; a link that vibrates visibly has 0.01 % to 1
-# %.
+# Largest relative standard error of the resonance; a link that vibrates visibly has
+# 0.01 % to 1 %.
 RESONANCE_MOST = 0.1
 # Vibration periods at the beginning of a log that are compared with the rest, and the
 # largest ratio of their error to that of the rest.
@@ -149,8 +149,8 @@ def _of_the_vibration(
 def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
     """W231: a vibration from before the first sample, which the model does not include.
 
-    A log that begins in motion and is fitted well from its first sample had little such
-    vibration, which a fit takes for delay and damping.
+    A fit takes such a vibration for delay and damping. A log that begins in motion and
+    is fitted well from its first sample had little of it.
     """
     output = log.output - fit.offset
     _, begins = motion_at_start(log.motor_angle, output, float(output.std()))

@@ -123,8 +123,8 @@ class Fit(Judged, Saved):
     predicted, residual
         model and output − model, every sample of the log, shape (N,) [unit].
     findings
-        codes W3xx, worst first; one of severity "error" means that the model does not
-        predict.
+        codes W2xx and W3xx, worst first; one of severity "error" means that the model
+        must not be used.
     source, sha256
         of the log.
 

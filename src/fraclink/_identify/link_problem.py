@@ -36,7 +36,7 @@ def quadratic_of(
     """
     moving = np.flatnonzero(chain.any(axis=(0, 2))).tolist()
     part = chain[:, moving]
-    # Of [measured, response, constant, derivatives of the response].
+    # Products of [measured, response, constant, derivatives of the response].
     gram = kernel.grams(np.ascontiguousarray(shapes), mask_of(moving))
     if math.isnan(offset):
         # All signals relative to their means.

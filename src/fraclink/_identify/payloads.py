@@ -81,7 +81,7 @@ class JointFit:
     stiffness
         c [N·m/rad] where ω₀ was tied by eq. (5) and the length was given, else None.
     stiffness_over_square
-        c/L² [N/m·rad] where ω₀ was tied.
+        c/L² [N/(m·rad)] where ω₀ was tied.
     test
         whether the parameters may be common.
     verdict

@@ -282,7 +282,7 @@ _LOWEST = 2.5
 # fraction of the Nyquist frequency: beyond it the input between the samples is not
 # known well enough
 _HIGHEST = 0.8
-# steps of the scan: in ln ω₂, below the half width of a resonance with that ζ
+# step of the scan in ln ω₂, and its ζ: such a resonance is 2ζ wide
 _STEP, _RATIO = (0.04, 0.03)
 # a more strongly damped one is friction or a filter rather than a mode
 _RATIO_LIMITS = (5e-4, 0.2)
@@ -344,7 +344,8 @@ def find_second_mode(
             ROUNDS,
         )[1]
         # The lower limit of the damping is no objection, as a mode of steel has hardly
-        # any; at the others lies a misfit of the first mode, noise, or a filter.
+        # any; an optimum at another limit is a misfit of the first mode, noise, or a
+        # filter.
         at_limit = optimum[1] - lower[1] < 1e-6 or np.any(
             upper[1:3] - optimum[1:3] < 1e-6
         )

@@ -224,7 +224,8 @@ class Search:
         own = self.window
         inside = replace(own, input=own.input[-own.samples :])
         low, high = own.frequency_limits
-        # Within the log, two vibrations can be separated if they differ by half a turn.
+        # Within the log, two vibrations can be separated if their phases part by a
+        # quarter of a turn.
         spacing = math.pi / (2 * own.samples * own.period)
         kernel = inside.kernel(low, longest_delay=0.0)
         time = own.period * np.arange(own.samples)
@@ -307,8 +308,8 @@ class Search:
         """The lowest end, and the ends in other valleys that explain the log nearly as
         well, best first.
         """
-        # Two vibrations can be separated if they differ by half a turn over all the
-        # motion of the link.
+        # Two vibrations can be separated if their phases part by a quarter of a turn
+        # over all the motion of the link.
         turn = math.pi / (2 * self.window.input.size * self.window.period)
         lowest, *others = sorted(ends, key=lambda each: each.cost)
         distinct = [lowest]
@@ -377,8 +378,8 @@ class Search:
         (included) back to the previous one. Linear interpolation averages the noise of
         two samples, most effectively half-way between them, so a rough angle favours
         every half sample of delay. Such a gain within a sample does not show which
-        channel is delayed: for a rough angle a delay is negative only beyond one
-        sample.
+        channel is delayed: for a rough angle a delay is negative only beyond one and a
+        half samples.
         """
         period, name, shape = self.window.period, found.structure, found.shape[:4]
         held = self.window.hold == "zero"

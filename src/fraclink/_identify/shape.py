@@ -295,7 +295,7 @@ class Window:
         step = math.pi**2 / exponent
         start = math.log(resonance) - exponent / 1.5
         modes = math.ceil((math.log(exponent / self.period) - start) / step)
-        # Sixty rates cover e^30 above the slowest; only a period of twenty million
+        # Sixty rates cover e^32 above the slowest; only a period of a hundred million
         # samples would need more.
         modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
         # Two of the kernel's blocks of eight beyond the longest delay, and as much

@@ -83,9 +83,9 @@ class Signals(Window):
         of the `whole` input, which may begin before the recording.
         """
         earlier = whole.size - record.input.size
-        # Not the first value of a longer history, from which the input would jump to
-        # the first one here, as no motor does. The output then differs at most by a
-        # constant, which `offset` contains.
+        # The first value of `whole`, even if it was cut from a longer history: from an
+        # earlier rest the input would jump, as no motor does. The output then differs
+        # at most by a constant, which `offset` contains.
         rest = float(whole[0]) if earlier else record.input_at_rest
         # A constant input is a step at the first sample, which the next samples do not
         # distinguish from a straight line.

@@ -1,4 +1,4 @@
-"""Findings W35x about a structure's fit, and its gates."""
+"""Findings W3xx about a structure's fit, and its gates."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class StructureFit(Judged, Saved):
     converged
         whether the descent met its tolerance.
     findings
-        codes W35x; one of severity "error" means that the parameters must not be
+        codes W3xx; one of severity "error" means that the parameters must not be
         trusted.
     source, sha256
         of the data.

@@ -54,7 +54,7 @@ class Place:
 def best_places(
     problem: StructureProblem, data: Signals | Lines, start: Mapping[str, float] | None
 ) -> list[Place]:
-    """Places that no step improves, best first."""
+    """The place that no step improves, then its rivals after their first steps."""
     width = math.ceil(data.measured.size / _BLOCKS)
     # A candidate for the lines of a response costs microseconds as it is.
     screen = replace(

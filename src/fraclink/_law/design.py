@@ -160,7 +160,8 @@ class Design(Saved):
     natural_frequencies
         ω₀ at (heaviest, lightest) payload [s^(-λ/2)].
     gain_crossover, phase_margin
-        as asked, [rad/s] and [rad].
+        [rad/s] and [rad], as asked for; else the crossover that is reached and the
+        margin that Ms implies.
     chi
         χ of eq. (54).
     gain_crossover_upper

@@ -48,8 +48,7 @@ __all__ = [
 
 # A slow pole must not round to 1, an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
-# [rad/s]: below it Ĉ is under 1e-2 of its value at the crossover, and C is 1 within the
-# tolerance
+# [rad/s]: below it Ĉ is less than 3 % of its value at the crossover for β > 0.65
 LOWEST = 0.05
 # largest multiple of the Coulomb friction: a motor that sticks beyond it has a fault
 STICTION = 3.0

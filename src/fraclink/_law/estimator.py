@@ -250,7 +250,7 @@ def payload_estimator(
         which receives the estimate: its period, precision and limits.
     payloads
         that the design covers (low, high) [kg]. The bank reaches from a quarter of the
-        first to the law's largest payload.
+        first to 1.15 times the law's largest payload.
 
     Raises
     ------

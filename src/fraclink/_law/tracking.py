@@ -231,7 +231,7 @@ def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
     it falls with s, so that no derivative of the reference has to be formed.
     """
     high = min(200.0, 0.5 * math.pi / period)
-    # 0.3 dB of the feed-forward is 3 % of the flexion, well below the effect of an
+    # 0.3 dB of the feed-forward is 3.5 % of the flexion, well below the effect of an
     # unknown payload.
     return DiscreteFits(
         link.lead,

@@ -122,8 +122,8 @@ def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
     Where |z| is large φ_j = (j φ_(j-1) − 1)/z; digits cancel for small |z|, where the
     series j! Σ zⁿ/(n + j + 1)! is used.
     """
-    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and the series ends
-    # with 1/20! = 4e-19: at |z| = 1 both are equally accurate.
+    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, to 1e-14 at |z| = 1;
+    # below, the series ends with 1/20! = 4e-19.
     near = np.abs(log_decay) < 1.0
     small, large = np.where(near, log_decay, 0.0), np.where(near, 1.0, log_decay)
     rows = []
@@ -265,7 +265,7 @@ def batch_links(
         turns = (float(grid[0]) - log_poles + 1j * np.pi) / width
         pair = pair * (1.0 / (1.0 - np.exp(2j * np.pi * turns)))
     # The weight of e^(−r t) in S is `width` times the density; over one period the mode
-    # answers a step by −(1 − e^(−rT)) of it.
+    # responds to a step with −(1 − e^(−rT)) of it.
     weight = _answers(width * density * np.expm1(log_decay), log_decay)
     pair_weight = _answers(pair.T * np.expm1(pole), pole)
     at_end = _powers_at_end(stiff, order, damping, alpha, period)
