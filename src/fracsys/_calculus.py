@@ -15,8 +15,8 @@ from fracsys.checks import Array, Real, above, checked
 from fracsys.errors import FieldError
 
 Samples = Annotated[ArrayLike, Array(1, min_size=4)]
-# Between samples the second derivative of a cubic spline is a straight line; its third
-# derivative would be piecewise constant.
+# The second derivative of a cubic spline is continuous, its third only piecewise
+# constant.
 DerivativeOrder = Annotated[float, above(0.0, 2.0)]
 IntegralOrder = Annotated[float, above(0.0, 20.0)]
 Definition = Literal["caputo", "riemann-liouville"]

@@ -180,8 +180,8 @@ def _cluster(
     step: float,
     time: float,
 ) -> float:
-    # Only the node nearest to the cluster counts; a parabola has fewer than forty nodes
-    # on either side.
+    # Only the node nearest to the cluster counts; farther out than forty nodes e^(st)
+    # is lost in rounding.
     nodes = 2.0 * np.log(1.0 + 1j * (np.arange(-40, 41) + offset) * step) + scale
     gap = float(
         min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag)

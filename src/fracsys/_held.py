@@ -73,8 +73,8 @@ class HeldQuotient:
         return rest is None or singular_order(rest.top, rest.bottom) < STRONG
 
     def expansion(self, period: float, span: float, tolerance: float) -> Expansion:
-        """Modes of the step response from one period to the span and two periods
-        beyond, for the last hold.
+        """Modes of the step response from one period to two periods beyond the span,
+        which the last hold needs.
         """
         if self.rest is None:
             none = np.empty(0)
@@ -128,7 +128,7 @@ class HeldQuotient:
         step: float | None = None,
     ) -> DiscreteModes:
         """Exact weights at lags 0 and 1, modes from lag 2 on; `step` is the step
-        response after a period without the integrator, where it is known.
+        response after one period, without the integrator, where it is known.
         """
         lag, ahead = split_delay(delay, period)
         integrator, early = self.integrator, 0.0

@@ -126,8 +126,9 @@ class PartialFractions:
         )
 
     def figures(self, target: Target) -> tuple[float, float]:
-        """(worst weighted error, 1 at the tolerance; cancellation: the largest sum of
-        the moduli of all terms over the largest modulus of their sum, ideally 1).
+        """The worst weighted error, 1 at the tolerance, and the cancellation: the
+        largest sum of the moduli of all terms over the largest modulus of their sum,
+        ideally 1.
         """
         shapes, c = self.shapes(target.omega), 0.5 * self.pair_gains
         gains = np.concatenate([self.real_gains, c, c.conj()])

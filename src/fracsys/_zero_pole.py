@@ -149,8 +149,8 @@ def substituted(
     filters = {0.0: none} | {f: power(f) for f in fractions}
     top, bottom = _Sum(numerator, filters), _Sum(denominator, filters)
     zeros, poles = [top.zeros()], [bottom.zeros()]
-    # A filter that occurs on one side only contributes its poles as poles or as zeros
-    # of the quotient.
+    # The poles of a filter that occurs in only one of the sums are poles or zeros of
+    # the quotient.
     poles += [filters[f].poles for f in sorted(top.fractions - bottom.fractions)]
     zeros += [filters[f].poles for f in sorted(bottom.fractions - top.fractions)]
     return (

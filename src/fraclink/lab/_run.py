@@ -109,7 +109,7 @@ class RealtimeRun:
         the first row whose outputs a replay of the recorded inputs does not reproduce;
         None where all agree bit for bit.
     allowed_overruns
-        up to which the run passes.
+        largest number of overruns with which the run passes.
     planned
         planned number of periods.
     estimator
@@ -281,8 +281,7 @@ class RealtimeRun:
             return f"safe stop: the law switched off ({reason})"
         if self.stopped != "finished":
             return f"safe stop: {self.stopped}"
-        # the law itself trips on this when it is called again, which did not happen
-        # here
+        # so many missed periods trip the law at its next call, which never came here
         if self.unfinished > Limits.missed_limit:
             return f"the last {self.unfinished} of {self.planned} periods did not run"
         if mode != "run":

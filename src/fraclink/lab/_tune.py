@@ -404,8 +404,8 @@ class _Session:
 
 
 def _lateness(guard: Guard) -> str:
-    """A note on lost samples, to be added to the reason for stopping: on a busy machine
-    an arm seems to be another one.
+    """A note on lost samples, to be added to the reason for stopping: a busy machine
+    spoils the measurements.
     """
     if guard.lost <= LOST_SHARE * guard.count:
         return ""

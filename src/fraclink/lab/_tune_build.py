@@ -72,8 +72,8 @@ _LONGEST = 0.9  # share of the angle limit; the rest is for the allowed overshoo
 _UNSEEN_LINK = "with the heaviest link whose second mode would not have shown: a quieter gauge, which shows it, helps"
 _RESTED = 60.0  # [s] of rest in which the slips of a motor that sticks show
 # Mass of the link relative to the payload: a lighter link has no effect, a much heavier
-# one has hardly any tip motion; without a visible second mode it is at most as heavy as
-# its payload.
+# one has hardly any tip motion; one without a visible second mode is at most as heavy
+# as its payload.
 _LIGHTEST, _HEAVIEST, _UNSEEN = 1e-3, 10.0, 1.0
 
 
@@ -188,8 +188,8 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
     """Laws with a design over the box of the fit, a proof, and moves on links with
     mass.
 
-    The preferred one first; each is computed on demand. If none passes, the first one
-    with the reasons why it failed.
+    The preferred one comes first, and each is computed on demand. If none passes, the
+    first one is yielded with the reasons why it failed.
     """
     fit = link.fit
     if not fit.passed:
@@ -214,7 +214,8 @@ def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Bui
                     yield result
             if any(result.passed for result in results):
                 return
-    # The link may have either mass: if one is infeasible, the other is not tried.
+    # The link may have either mass: if a design is infeasible for one, the other is not
+    # tried.
     except InfeasibleError as error:
         reason = f"requirements over the box: {error}"
         results.append(Built(rig, None, None, None, (reason,)))
@@ -316,8 +317,8 @@ def planned_move(
     best, least, reason = None, math.inf, ""
     amplitude, longer = PLANNED * _LONGEST * limits.angle, 1.0 / PLANNED
     twins = twins_of(design, motor)
-    # Narrower by the tolerance of a promise: a vibration larger than the model's by as
-    # much must not change when the move has settled.
+    # Narrower by the tolerance of a promise: a vibration that is larger than the
+    # model's by that much must not settle any later.
     band = (1.0 - _AGREEMENT) * settling_band(amplitude, design)
     # The first reference takes four fifths of the planned speed.
     shortest = 1.875 * amplitude / (0.8 * PLANNED * limits.speed)
@@ -333,8 +334,8 @@ def planned_move(
         reason = _objection(runs, far, limits, law.period)
         if not reason and settling < least:
             best, least = (amplitude, duration), settling
-        # A slower move may settle sooner, as one that takes the motor to its voltage limit
-        # leaves a vibration behind; but not before its reference ends.
+        # A slower move may settle sooner, since a motor at its voltage limit leaves a
+        # vibration behind; but no move settles before its reference ends.
         if duration >= least:
             break
     if best is None:
@@ -361,8 +362,8 @@ def _simulated(
     duration: float,
     until: float | None = None,
 ) -> list[Run]:
-    """A move of every twin with either extreme payload and the measured one, and its rest
-    `until` [s].
+    """A move of every twin with either extreme payload and the measured one, and the
+    rest after it `until` [s].
     """
     low, high = design.payloads
     return [

@@ -41,8 +41,7 @@ class FirstMove:
     amplitude, duration
         of the reference [rad], [s].
     promised_settling, measured_settling
-        time from which the tip stays within 2 % of the move, or within the noise where
-        that is more [s].
+        time from which the tip stays within `band` [s].
     promised_unrest, measured_unrest
         half the peak-to-peak motor angle in the last two seconds [rad].
     band

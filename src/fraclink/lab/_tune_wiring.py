@@ -85,7 +85,7 @@ class Wiring:
     stiffness, natural_frequency
         of the link, a first guess [N·m/rad], [s^(-λ/2)].
     gauge_delay
-        of the torque behind the motor angle [s].
+        by which the torque lags the motor angle [s].
     gauge_noise, encoder_noise
         standard deviations at rest [N·m], [rad].
     encoder_step
@@ -179,8 +179,8 @@ def _checked(
                 fault = unsure
             if goal >= largest or not doublets.room:
                 break
-            # Continue from there: a motion too small for the noise is enlarged, and may
-            # exceed its goal by one growth.
+            # Continue with larger doublets, for a motion that the noise hides; the last
+            # one may exceed its goal by one growth.
             goal = min(_LARGER * goal, largest)
         raise fault
     except (WiringFault, LimitReached):
@@ -420,7 +420,7 @@ def _refuse_swapped(guard: Guard, start: int) -> None:
 
     Either channel may be the motor's, which stands between the doublets, and the other
     one the link's response to it: the more likely way round has the smaller product of
-    what remains of both.
+    the two unexplained shares.
     """
     guard.release()
     record = guard.record(start)

@@ -89,8 +89,9 @@ class Watch:
     changes
         every parameter that was compared.
     residual, expected
-        standard deviation of the torque that a fit of the record leaves unexplained; and
-        that of the sensors' noise, or what the tuning's fit left if it is more [N·m].
+        standard deviation of the torque that a fit of the record leaves unexplained;
+        and that of the sensors' noise, or what the tuning's fit left where that is more
+        [N·m].
     motion
         how long the arm moved [s].
 

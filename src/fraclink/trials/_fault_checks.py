@@ -169,7 +169,7 @@ def reacts(
 
 def idle(e: Evidence, reason: str = "") -> Check:
     """The law is idle in every marked period, or in all where none is marked."""
-    # With another reason the law is idle without having found the damage in its block.
+    # A law that is idle for another reason has not found the damage in its block.
     wrong = e.faulty.mode != MODES.index("idle")
     if reason:
         wrong |= e.faulty.reason != REASONS.index(reason)

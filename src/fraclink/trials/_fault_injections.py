@@ -192,8 +192,8 @@ def jitter(trial: FaultTrial, kind: str) -> None:
 
 
 def miss(trial: FaultTrial, periods: int, *, watchdog: int = 0) -> None:
-    """Do not run the task; the next period is marked, in which the law can first detect
-    it. A board's watchdog switches the drive off after some periods.
+    """Do not run the task; the next period, in which the law can first detect it, is
+    marked. A board's watchdog switches the drive off after some periods.
     """
     trial.set_bits(slice(trial.row, trial.row + periods), "tick missed")
     trial.marks[trial.row + periods] = True

@@ -72,11 +72,12 @@ class Fault:
     reaction: A ride through, B degrade, C hold, D off, "-" for another requirement.
     inject: the steps that break a trial; require: the checks of its run, in addition to
     those of every run; also: modes that are allowed beside run and that of the
-    reaction.
-    prepare: steps for the faulty and the clean run alike. best: steps after the fault's
-    own that make the law act as one that knows of the fault at once. move: the
-    reference's name. duration of the run [s]. cause: why the shipped law misses the
-    requirement on the paper's arm. note: a limit of the test.
+    reaction. prepare: steps for the faulty and the clean run alike. best: steps after
+    the fault's own that make the law act as one that knows of the fault at once. move:
+    the reference's name. duration of the run [s]. nominal: whether the clean run has
+    the nominal payload. skips: severity and phase of cases that are not run. cause: why
+    the shipped law misses the requirement on the paper's arm. note: a limit of the
+    test.
     """
 
     number: str

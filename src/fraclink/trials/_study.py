@@ -62,12 +62,12 @@ class Study:
 
     rig, experiment, findings (of their examination); comparison of the structures; the
     fit that the design used; design, law and certificate; missing: why a part is not
-    there, by its name ("design", "certificate", "arms"); refused: the request and the
-    nearest that can be met, if the request ended the study;
-    runs: simulated moves, one for each payload; twins: the same moves of the twin, under
-    the law's own compensation, each without and with its payload told to the law;
-    arms: the runs of varied arms; faults: a fault campaign; assumptions:
-    sentences on everything that was not stated.
+    there, by its name ("design", "certificate", "twins", "arms"); refused: the request
+    and the nearest that can be met, if the request ended the study; runs: simulated
+    moves, one for each payload; twins: the same moves of the twin, under the law's own
+    compensation, each without and with its payload told to the law; arms: the runs of
+    varied arms; faults: a fault campaign; assumptions: sentences on everything that was
+    not stated.
 
     >>> Study().verdict.state
     'not run'
