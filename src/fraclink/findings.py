@@ -45,7 +45,8 @@ class Findings(Listed[Finding]):
     def overview(self) -> Overview:
         """The number of findings of each severity, and their messages."""
         severities = [finding.severity for finding in self]
-        # A warning is no failure, but a result with one is not yet shown to be right.
+        # A warning is not a failure, but a result with one is not yet shown to be
+        # right.
         state = "not shown" if "warning" in severities else "passed"
         counts = [
             f"{severities.count(word)} {word}{'s' if severities.count(word) > 1 and word != 'info' else ''}"

@@ -92,8 +92,8 @@ def derivative(
 
     Notes
     -----
-    The error is that of the spline's derivatives: O(T³) for a <= 1, O(T²) beyond, where
-    y is smooth.
+    The error is that of the spline's derivatives: O(T³) for a <= 1 and O(T²) above,
+    where y is smooth.
 
     References
     ----------

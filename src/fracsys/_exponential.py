@@ -145,7 +145,7 @@ class ExponentialSum:
 
 
 def _whole(turns: float) -> int:
-    # The rounding of some hundred pieces adds up to 1e-12; a remainder near 1e-3 means
+    # The rounding of a few hundred pieces adds up to 1e-12; a remainder near 1e-3 means
     # that the phase was lost in rounding.
     if abs(turns - round(turns)) > 1e-3:
         raise NotConvergedError(

@@ -129,8 +129,8 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledL
 
 # A zero of numerator or denominator at a distance d from the axis (in ln s) bends the
 # response within about d of it. Points at d sinh(0.45 k), up to 0.15 away, keep the
-# change between neighbours below 25° in phase and a factor of 1.6 in modulus; beyond,
-# the ordinary points, 0.12 apart, suffice.
+# change between neighbours below 25° in phase and a factor of 1.6 in modulus; farther
+# out the ordinary points, 0.12 apart, suffice.
 _NEAR = 0.3  # 20 points per decade resolve zeros farther from the axis than this
 FAINT = 1e-3  # |L| of −60 dB, below which crossings do not matter
 

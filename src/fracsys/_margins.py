@@ -187,9 +187,9 @@ def margins(
     Raises
     ------
     FieldError
-        `limit` ≤ 0, a response that is not a number, a callable of another shape, a
-        response that turns more often than can be followed (a delay without roll-off:
-        give `limit`).
+        `limit` ≤ 0, a response that is not a number, a callable that returns another
+        shape, a response that turns more often than can be followed (a delay without
+        roll-off: give `limit`).
 
     References
     ----------

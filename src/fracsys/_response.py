@@ -43,7 +43,7 @@ _METHODS = ("modes", "contour", "fft")  # from the most to the least direct
 class TimeResponse:
     """A response from rest at equally spaced samples (or at the times asked for).
 
-    `time` [s] and `output` are read-only arrays of one length. `method` is "modes"
+    `time` [s] and `output` are read-only arrays of the same length. `method` is "modes"
     (exact sum of exponentials), "contour" (one contour integral per lag, where modes
     would cancel) or "fft" (numerical inversion). `error_estimate` is an estimate of the
     largest error of `output`, from an independent evaluation at a few times. `modes`

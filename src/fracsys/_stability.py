@@ -107,6 +107,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     Parameters
     ----------
     system
+        Orders and delays of any kind.
 
     Raises
     ------

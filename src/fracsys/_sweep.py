@@ -173,7 +173,7 @@ def bracketed_roots(
         elementwise over an array of the shape of `low`; of opposite sign (or zero) at
         the two ends.
     low, high
-        ends of the brackets, of one shape.
+        ends of the brackets, of the same shape.
     ends
         values of the function at `low` and `high`, where they are known.
 

@@ -324,8 +324,8 @@ def serve_arm(
             begin=tell,
             **options,
         )
-        # Every signal requests the end, which has come: a further signal only has to
-        # wait for the file.
+        # Every signal requests the end, which has been reached: a further one only has
+        # to wait for the file.
         obeyed.set()
         files = () if out is None else (saved(served, out),)
     return Answer(

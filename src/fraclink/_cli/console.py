@@ -171,8 +171,8 @@ def _answer(error: BaseException) -> tuple[int, str]:
         # The command whose help lists the correct words.
         command = "fraclink" if error.ctx is None else error.ctx.command_path
         problem = words.rstrip(".")
-        # A text that is no number, or none of the words: the parser names neither value
-        # nor range.
+        # Where a text is not a number, or not one of the words, the parser names
+        # neither value nor range.
         refused: list[Any] = getattr(error.__context__, "errors", list)()
         if refused and (parameter := getattr(error, "param", None)):
             why = refused[0]["msg"].removeprefix("Value error, ").rstrip(".")
@@ -189,7 +189,7 @@ def _answer(error: BaseException) -> tuple[int, str]:
     if isinstance(error, FraclinkError):
         return FAILED, f"✗ failed: {words}"
     if isinstance(error, OSError):
-        # A full disk or a loader names no file.
+        # The error of a full disk or of a loader names no file.
         name = error.filename if error.filename is not None else "file"
         problem = f"{name}: {error.strerror or words}"
         return BAD_INPUT, f"error: {problem}; check the path, its rights and the disk"
@@ -261,8 +261,8 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         sys.stdout.flush()
         return verdict
     except BrokenPipeError:
-        # The reader of a pipe left (`| head`): this is no error, but stdout must not be
-        # flushed again. It is no verdict either: a verdict already reached stands,
+        # The reader of a pipe left (`| head`): this is not an error, but stdout must
+        # not be flushed again. Nor is it a verdict: a verdict already reached stands,
         # otherwise there is none.
         _discard_unread()
         return verdict

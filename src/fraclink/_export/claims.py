@@ -73,8 +73,8 @@ class Proof(Saved):
     @property
     def passed(self) -> bool:
         """Whether every claim is proved."""
-        # An open claim is no failure of the law, but no proof of it either: the whole
-        # is only as good as its worst part.
+        # An open claim is neither a failure of the law nor a proof of it: the whole is
+        # only as good as its worst part.
         return all(claim.status == "proved" for claim in self.claims)
 
     def __getitem__(self, name: str) -> Claim:

@@ -67,8 +67,8 @@ def export_fmu(
     Raises
     ------
     FieldError
-        a bad name, a compiler that is missing or fails, and a platform that FMI has no
-        name for.
+        a bad name, an existing file without `force`, a compiler that is missing or
+        fails, a platform that FMI has no name for or that two compilers build for.
 
     Source: FMI 3.0, chapters 2 and 4.
 

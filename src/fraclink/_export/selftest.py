@@ -130,7 +130,7 @@ def with_tools(source: str, name: str, digest: int) -> str:
     )
 
 
-# What every self-test needs: noise, a reading that is no number, and the hash.
+# What every self-test needs: noise, a reading that is not a number, and the hash.
 _TOOLS = """\
 #include <string.h>
 

@@ -96,7 +96,7 @@ def stated_payload(
 ) -> tuple[float | None, list[Finding]]:
     """The payload of a log, from the call or from its own header."""
     mass = rule(Payload)
-    # A set: repeating the same label is no contradiction.
+    # A set: repeating the same label is not a contradiction.
     labels = {value for key, value in table.notes if key == "payload_kg"}
     if len(labels) > 1:
         raise LogError(

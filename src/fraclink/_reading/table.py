@@ -301,7 +301,7 @@ class LogTable:
         pair = self.values[place], self.values[other]
         if pair[0].size != pair[1].size or not all(map(moves, pair)):
             return False
-        # Up to the rounding to four digits.
+        # Equal up to a rounding to four digits.
         return bool(np.corrcoef(*pair)[0, 1] ** 2 > 1 - 1e-6)
 
     def bad_cells(self) -> list[str]:

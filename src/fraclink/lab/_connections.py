@@ -253,7 +253,7 @@ def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
 
 
 def silent(connection: Connection, patience: float) -> FieldError:
-    """Return the error for an arm that sends no sample within so many seconds."""
+    """Return the error for an arm that sends no sample within `patience` seconds."""
     return _error(
         connection,
         f"silent: no sample in {patience:g} s",

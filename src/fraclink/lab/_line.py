@@ -146,7 +146,7 @@ def open_line(
     clock: Any = None,
 ) -> Iterator[tuple[ArmLine, Reading]]:
     """Open the connection to an arm; yields the line and the first sample. A stop is
-    sent however it ends.
+    sent however the block ends.
 
     `period` [s] may be None for an arm that states its own; FieldError if neither
     states it, or if they differ. `clock` may be a test's, or "none" for an arm in

@@ -299,8 +299,8 @@ class RealtimeRun:
         it is known.
 
         The law closes its loop around the link, which does not matter to an
-        identification from the motor angle to the torque. Samples that were lost are
-        interpolated, up to 1 % of them; LogError beyond.
+        identification from the motor angle to the torque. Lost samples are
+        interpolated, up to 1 % of all; LogError if there are more.
         """
         # A sample is lost as a whole: if one channel is missing, the time of the other
         # is unknown.

@@ -21,8 +21,8 @@ from fracsys.checks import Real
 __all__ = ["causes", "domain", "sensor_noise", "unexplained"]
 
 
-# Phase that the delay of the gauge may cost at the vibration: half of a phase margin of
-# 30°.
+# Phase that the delay of the gauge may cost at the vibration frequency: half of a phase
+# margin of 30°.
 _LATE = math.radians(15.0)
 # Periods per vibration, at least: a voltage takes effect one period after its sample
 # and is held for one. These 1.5 periods cost the phase allowed for a gauge if a period

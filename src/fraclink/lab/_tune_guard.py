@@ -99,11 +99,11 @@ class Guard:
     """Passes voltages on to the arm, keeps the record, and ends the session before a
     limit is exceeded.
 
-    The connection to the arm is opened by the first period of a motion and closed by
-    `release`. The angle limit applies to the position at which the arm would come to
-    rest if the drive were switched off now: at the present speed for the loop's delay
-    and then coasting, `coast` [s] times the speed. `shake` is the speed that the
-    encoder's noise alone may show [rad/s].
+    The connection to the arm is opened whenever it is needed and closed by `release`.
+    The angle limit applies to the position at which the arm would come to rest if the
+    drive were switched off now: at the present speed for the loop's delay and then
+    coasting, `coast` [s] times the speed. `shake` is the speed that the encoder's noise
+    alone may show [rad/s].
     """
 
     def __init__(

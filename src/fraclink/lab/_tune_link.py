@@ -35,8 +35,9 @@ from fracsys.checks import Real
 __all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 
 # Sufficient standard errors. The remaining uncertainty is covered by the box: the 95 %
-# interval of λ, and that of a delay with the same phase at the vibration, cost 2 ·
-# 0.018 · π/2, 3° of margin; those of ω₀ and of the gauge's gain are 2.4 and 9 %.
+# interval of λ, and that of a delay with the same phase at the vibration frequency,
+# cost 2 · 0.018 · π/2, 3° of margin; those of ω₀ and of the gauge's gain are ±2.4 % and
+# ±9 %.
 ENOUGH = {"order": 0.018, "natural_frequency": 0.012, "gain": 0.045, "delay": 0.018}
 # [s] of one excitation. Errors fall with the square root of the length, but in
 # proportion to the amplitude, which is therefore increased first.
@@ -193,7 +194,7 @@ def _sequence(
         3.0 / motor.loop.pole,
         6 * guard.period,
     )
-    # The sequence's power density falls to half at the vibration.
+    # The sequence's power density falls to half at the vibration frequency.
     bit = max(_HALF / model.resonance, 1.2 * rise)
     # Fewer than eight bits may leave out the frequency band of the resonance.
     bits = max(8, math.floor(duration / bit))
@@ -313,7 +314,7 @@ def shortfall(fit: Fit) -> float:
     """The largest ratio of a standard error to the sufficient one."""
     errors, model = fit.standard_errors, fit.model
     # ω₀ and gain are relative; the delay is expressed as the order λ whose phase j^λ it
-    # has at the vibration.
+    # has at the vibration frequency.
     scale = {
         "order": 1.0,
         "delay": 0.5 * math.pi / model.resonance,
@@ -348,7 +349,7 @@ def motor_again(
     A gauge reads curvature, and the moment on the hub is D(s) times that: for a power
     law |jω|^(2−λ), 1.22 at the 11.9 rad/s of the paper's arm. The inertia comes out
     smaller by this factor, so that Γ/J, which the law compensates, is the true effect
-    on the hub at the vibration.
+    on the hub at the vibration frequency.
     """
     try:
         again = fitted_motor(guard.record(), fit.model.gauge_delay, guard.starts)

@@ -217,9 +217,9 @@ def breakaway_voltage(
     """The largest voltage [V], including the torque of the link, at which the encoder of
     steps `count` [rad] did not move: the friction that a motor at rest has to overcome.
 
-    Each is the median over so many periods that a tenth more of the sliding friction
+    Each is a median over the time t in which a tenth more than the sliding friction
     would have moved the motor by a count, ½ΔV·A·t²: a voltage that jumps in the last of
-    them has moved nothing yet, however large it is.
+    its periods has moved nothing yet, however large it is.
     """
     fit, period = motor.fit, record.period
     excess = 0.1 * motor.friction * fit.gain
@@ -259,7 +259,7 @@ def fitted_motor(
     A delayed load appears as a delayed motor with too large a gain: with a gauge delay
     of 30 ms, K/J comes out a sixth too large and the delay four periods too long. The
     torque of each piece is taken relative to its mean, which is zero from rest to rest,
-    so that drift of the gauge is no load.
+    so that a drift of the gauge does not count as a load.
     """
     time = np.arange(record.torque.size) * record.period
     pieces = np.split(record.torque, [start for start in starts if start > 0])

@@ -487,10 +487,11 @@ def _link(
     # A fit without standard errors, for example with its gain at a bound, gets one from
     # its residual.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
-    # Either channel may be sampled first, but neither shows a motion before it happens: a
-    # vibration that leads is one of the opposite sign, later by half of its period, as
-    # that of the second mode behind a late gauge. For a slow first mode, half a period
-    # is longer than the delay of any gauge, and the lead is an error of the fit.
+    # Either channel may be sampled first, but neither shows a motion before it happens:
+    # a vibration that leads is one of the opposite sign that lags by the rest of half
+    # its period, like that of the second mode with a late gauge. For a slow first mode,
+    # half a period is longer than the delay of any gauge, and the lead is an error of
+    # the fit.
     gain, delay, opposite = (
         fit.gain,
         fit.delay,

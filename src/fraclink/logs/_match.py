@@ -117,7 +117,7 @@ def match_table(
             "form of the file", remark, "certain", "the whole file agrees"
         )
     # Differences of values near the largest double overflow: such a column is not a
-    # signal, and this is no error.
+    # signal, and this is not an error.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         matched = matching.columns()
     questions = tuple(matching.questions)
@@ -378,7 +378,7 @@ class _Matching:
         return ranks.get(meaning, _UNNAMED if habit else _UNLIKELY)
 
     def free(self, time: Channel | None, stated: int | None) -> list[int]:
-        """The places of the signals: of the length of the time, moving, and without
+        """The places of the signals: columns as long as the time that move, without
         duplicates.
         """
         table, clock = self.table, None

@@ -98,7 +98,7 @@ class Pairs:
 
         A deflection δ = θm − θt responds to an acceleration with a positive gain. A tip
         angle responds with a negative one and rings like a deflection of the other
-        sign; but then its difference from θm is a vibration, too, and a clearer one.
+        sign; but then its difference from θm is a vibration as well, and a clearer one.
         """
         turned, values = (self.table.values[place] for place in (angle, output))
         names = [self.table.label(angle), self.table.label(output)]

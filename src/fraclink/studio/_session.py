@@ -35,7 +35,7 @@ from fraclink.view._text import grid_of, sentence
 
 __all__ = ["Session", "SupersededError", "bare", "begun", "opened"]
 
-# Files of a study that become invalid with another design.
+# Files of a study that become invalid with another design or other fits.
 _OUTDATED = (
     "run-*g.npz",
     "twin-*g.npz",

@@ -165,8 +165,8 @@ def _measured(
     """The signals and metrics of a block; a vibration that seems to grow is followed
     for twice as long.
 
-    In one of some thousand runs, noise excites a good arm such that its envelope rises
-    throughout the run; one in a few campaigns of a thousand runs would report an
+    In one of several thousand runs, noise excites a good arm such that its envelope
+    rises throughout the run; one in a few campaigns of a thousand runs would report an
     unstable arm. The vibration of an unstable arm goes on growing.
     """
     rows = _rows(campaign, block)

@@ -149,7 +149,7 @@ class FaultTrial:
 
     @property
     def motor_loop(self) -> layout.DiscreteMotorLoop:
-        """The law's motor loop, which the bench gives it."""
+        """The law's motor loop, which the law of every bench has."""
         assert self.law.motor_loop is not None  # noqa: S101
         return self.law.motor_loop
 
