@@ -109,8 +109,8 @@ def sampled_plant(
         )
         ln_s = np.log(s)
         inertia: Complex = np.exp(model.order * ln_s)
-        # Most links have no damping, and many no late gauge: each exponential of every
-        # alias is a quarter of the work.
+        # Most links have no damping, and many gauges no delay: each exponential over all
+        # aliases is a quarter of the work.
         drag: Complex = np.asarray(
             model.damping * np.exp(model.damping_order * ln_s) if model.damping else 0.0
         )

@@ -41,7 +41,7 @@ from fraclink._law import block as layout
 from fraclink._law.block import inside_circle, modes_of
 from fracsys.checks import Mask, Real
 
-# The axes of a box, and the letter of the tree that cuts each. The second mode is given
+# The axes of a box, and the letters by which the tree cuts them. The second mode is given
 # by its detuning f/ω: R depends on nothing else, and all the rest of the loop varies
 # slowly over the width of the mode.
 AXES: tuple[str, ...] = (
@@ -169,8 +169,8 @@ class BoxLoop:
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
         wide = self.closing(window.back, window.both, late, slow).closer(centre, steps)
         lag = wide.inverse()
-        # The transfer function from Ĉ to the voltage is C/X, X = A (y²/A + Z); the sum
-        # contains A itself.
+        # The transfer function from Ĉ to the voltage is C/X, X = A (y²/A + Z); the alias
+        # sum already contains the motor's A.
         alias = alias * lag.most() * slow.most()
         return [rest * lag for rest in rests], back * wide, alias
 

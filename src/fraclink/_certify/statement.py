@@ -51,8 +51,8 @@ PARAMETERS = (
 )
 # Aliases included in L with their phase, at ω + 2πn/Ts, from this fraction of the
 # Nyquist frequency on. Without a filter |L| near the Nyquist frequency is arbitrarily
-# large; there the moduli of all aliases add up to 0.4 of it, and those of the remaining
-# ones to 0.02. At lower frequencies the nearest alias is below (1/9)³ of L, and bounds
+# large; there the nearest alias is as large as L, and those that are not included add up
+# to 0.04 of it. At lower frequencies the nearest alias is below (1/9)³ of L, and bounds
 # of the moduli suffice.
 ALIASES = (-1, 1, -2, 2, -3)
 ALIASES_FROM = 0.2

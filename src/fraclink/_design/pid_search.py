@@ -211,7 +211,7 @@ class PidProblem:
                 distance = np.min(np.abs(1.0 + loop), axis=1)
                 slacks.append(distance - _ROOM / self.max_sensitivity)
             missed = np.maximum(-np.array(slacks), 0.0).sum(axis=0)
-        # without gains there is no loop: farther away than any other
+        # without gains there is no loop: it counts as missing by more than any other
         return np.nan_to_num(missed, nan=1e3, posinf=1e3)
 
     @cached_property

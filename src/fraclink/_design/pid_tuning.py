@@ -301,8 +301,8 @@ class PidTuning(Saved):
         """Return the response to a step of the reference by `size`, over `duration` [s]
         (default `horizon`).
 
-        Without `law` it is that of C(s) in continuous time. With it law.c runs, period
-        by period, on the plant after its hold: with its limit, its anti-windup and a
+        Without `law` it is that of C(s) in continuous time, with the sampling as a delay.
+        With it law.c runs, period by period, on the plant after its hold: with its limit, its anti-windup and a
         period of computation. A plant with a delay in a loop without sampling is
         inverted numerically, which takes seconds.
         """

@@ -11,7 +11,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink.findings import Finding
 from fracsys.checks import Real
 
-# Share of the variance of a channel that another one explains alone: for 300 random
+# Share of the variance of a channel that a single other one explains: for 300 random
 # vibrating links, angle, speed and acceleration of the motor explain at most 31 % of
 # the torque, the time 0.5 %.
 COPIED_LEAST = 0.98

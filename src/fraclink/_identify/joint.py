@@ -124,7 +124,7 @@ class JointProblem(Problem):
     def start(self, alone: Sequence[Solution]) -> Real:
         """Every parameter from the separate fit of its log; the mean for common ones."""
         shapes = np.array([solution.shape for solution in alone])
-        # ω₀ = 0 holds for one μ only; from the middle of the valley a common μ
+        # ω₀ = 0 admits a single μ; from the middle of the valley, at α = 1, a common μ
         # converges.
         shapes[[solution.on_edge for solution in alone], 3] = 1.0
         rows = link_parameters(shapes)[0]

@@ -178,6 +178,8 @@ def identify_payloads(
         fewer than two logs; where tied, a missing payload or the same one in all logs.
     FieldError
         unknown names.
+    NotConvergedError
+        the logs have no joint fit.
 
     References
     ----------

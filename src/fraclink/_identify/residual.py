@@ -87,9 +87,9 @@ def autoregression(series: Real) -> tuple[Real, float]:
 
 
 def noise_behind(regressors: Real, residual: Real) -> tuple[Real, float]:
-    """The covariance (p, p) of regressors (p, n) · noise, for the noise behind the
-    residual of their fit; and its trace with orthonormal regressors, for the residual
-    as it is:
+    """The covariance (p, p) of regressors (p, n) · noise, with the noise that caused the
+    residual of their fit, and the trace of the same for orthonormal regressors and the
+    residual itself:
 
         Σ_k Σ_l x_k γ(k − l) x_lᵀ
 

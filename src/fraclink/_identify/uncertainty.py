@@ -86,8 +86,8 @@ class Covariance:
             wide=_sandwich(self.inverse, noise, products),
             # Takeuchi's tr(H⁻¹J): the number of parameters under white noise, and
             # larger under slow noise in proportion to its lack of independent samples.
-            # Of the residual as it is: rivals are compared by these numbers, and the
-            # noise behind it is estimated for each structure separately.
+            # From the residual as it is, since rivals are compared by these numbers and
+            # the noise behind it is estimated for each structure separately.
             effective=observed / self.variance if self.variance > 0 else self.effective,
         )
 

@@ -111,7 +111,7 @@ def higher_modes(
     ----------
     arm
         the link with its second mode, where it was identified, its gauge and its motor;
-        the damping law of the link is that of the rig's beam.
+        its damping law also holds for the rig's beam.
     rig
         length, stiffness and mass of the link; motor and control period.
     settings

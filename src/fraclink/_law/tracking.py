@@ -2,10 +2,10 @@
 of its tracking.
 
 Without the payload the error compares the reference with a tip that lags by motor loop
-and computation, and the correction opposes every move. With it the feed-forward is
-right, the tip follows the reference as θm follows θm*, and the error is formed with
-exactly this lag. Both lie outside the feedback loop: its margins, and so its
-certificate, do not change.
+and computation, and the correction opposes every move. With the payload the
+feed-forward is right, the tip follows the reference as θm follows θm*, and the error is
+formed with exactly this lag. Feed-forward and lag lie outside the feedback loop: its
+margins, and so its certificate, do not change.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ def _log_poles(order: Real, alpha: float, ratio: Real) -> Complex:
     if not np.any(ratio):
         return log_poles
     # The poles meet at an M of argument π(1 − 2α/λ) and size above one: they are
-    # followed along complex M on the other side of it, and from there to the real M.
+    # followed along complex M on the other side of that argument, then to the real M.
     side = np.where(2.0 * alpha >= order, 1j, -1j) * np.minimum(ratio, 1.0)
     steps = math.ceil(6.0 * math.log1p(ratio.max()))
     growing = [(k / steps, 1.0) for k in range(1, steps + 1)]

@@ -213,8 +213,8 @@ def shape(
     Raises
     ------
     FieldError
-        a value out of its range, limits with which not every arm settles in the
-        requested time.
+        a value out of its range, an arm on which the loop is unstable, limits with which
+        not every arm settles in the requested time.
 
     Examples
     --------

@@ -101,7 +101,7 @@ def simulate(
         the arm with distributed mass that is simulated in place of the model.
     payload
         mass at the tip [kg]; the model's, or the twin's, where it is left out. ω₀
-        scales as sqrt(1/payload) (5).
+        shifts like that of the rig's beam, by eq. (5) if the link has no mass.
     told
         payload that the law is given as its input: True for the arm's own, also where
         an event changes it, a number [kg] for one that may be wrong, False or 0 for
