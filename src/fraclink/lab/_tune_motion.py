@@ -133,8 +133,9 @@ def fastest_loop(
     """The fastest motor loop that keeps its distance from −1 on motors with `ratios`
     times that gain, with a response of at most `kick` [V/rad] to a step of the angle.
 
-    Its poles are placed in z with the delay in the equation: at the same pole, this
-    leaves three times the distance of a discretised PID.
+    Its poles are placed in z with the delay in the equation, which leaves more distance
+    than a discretised PID with the same pole: twice as much at 60 rad/s with a delay of
+    one period of 4 ms.
     """
     # Up to half the sampling rate, where a delayed loop comes closest to −1.
     frequency = np.geomspace(1e-2, math.pi / period, 600)
@@ -312,9 +313,9 @@ def calm(
         θm = -k ω z/c,    z'' + 2ζω z' + ω² z = 2ζω Γ
 
     At ω, z is ∫Γ dt, which damps θt'' = ω² Γ/c; at a second mode it is ω/ω₂ times less,
-    as ∫Γ dt itself would drive a lightly damped one. An error of a quarter in stiffness or
-    resonance [rad/s], or a gauge delay of 20 ms, changes the damping by no more than
-    that.
+    as ∫Γ dt itself would drive a lightly damped one. Of the damping ratio of 0.3, an
+    error of a quarter in stiffness or resonance [rad/s] leaves 0.09 or more, and a
+    gauge delay of 20 ms leaves 0.2.
     """
     runs, origin = Follower(law), guard.connect().angle
     last = guard.record(-round(math.tau / resonance / guard.period)).torque

@@ -38,7 +38,7 @@ MOVES: dict[str, Reference] = {
     "move": MOVE,
     # The move back, ten seconds after the first one, would be spoilt by a wound-up loop.
     "there and back": MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2)),
-    # With the paper's gauge (noise 0.01 N·m) the test needs 0.24 rad in this time
+    # With the paper's gauge (noise 0.01 N·m) the test needs 0.26 rad in about this time
     # (`Law.wiring_angle`).
     "self-test": smooth_step(0.35, duration=0.12, start=0.1),
 }

@@ -506,6 +506,8 @@ def run_faults(
 
     Parameters
     ----------
+    bench, planned
+        what is tested, and the cases that `cases` returned.
     watch
         called with the outcome of each run.
     about

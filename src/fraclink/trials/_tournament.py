@@ -162,6 +162,8 @@ def compare(
     names
         run only the rivals whose names contain one of these words; the design always
         runs
+    progress
+        called with the name of each rival before it runs
 
     Raises
     ------
