@@ -253,6 +253,14 @@ def test_sensors_quantise_clip_and_lie() -> None:
     )
 
 
+def test_a_run_names_its_events() -> None:
+    fault = extend.SensorFault(0.1, 0.2, "gauge value", math.nan)
+    options = {"rig": RIG, "model": MODEL, "duration": 0.4}
+    broken = simulate(law(), STEP, events=[fault], **options)
+    assert broken.about["events"] == repr(fault)
+    assert "events" not in simulate(law(), STEP, **options).about
+
+
 def test_seeds_repeat_and_differ() -> None:
     runs = [
         simulate(
