@@ -400,8 +400,8 @@ class Loop(GaugedLink):
         """Return the noise gain for each ω₀, ``(∫₀^{ωN} |Ĉ/(1+L)|² dω / ωN)^½`` (30),
         ωN = π/`period`.
 
-        It is the RMS of the motor reference over that of white gauge noise, taken as an
-        angle: the gauge's torque noise divided by the stiffness.
+        It is the RMS of the motor reference over the RMS of white gauge noise, both as
+        angles: the torque noise is divided by the stiffness.
         """
         w0 = np.atleast_1d(np.asarray(natural_frequency, float))
         w, weights = noise_points(self, w0, period)

@@ -183,7 +183,7 @@ class Link:
     0.26
     """
 
-    # No arm is 100 m long; the one of the space station measures 17 m.
+    # No arm is 100 m long; the space station's measures 17 m.
     length: Annotated[float, Between(_SMALLEST, 100.0, "m", remedy=CHECK_UNIT)]
     # None means "not measured" in the call only: the attributes are always numbers.
     flexural_rigidity: Annotated[float, positive("N·m²")] = None  # type: ignore[assignment]

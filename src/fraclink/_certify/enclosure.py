@@ -287,8 +287,8 @@ class BoxLoop:
         """(L, 1/L, bound of the aliases not included in L) over boxes, with their
         slopes.
 
-        Slopes along the motor are with respect to p or A. A point of a box must include
-        the same aliases as the box: then `held` is that of the box.
+        Slopes along the motor are with respect to p or A. For a point of a box, which
+        must include the same aliases as the box, `held` is given.
         """
         # A box that is too wide gives infinities and NaN, which prove nothing.
         with np.errstate(all="ignore"):

@@ -92,7 +92,7 @@ def _judge(
         all="ignore"
     ):  # a box that is too wide gives infinities and NaN, which prove nothing
         plain, inverse, alias = loop.forms(low, high)
-        # Where |L| < 1 its own disc is the smaller one, otherwise that of 1/L: at a
+        # Where |L| < 1 the disc of L is the smaller one, otherwise that of 1/L: at a
         # resonance L may be arbitrarily large, and 1/L is a small disc near 0.
         soft = np.isfinite(plain.r) & (np.abs(plain.c) < 1.0)
         loud = np.isfinite(inverse.r) & ~soft

@@ -245,10 +245,10 @@ def mode_gains(
     is known.
 
     A mode with a loop gain below one cannot be destabilised, whatever its phase. The
-    modes are those of the rig's link mass (``[link] mass_kg``), with the model's
-    damping unless `damping_ratio` is given, and the second mode that was identified. At
-    a mode above the identified one only the part of L that points to -1 counts, 1 +
-    |L|/2 - |1 + L/2|, with the phase of L in doubt by 29°.
+    modes are those of a beam of the rig's link mass (``[link] mass_kg``), with the
+    model's damping unless `damping_ratio` is given, and the second mode that was
+    identified. At a mode above the identified one only the part of L that points to -1
+    counts, 1 + |L|/2 - |1 + L/2|, with the phase of L in doubt by 29°.
 
     Examples
     --------

@@ -242,7 +242,7 @@ def _turn_beyond(loop: Complex, origin: Real) -> Real:
     (none lies in Re s > 0): 0 for a stable closed loop [rad].
 
     Near the origin 1 + L ~ s^(-q) has the phase −qπ/2; from there to ω → ∞ it must turn
-    back to that of 1 + L(∞), on the principal sheet.
+    back to the phase of 1 + L(∞), on the principal sheet.
     """
     locus = 1.0 + loop
     first = -0.5 * math.pi * origin

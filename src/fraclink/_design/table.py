@@ -235,7 +235,7 @@ def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Comple
     """`centre`, `plant` and `closing` of a table.
 
     The links share the centres, multiples of a quarter of the radius, and both
-    expansions are linear in 1/ω₀²: those of a rigid and of one other link suffice.
+    expansions are linear in 1/ω₀²: a rigid link and one other suffice.
     """
     spacing = 0.25 * _RADIUS
     first = np.floor((np.log(mode[:, None]) - _REGION) / spacing).astype(int)

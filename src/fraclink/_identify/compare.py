@@ -338,7 +338,7 @@ def _near(criteria: Criteria) -> list[str]:
 def vetoed_structures(
     search: Search, criteria: Criteria, log: Experiment
 ) -> tuple[str, ...]:
-    """Undamped structures that the criteria do not rule out against damped ones, but
+    """Undamped structures that the criteria admit beside damped ones, but
     that predict the held-out part worse.
 
     Diebold and Mariano, J. Business & Economic Statistics 13 (1995) 253: the mean of

@@ -38,7 +38,7 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
 class Expression:
     """A transfer function of s and named parameters, as a tree.
 
-    `roles` are those of the parameters in the order of the text: an "order" is in an
+    `roles` has the role of each parameter, in the order of the text: an "order" is in an
     exponent of s, a "delay" in exp(-T*s), a "coefficient" elsewhere. A parameter with
     several roles has the narrowest of them.
     """

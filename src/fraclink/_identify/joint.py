@@ -117,7 +117,7 @@ class JointProblem(Problem):
             shapes = shapes_of(rows)
             slopes = link_parameters(shapes)[1]
             slopes[:, 0] /= rows[:, :1]
-        # Without damping its column is not among the free ones.
+        # Without damping the column of μ is not among the free ones.
         slopes[:, 2] /= np.where(rows[:, 2:3] > 0, rows[:, 2:3], 1.0)
         return shapes, np.asarray(np.linalg.inv(slopes)[:, :, self.columns])
 
@@ -151,7 +151,7 @@ class JointProblem(Problem):
 
     @cached_property
     def reach(self) -> Real:
-        """See `Problem`: only that of ln μ, as Ω is already well known."""
+        """See `Problem`: only ln μ is limited, as Ω is already well known."""
         return self._of_each(
             [1.0 if column == 2 else math.inf for column in self.columns]
         )

@@ -112,8 +112,8 @@ def noise_behind(regressors: Real, residual: Real) -> tuple[Real, float]:
     series = np.vstack([columns.T, residual / size])
     coefficients, variance = autoregression(residual)
     fast = _without_slow_root(coefficients)
-    # Schwarz's criterion decides whether the fast roots belong to the noise: those of a
-    # short log may be only the gap that the fit has left at its resonance.
+    # Schwarz's criterion decides whether the fast roots belong to the noise: in a short
+    # log they may only describe the gap that the fit has left at its resonance.
     evidence, roots, levels = _with_slow_root(series, np.ones(1), fast.size)
     better = _with_slow_root(series, fast, fast.size)
     if better[0] - 0.5 * (fast.size - 1) * math.log(count) > evidence:

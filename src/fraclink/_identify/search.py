@@ -41,7 +41,7 @@ _SCAN_ORDER = 1.85  # of the links of the scan: ζ = 0.13
 # rest for a late gauge.
 _DELAY_LIMITS = (-0.12, 0.35)
 _VALLEYS = (
-    2  # valleys of the broad scan: the lowest need not be that of a narrow resonance
+    2  # valleys of the broad scan: the lowest may not belong to a narrow resonance
 )
 # ζ, each a third of the previous one, for the vibration that continues from before a
 # cut; steps in ln Ω of a fifth of ζ, since with gain and phase free at the cut a valley

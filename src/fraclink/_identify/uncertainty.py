@@ -34,7 +34,7 @@ from fracsys.checks import Real
 class Covariance:
     """Covariances (p, p) of parameters.
 
-    `inverse` is that of the normal matrix; times the residual's `variance` it is the
+    `inverse` is the inverse normal matrix; times the residual's `variance` it is the
     covariance for independent residuals. `wide` holds for residuals of any (short)
     correlation, and equals the former if the colour was not requested. `effective` is the
     effective number of fitted parameters with the residual's colour (Takeuchi's trace),
@@ -153,7 +153,7 @@ def _sandwich(inverse: Real, noise: Real, products: Real) -> Real:
     """Covariance under coloured `noise`, at least as wide as the `products` of
     regressors and residual imply.
 
-    `inverse` is that of the normal matrix of the regressors.
+    `inverse` is the inverse of the regressors' normal matrix.
     """
     wider = np.sqrt(
         np.maximum(_diagonal(inverse, products) / _diagonal(inverse, noise), 1.0)
@@ -243,8 +243,8 @@ def structure_criteria(search: Search) -> dict[str, tuple[float, float]]:
         name: link_covariance(search, solution, coloured=True)[0].effective
         for name, solution in solutions.items()
     }
-    # If the residual of any structure is noise, it is that of the richest one; the
-    # filter of a poorer one would whiten its misfit away.
+    # If any residual is noise alone, it is the richest structure's; the filter of a
+    # poorer one would whiten its misfit away.
     richest = max(STRUCTURES, key=lambda name: len(STRUCTURES[name].free))
     filtered = autoregression(
         LinkProblem.of(search, solutions[richest], inside=True).linearised()[1]

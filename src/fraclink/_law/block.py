@@ -296,7 +296,7 @@ class Tracking:
     """What a law needs to use a given payload: the scale of its feed-forward, and the tip
     angle to expect.
 
-    The feed-forward of a payload m is that of the nominal one times (m + link)/nominal.
+    For a payload m the nominal feed-forward is multiplied by (m + link)/nominal.
     The tip then follows the reference as the motor follows its own (`MotorModel`).
     """
 
@@ -451,7 +451,7 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
     for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):
         if g or x:
             # The block stores c of ½(c/(z − q) + c̄/(z − q̄)): each fraction has half
-            # of it.
+            # of c.
             pole, gain = complex(re, im), complex(g, x) / 2
             modes += [(pole, gain), (pole.conjugate(), gain.conjugate())]
     return modes

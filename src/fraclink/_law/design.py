@@ -368,7 +368,7 @@ class Design(Saved):
             mass at the tip [kg].
         correction
             Ĉ on the unit circle as a function of ω [rad/s], such as the exact
-            `controller.response`, which no computer runs; that of the shipped
+            `controller.response`, which no computer runs; the response of the shipped
             coefficients where it is left out.
         """
         if correction is None:

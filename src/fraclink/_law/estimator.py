@@ -243,7 +243,7 @@ def payload_estimator(
     ----------
     link
         with a known payload; its order, gauge delay, gauge gain and second mode are in
-        the tables. The gain's standard deviation is that of its interval, and at least 3 %.
+        the tables. The gain's standard deviation follows from its interval, and is at least 3 %.
     rig
         with the noise of the gauge and the mass of the link.
     law

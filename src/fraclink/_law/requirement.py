@@ -192,8 +192,8 @@ def _rows_of_law(
 def _tabled(
     response: Callable[[Real], Complex], plant: SampledPlant, model: LinkModel
 ) -> tuple[float, float]:
-    """(smallest phase margin [rad], negative beyond -180°; smallest |1 + L|) of a
-    sampled loop, from a table.
+    """(smallest phase margin [rad], below -1 where the loop is unstable; smallest |1 +
+    L|) of a sampled loop, from a table.
     """
     nyquist = math.pi / plant.period
     mode = min(model.resonance, 0.3 * nyquist)

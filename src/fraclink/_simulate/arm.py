@@ -38,7 +38,7 @@ __all__ = ["Twin", "damping_of", "geared"]
 LIGHT_HUB = 0.1
 
 # The model's frequency may differ from that of equation (5) by the effect of the link's
-# mass, up to 17 % at 8 g.
+# mass: 9 % for the default link with 8 g, 15 % for one of 12.5 g.
 SAME_ARM = 0.2
 
 

@@ -161,7 +161,7 @@ class ArmSet:
         if told != ESTIMATED:
             return arms
         # with another damping law than the model's, the estimate from a move differs from
-        # that of the free vibration
+        # the one from a free vibration
         first = smooth_step(size, arms.vibration)
         finding = replace(arms, given=dict.fromkeys(each, design.estimator()))
         found = {

@@ -33,8 +33,8 @@ __all__ = [
 
 Action = Callable[[ArmState], None]
 
-# Columns of the twin's inputs (csrc/kernels/twin.h); for the model only those of faults
-# apply.
+# Columns of the twin's inputs (csrc/kernels/twin.h); for the model only the columns of
+# faults apply.
 REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
 ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(
     6, 12

@@ -171,7 +171,7 @@ def run_lumped(
     faults
         of all arms, rows of the twin's inputs, shape (N, 12); None: healthy.
     estimator
-        of the law's precision, whose payload each law is given; None: that of `arms`.
+        of the law's precision, whose payload each law is given; None: the payload in `arms`.
     """
     runs, length = len(arms.seed), path.shape[2]
     signals = np.empty((len(SIGNALS), runs, length))
@@ -291,7 +291,7 @@ class ArmState:
         record.
 
         With an `estimator` in the law's precision, the law gets the estimated payload
-        instead of that in the rows.
+        instead of the one in the rows.
         """
         if estimator is not None and self.estimate.size == 0:
             self.estimate = np.frombuffer(
