@@ -27,7 +27,7 @@ Band = Annotated[
 Order = Annotated[int, Between(0, 12, remedy="use order=None to choose")]
 
 # Fraction of the tolerance that the fit may use on its grid: between the grid points
-# the error is up to 3 % larger.
+# the error is mostly up to 3 % larger.
 _WITHIN = 0.97
 # Above the band |H − F| may reach 2 |F| times the score; without this guard the gain
 # there has no bound. On six controllers the guard costs up to two of eight states.
@@ -168,12 +168,13 @@ class DiscreteFits:
         if order is not None:
             return finish(next(islice(self, order, None)), self.target)
         for here in islice(self, highest + 1):
-            # The full sequence of norms lowers the error of a quick fit by 10 to 20 %.
+            # The full sequence of norms lowers the error of a quick fit by some 10 %,
+            # and seldom by more than 25 %.
             if score(here[0], self.target) <= 1.3:
                 fit = finish(here, self.target)
                 if score(fit, self.target) <= _WITHIN:
                     return fit
-        # The full sequence of norms lowers each error by 10 to 20 %, so neighbours may
+        # The full sequence of norms does not lower all errors alike, so neighbours may
         # change ranks.
         ranked = sorted(
             islice(self, highest + 1), key=lambda here: score(here[0], self.target)

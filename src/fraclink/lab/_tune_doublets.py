@@ -27,8 +27,8 @@ __all__ = ["PULSE", "edges_of", "motor_of_doublets"]
 # the gauge.
 PULSE = 0.04
 # B [1/s]: a doublet of 80 ms cannot separate it from friction. Geared laboratory motors
-# have 5 to 20, which changes A by a tenth; with 0 the delay comes out half a period
-# short.
+# have 5 to 20, which changes A by a tenth; with 0 here, the delay of a motor with 20
+# comes out half a period short.
 _DECAY = 10.0
 # parts of a period for the integration of a motion with friction; delays are multiples
 # of two parts
