@@ -41,7 +41,7 @@ _ARMS, _SKIPPED = (
     16,
     4,
 )
-# Cells of the map, 20 ms each: margins from 10° to 100° in steps of ten.
+# Cells of the map, about 10 ms each: margins from 10° to 100° in steps of ten.
 _CROSSOVERS, _MARGINS = 17, 10
 # limits of the map: multiple of the lightest link's ω₀ (in rad/s), and degrees of
 # margin
@@ -152,8 +152,8 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         ],
     }
     if subject.law is not None:
-        # The poles of the last exact law with newly fitted residues: a fiftieth of the
-        # time of a new law.
+        # The poles of the last exact law with newly fitted residues: less than a
+        # hundredth of the time of a new law.
         head["blocks"] = blocks_of(refitted(subject.law, made.controller)[0])
     gain, phase = _drawn(logs)
     curves = {"gain": gain, "phase": phase, "margin": np.degrees(margin)}

@@ -176,7 +176,7 @@ class Job:
 
 # --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
 
-_PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
+_PAYLOADS, _DELAYS = 11, 8  # points of the map: about 10 ms each
 _POINTS = 1200  # of a curve: twenty within the resonance of the least damped link drawn
 _ARMS, _FAILED = 24, 12  # moves that are drawn, and how many of failing arms: 4 ms each
 _SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods per point: one pixel

@@ -89,7 +89,7 @@ class Evidence:
     def final(self) -> float:
         """|mean tip error| of the last second [rad]."""
         # A mean instead of the last sample: the noise of the gauge alone moves the tip
-        # by 5 mrad.
+        # by up to a milliradian.
         return abs(float(self.faulty.error[self.last(1.0)].mean()))
 
     def last(self, seconds: float) -> slice:
