@@ -32,10 +32,11 @@ __all__ = ["Candidates", "PidProblem", "best_of", "itae"]
 Span = tuple[float, float]
 
 FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crossover
-# Points of the scan in ω: eighty per decade and those about the modes. On three plants
-# the margins of 600 candidates differ by at most 2e-3 rad from those of a scan forty
-# times as dense, Ms by 3 %. This is enough to rank candidates; the margins of an
-# accepted one are computed again by root finding.
+# Points of the scan in ω: eighty per decade about a given ω_c, and those about the
+# modes. Against a scan forty times as dense, 95 % of the stable candidates on four plants
+# are off by less than 5e-4 rad in the margin and 1e-3 in Ms, the worst by 0.2 rad and
+# 15 %. This is enough to rank candidates; the margins of an accepted one are computed
+# again by root finding.
 _POINTS = 480
 REACH = 1e3  # factor on either side of the crossover
 # Samples of the error in the search: frequencies up to 40 times the crossover. With 512

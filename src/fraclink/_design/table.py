@@ -29,8 +29,8 @@ __all__ = ["Figure", "Outer", "Table", "Trial", "stacked", "tabulated"]
 
 Index = NDArray[np.int64]
 
-# Points per decade, from a twentieth of the resonance; cubics between them follow ln L
-# to 2e-5, since the table includes its slope.
+# Points per decade, from a twentieth of the resonance; cubics with the table's slopes
+# follow ln L to 1e-4 between them, and to 3e-3 on the flanks of a sharp resonance.
 _DENSITY = 28
 _NEAR = np.geomspace(1e-4, 0.2, 12)  # on both sides of a sharp resonance
 # Roots of 1 + L up to this distance from the resonance, in ln ω, are vibrations of the
