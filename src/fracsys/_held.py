@@ -309,8 +309,8 @@ class HeldQuotient:
         """
         if self.rest is None:
             return 0.0, 1.0, self.direct
-        # Logarithmic spacing; geomspace is avoided because its own checks take an
-        # eighth of the time of a short response.
+        # Logarithmic spacing; geomspace is avoided because its own checks take a
+        # twentieth of the time of a short response.
         growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
         times = shortest * np.exp(growth * np.arange(_CHECKS))
         # The contour integrates the whole function, so that digits lost by splitting

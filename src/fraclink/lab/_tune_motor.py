@@ -256,10 +256,10 @@ def fitted_motor(
     """Return the motor with the torque shifted by the gauge's delay; `starts` as in
     `identify_motor`.
 
-    A delayed load appears as a delayed motor with too large a gain: with a gauge delay
-    of 30 ms, K/J comes out a sixth too large and the delay four periods too long. The
-    torque of each piece is taken relative to its mean, which is zero from rest to rest,
-    so that a drift of the gauge does not count as a load.
+    A load that is late biases the motor: with a gauge delay of 30 ms, K/J of the
+    paper's geared twin comes out 4 % too small. The torque of each piece is taken
+    relative to its mean, which is zero from rest to rest, so that a drift of the gauge
+    does not count as a load.
     """
     time = np.arange(record.torque.size) * record.period
     pieces = np.split(record.torque, [start for start in starts if start > 0])
