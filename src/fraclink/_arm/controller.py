@@ -21,7 +21,7 @@ from fracsys.checks import Between, Complex, Period, above, checked
 __all__ = ["Controller"]
 
 
-# Registered here and not beside the classes, which must not depend on the file format.
+# Registered here, as the classes themselves must not depend on the file format.
 document("margins")(Margins)
 document("reference")(Path)
 

@@ -19,7 +19,7 @@ from fraclink.findings import Finding
 from fracsys.checks import Real
 
 # Share of the samples of a log, or of a run in real time, that may be lost: interpolated,
-# they change ω₀ as said above.
+# they change ω₀ by the 0.002 % above.
 LOST_SHARE = 0.01
 PRINTED = 0.01  # fraction of a period: the rounding of stamps printed with few digits
 # fraction of a period: jitter that changes no parameter, see the figures above

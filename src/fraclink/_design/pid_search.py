@@ -40,8 +40,8 @@ FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crosso
 _POINTS = 480
 REACH = 1e3  # factor on either side of the crossover
 # Samples of the error in the search: frequencies up to 40 times the crossover. With 512
-# samples a plant with an integrator gets another candidate than with 16 384; with 1024
-# it is the same one on the three plants tried, although the ITAE of a candidate near
+# samples a plant with an integrator gets a different candidate than with 16 384; with
+# 1024 the three plants tried get the same ones, although the ITAE of a candidate near
 # instability is 9 % off.
 _SAMPLES = 1024
 # Damping of the Fourier series: the wrap-around is multiplied by 1e-5. A larger factor
@@ -260,7 +260,7 @@ def _least_margins(loop: Complex) -> tuple[Real, Real]:
     rise, change = np.diff(level), np.diff(turn)
     # the short way round: the phase wrap lies on the far side of −1
     change -= math.tau * np.round(change / math.tau)
-    # Linear interpolation between two points in ln ω: root finding for some thousand
+    # Linear interpolation between two points in ln ω: root finding for thousands of
     # candidates would take a hundred times as long.
     across, down = -level[:, :-1] / rise, -turn[:, :-1] / change
     margin = np.abs(turn[:, :-1] + across * change)

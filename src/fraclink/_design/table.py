@@ -247,7 +247,9 @@ def _expansions(bare: Loop, w0: Real, mode: Real) -> tuple[Real, Complex, Comple
     return np.asarray(spacing * places, np.float64), plant, closing
 
 
-@lru_cache(maxsize=64)  # the same for every payload of an arm, and so throughout a drag
+@lru_cache(
+    maxsize=64
+)  # the same for every payload of an arm, and so while a slider is dragged
 def _expanded(bare: Loop, spacing: float, start: int, stop: int) -> Complex:
     """Taylor coefficients of D and of D times the loop without Ĉ, of a rigid link and of
     one with ω₀ = 1, about some multiples of `spacing`: from values on a circle about

@@ -338,8 +338,8 @@ def _near(criteria: Criteria) -> list[str]:
 def vetoed_structures(
     search: Search, criteria: Criteria, log: Experiment
 ) -> tuple[str, ...]:
-    """Undamped structures that the criteria admit beside damped ones, but
-    that predict the held-out part worse.
+    """Undamped structures that the criteria admit beside damped ones, but that predict
+    the held-out part worse.
 
     Diebold and Mariano, J. Business & Economic Statistics 13 (1995) 253: the mean of
     the difference of squared errors over its standard error, with the colour accounted

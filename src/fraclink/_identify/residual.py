@@ -244,7 +244,7 @@ def residual_tests(residual: Real, motion: Real) -> ResidualTests:
         return ResidualTests(1.0, 1.0)
     lags = min(_LAGS, count // 4)
     rho = autocovariance(centred)[1 : lags + 1] / variance
-    # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² accurate for some
+    # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² accurate for a few
     # hundred samples as well.
     ljung_box = (
         count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
@@ -286,7 +286,7 @@ _HIGHEST = 0.8
 _STEP, _RATIO = (0.04, 0.03)
 # a more strongly damped one is friction or a filter rather than a mode
 _RATIO_LIMITS = (5e-4, 0.2)
-# Standard deviations of the mode's gain. The scan tries some hundred frequencies, among
+# Standard deviations of the mode's gain. The scan tries a few hundred frequencies, among
 # which noise alone reaches 3.5; the spread of a coloured residual is itself known to a
 # third only.
 _SIGNIFICANT = 6.0

@@ -74,7 +74,7 @@ def deg(angle: float) -> float:
 
 
 class Specification(TypedDict, total=False):
-    """The requirements of a design; one that is left out follows its own rule.
+    """The requirements of a design, each with what applies where it is left out.
 
     Parameters
     ----------

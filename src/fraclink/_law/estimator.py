@@ -375,9 +375,9 @@ def _model(
     and the covariances of white noise filtered by A/C.
 
     frequencies, shares: of the modes of its beam (`modal_shares`). Those above the first
-    hardly vibrate in a move, but their inertia is in the torque. corner: of the spectrum
-    of a move [rad/s]. A and B are the linear least squares solution of B/C = (A/C) Γ/θm at frequencies
-    weighted by the spectrum of a move.
+    hardly vibrate in a move, but their inertia is in the torque. corner: corner frequency
+    of the spectrum of a move [rad/s], with which the frequencies are weighted. A and B are
+    the linear least squares solution of B/C = (A/C) Γ/θm.
     """
     pole = link.pole
     fast = np.exp(

@@ -195,7 +195,7 @@ def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
         one, two, near = _best(
             follows, back, weight, *np.meshgrid(one + around, two + around)
         )
-    # The loop closed around the model has the poles that were found; its own
+    # The loop closed around the model has the poles that were found; the model's
     # coefficients follow by comparing powers of z. z² + (now − 1 − keep) z + … = (z −
     # one)(z − two), with the numerator now z + …
     keep = one + two - 1 + near

@@ -44,7 +44,7 @@ SAME_ARM = 0.2
 
 @checked
 def geared(rig: Rig, ratio: Positive = 50.0) -> Rig:
-    """Return the rig with a gear behind its printed motor: the twin of the paper's arm
+    """Return the rig with a gear on its motor as printed: the twin of the paper's arm
     needs the larger hub inertia.
 
     Table 1 gives J = 6.87e-5 kg·m² and no gear ratio; taken at the gear's output that

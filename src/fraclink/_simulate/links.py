@@ -294,7 +294,7 @@ def _powers_at_end(
         damper = np.log(damping * period ** (order - damping_order))[:, None, None]
     total = np.zeros((len(stiff), POWERS))
     # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) grows faster than
-    # 4ⁿ: some twenty terms suffice. Logarithms, because the highest Γ overflows.
+    # 4ⁿ: fewer than thirty terms suffice. Logarithms, because the highest Γ overflows.
     for n in range(1, 100):
         k = np.arange(n + 1 if np.any(damping) else 1)
         exponent = order[:, None, None] * n - damping_order * k + power
