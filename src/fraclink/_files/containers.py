@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fracsys.checks import rule
 
-# bytes; a saved fit with its residuals of 100 000 samples takes about 2 MB
+# bytes; a saved fit of 100 000 samples takes about 4 MB
 JSON_LIMIT = 16_000_000
 # bytes of all members together: 8 signals of 6 million samples
 UNPACKED_LIMIT = 400_000_000
