@@ -304,7 +304,7 @@ class PidTuning(Saved):
         Without `law` it is that of C(s) in continuous time, with the sampling as a delay.
         With it law.c runs, period by period, on the plant after its hold: with its limit, its anti-windup and a
         period of computation. A plant with a delay in a loop without sampling is
-        inverted numerically, which takes seconds.
+        inverted numerically.
         """
         length = self.horizon if duration is None else duration
         if law is not None:

@@ -155,7 +155,7 @@ def identify(
         (a held command) or "auto" (zero only for angles that jump and rest).
     details
         False leaves out intervals, tests, the second mode and the allowance for
-        coloured residuals (ten times faster, for loops over thousands of logs).
+        coloured residuals (up to four times faster, for loops over many logs).
 
     Raises
     ------

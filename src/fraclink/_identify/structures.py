@@ -87,7 +87,7 @@ def identify_structure(
         of a frequency response's errors: "relative" to |H|, by "coherence" (the default
         where there is one), by the input's "magnitude" at each line, or "absolute".
     details
-        False: intervals from the standard errors alone, in a fraction of the time.
+        False: intervals from the standard errors alone, which takes less time.
 
     Raises
     ------
