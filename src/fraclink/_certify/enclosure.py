@@ -15,8 +15,8 @@ torque ``E = κ c g e^{-jωτ_g}``, and the second mode R. η = μ/ω₀² is of
 material, the same for every payload; q is not.
 
 Where |L| is small, L is enclosed, by means of V = 1/S, which is affine in 1/q; where it
-is large, 1/L is enclosed, which is nearly affine in q. One form alone needs a thousand
-times as many boxes.
+is large, 1/L is enclosed, which is nearly affine in q. L alone takes seven times as many
+boxes, 1/L alone more than a hundred times as many.
 
 An alias is L at ω + 2πn/Ts in place of ω, except in the periodic factors. Near the
 Nyquist frequency the nearest few, `ALIASES`, are enclosed in the same way as L; for the
