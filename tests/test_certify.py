@@ -458,6 +458,17 @@ def test_a_law_whose_limits_leave_no_room_is_not_certified(
     assert caught.value.field in {"law.limits", *(f"law.{name}" for name in limits)}
 
 
+@pytest.mark.parametrize(
+    ("field", "value"), [("gauge_delay", -0.002), ("gauge_gain", -0.5)]
+)
+def test_a_gauge_that_cannot_be_is_refused_by_its_name(field: str, value: float):
+    plan = plan_for("ideal")
+    box = replace(ParameterBox.at(plan.model), **{field: (value, value)})
+    with pytest.raises(FieldError) as caught:
+        certify(plan, box=box, modulus_margin=0.3)
+    assert caught.value.field == f"model.{field}"
+
+
 @pytest.mark.parametrize("factor", [3.0, 0.3])
 def test_a_law_that_scales_its_link_out_of_reach_is_not_certified(factor: float):
     plan = plan_for("sampled")

@@ -219,6 +219,12 @@ def test_a_formula_and_what_is_held_choose_among_structures() -> None:
     )
 
 
+def test_orders_that_no_structure_has_together_are_refused() -> None:
+    with pytest.raises(FieldError, match="identify_structure") as refused:
+        identify(made_log(noise=0.05), fixed={"damping_order": 0.8, "order": 1.9})
+    assert refused.value.field == "fixed"
+
+
 @pytest.mark.slow
 def test_white_errors_are_the_scatter_of_fits() -> None:
     clean = made_log(delay=0.003, samples=2501)

@@ -420,13 +420,21 @@ def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox) -> 
             "> 0 N·m·s",
             "state the motor's viscous friction, which every motor has",
         )
-    if box.gauge_delay[0] < 0 or box.gauge_gain[0] <= 0:
+    if box.gauge_delay[0] < 0:
         raise FieldError(
             "model.gauge_delay",
-            model.gauge_delay,
+            box.gauge_delay[0],
             "negative",
             ">= 0 s",
-            "certify with the gauge's true sign and delay",
+            "certify with the gauge's true delay",
+        )
+    if box.gauge_gain[0] <= 0:
+        raise FieldError(
+            "model.gauge_gain",
+            box.gauge_gain[0],
+            "not positive",
+            "> 0",
+            "certify with the gauge's true sign",
         )
 
 

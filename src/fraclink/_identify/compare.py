@@ -187,6 +187,14 @@ def identify(
     # A structure without the fixed parameter, such as λ, would ignore the given value.
     fixed_names = {"order", "damping_order"} & set(fixed or {})
     names = [row.name for row in STRUCTURES.values() if fixed_names <= set(row.free)]
+    if not names:
+        raise FieldError(
+            "fixed",
+            sorted(fixed_names),
+            "no structure has both",
+            "order or damping_order",
+            "fix one of them, or fit a formula with identify_structure(log, formula)",
+        )
     if structure is not None and structure not in STRUCTURES and "/" in structure:
         raise FieldError(
             "structure",

@@ -212,7 +212,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         yield Finding(
             "W317",
             "info",
-            "the end of the log is at rest: the held-out part was made longer, so that it contains motion",
+            "less than half of the log is fitted: the held-out part begins where the arm still moves, or as chosen",
             {
                 "fitted_time": fit.fitted_samples * fit.period,
                 "motion": motion[0],
