@@ -7,6 +7,7 @@ import functools
 import fraclink as fl
 from fraclink.extend import geared
 from fraclink.trials import Bench, Campaign
+from law_bench import documented_design
 
 
 @functools.cache
@@ -31,11 +32,5 @@ def fault_bench() -> Bench:
     documentation.
     """
     rig = geared(fl.Rig.named("paper-2023"))
-    design = fl.design(
-        rig.model,
-        rig,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    design = documented_design(rig)
     return Bench.of(design, link_mass=0.00735)

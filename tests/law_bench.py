@@ -30,6 +30,13 @@ def default_controller() -> fl.Controller:
     )
 
 
+def documented_design(rig: fl.Rig, **more: Any) -> fl.Design:
+    """The design of the documentation, with more stated or without a filter."""
+    assert rig.model is not None
+    wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)} | more
+    return fl.design(rig.model, rig, payloads=(0.02, 0.04), **wanted)
+
+
 @functools.cache
 def law(precision: str = "double", *, equipped: bool = True) -> Law:
     rig = fl.Rig.named("paper-2023")

@@ -26,20 +26,14 @@ from fraclink import main
 from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError
 from fraclink.trials import save_study
+from law_bench import documented_design
 from test_report import HOSTILE_PAGES, Elements, parsed
 
 
 @pytest.fixture(scope="module")
 def study() -> fl.trials.Study:
     rig = fl.Rig.named("paper-2023")
-    assert rig.model is not None
-    design = fl.design(
-        rig.model,
-        rig,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    design = documented_design(rig)
     return fl.trials.Study(rig=rig, design=design, law=design.law())
 
 
@@ -146,13 +140,7 @@ def test_slider_and_links_cover_the_designs_payloads(study, page):
 @pytest.mark.slow
 def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
     fast = replace(study.design.rig, period=0.001)
-    design = fl.design(
-        fast.model,
-        fast,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    design = documented_design(fast)
     text = written(fl.trials.Study(rig=fast, design=design))
     assert len(text.encode()) <= 160_000
     assert (

@@ -40,6 +40,7 @@ from fraclink import (
 from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.numeric import loop_values
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
+from law_bench import documented_design
 from law_bench import law as any_law
 
 RIG = Rig.named("paper-2023")
@@ -1043,13 +1044,7 @@ def test_the_checker_reads_the_block_where_the_law_wrote_it(
 
 
 def test_a_law_alone_says_which_noun_is_missing() -> None:
-    made = fl.design(
-        RIG.model,
-        RIG,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    made = documented_design(RIG)
     law = made.law()
     with pytest.raises(FieldError, match="model is required"):
         certify(law)

@@ -12,17 +12,12 @@ import pytest
 import fraclink as fl
 from fraclink import main
 from fraclink.extend import mode_gains
+from law_bench import documented_design
 
 
 def _design(place: Path) -> fl.Design:
     rig = fl.Rig.named("paper-2023")
-    design = fl.design(
-        rig.model,
-        rig,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    design = documented_design(rig)
     design.save(place)
     return design
 

@@ -18,6 +18,7 @@ from engine_bench import MARKS, SIGNALS, Engine
 from fraclink import Design, SecondMode
 from fraclink._simulate.engine import LONGEST, MOST_ROWS, TWIN_MODES
 from fraclink.extend import KelvinVoigt, SensorFault
+from law_bench import documented_design
 from needed_tools import missing, tool
 
 ROOT = Path(__file__).parents[1]
@@ -40,14 +41,7 @@ FAULTS = {
 @pytest.fixture(scope="module")
 def design() -> Design:
     rig = fl.Rig.named("paper-2023")
-    assert rig.model is not None
-    return fl.design(
-        rig.model,
-        rig,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    return documented_design(rig)
 
 
 @pytest.fixture(scope="module")
@@ -202,14 +196,7 @@ def twin_of(
 @pytest.fixture(scope="module")
 def geared() -> Design:
     rig = fl.Rig.named("paper-2023-geared")
-    assert rig.model is not None
-    return fl.design(
-        rig.model,
-        rig,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    return documented_design(rig)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 import fraclink as fl
 from fraclink import Law, MotorLoop, Twin
-from law_bench import PERIOD, law, run
+from law_bench import PERIOD, documented_design, law, run
 
 PRECISIONS = ("double", "single")
 LIMITED, REJECTED = 32, 512
@@ -211,14 +211,7 @@ def test_every_payload_settles_in_half_a_second() -> None:
     within 0.48 s, residual 15 mrad.
     """
     assert GEARED.model is not None
-    design = fl.design(
-        GEARED.model,
-        GEARED,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-        filter_time=0.02,
-    )
+    design = documented_design(GEARED, filter_time=0.02)
     made, move = design.law(), fl.smooth_step(1.0, duration=0.5)
     for payload in (0.008, 0.02, 0.03, 0.04, 0.08):
         arm = Twin.from_rig(GEARED, payload=payload)

@@ -12,6 +12,7 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink.errors import FieldError
+from law_bench import documented_design
 
 S = fracsys.s
 LOOP = 2.0 / (S**1.5 + S)
@@ -20,13 +21,7 @@ LOOP = 2.0 / (S**1.5 + S)
 @cache
 def design() -> fl.Design:
     rig = fl.Rig.named("paper-2023")
-    return fl.design(
-        rig.model,
-        rig,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    return documented_design(rig)
 
 
 @cache

@@ -19,6 +19,7 @@ from fraclink import Callback, Twin, main
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import LawInputs, ShapedMove
 from fraclink.trials import Campaign
+from law_bench import documented_design
 from needed_tools import tool
 
 PLAIN = fl.Rig.named("paper-2023-geared")
@@ -30,14 +31,7 @@ BAND = 0.02
 
 @pytest.fixture(scope="module")
 def design() -> fl.Design:
-    return fl.design(
-        RIG.model,
-        RIG,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-        filter_time=0.02,
-    ).with_law()
+    return documented_design(RIG, filter_time=0.02).with_law()
 
 
 @pytest.fixture(scope="module")

@@ -144,24 +144,12 @@ def test_friction_stops_the_motor_where_the_equation_says() -> None:
 
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_default_design_holds_for_every_payload(payload: float) -> None:
-    run = simulate(
-        outer(),
-        fl.smooth_step(1.0, 0.5),
-        rig=EXACT,
-        model=MODEL,
-        payload=payload,
-    )
-    assert run.verdict.passed, run.verdict.reason
-    assert abs(run.metrics.steady_state_error) < 1e-3
-    assert run.payload == payload
-    sampled = simulate(
-        law(),
-        fl.smooth_step(1.0, 0.5),
-        rig=EXACT,
-        model=MODEL,
-        payload=payload,
-    )
-    assert sampled.verdict.passed, sampled.verdict.reason
+    options = {"rig": EXACT, "model": MODEL, "payload": payload}
+    for made in (outer(), law()):
+        run = simulate(made, fl.smooth_step(1.0, 0.5), **options)
+        assert run.verdict.passed, run.verdict.reason
+        assert abs(run.metrics.steady_state_error) < 1e-3
+        assert run.payload == payload
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import fraclink as fl
 from fraclink import Twin, smooth_step
 from fraclink.errors import FieldError
 from fraclink.extend import SensorFault, equip, geared
+from law_bench import documented_design
 
 RIG = geared(fl.Rig.named("paper-2023"))
 MOVE = smooth_step(1.0, duration=1.0)
@@ -22,13 +23,7 @@ ROW = round(AT / RIG.period)
 
 @pytest.fixture(scope="module")
 def law():
-    design = fl.design(
-        RIG.model,
-        RIG,
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
+    design = documented_design(RIG)
     return equip(fl.discretize(design.controller, RIG.period), RIG, RIG.model)
 
 

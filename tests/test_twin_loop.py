@@ -57,6 +57,13 @@ def smooth(law):
     return replace(law, motor_loop=replace(law.motor_loop, coulomb_voltage=0.0))
 
 
+def kicked(law, twin, pulse):
+    """Two seconds of a twin that is pushed at its tip, its motor without voltage."""
+    off = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9))
+    at_rest = hold(0.0, duration=1.0)
+    return fl.simulate(off, at_rest, arm=twin, duration=2.0, events=[pulse])
+
+
 def energy(vessel, matrix):
     """Energy of hub and link of a running twin [J]."""
     own = vessel.state[: len(matrix)]
@@ -105,14 +112,7 @@ def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
     is exactly zero.
     """
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    off = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9))
-    run = fl.simulate(
-        off,
-        hold(0.0, duration=1.0),
-        arm=twin,
-        duration=2.0,
-        events=[TipPulse(0.1, 0.2, 0.02)],
-    )
+    run = kicked(law, twin, TipPulse(0.1, 0.2, 0.02))
     assert np.abs(run.tip_angle).max() > 1e-3
     assert np.all(run.extras["motor_velocity"] == 0.0)
     # within a step, held friction allows minute motion
@@ -124,14 +124,7 @@ def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
 def test_stiction_breaks_above_its_level(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     twin = replace(twin, motor=replace(twin.motor, coulomb_torque=1e-4))
-    off = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e-9))
-    run = fl.simulate(
-        off,
-        hold(0.0, duration=1.0),
-        arm=twin,
-        duration=2.0,
-        events=[TipPulse(0.1, 0.5, 0.05)],
-    )
+    run = kicked(law, twin, TipPulse(0.1, 0.5, 0.05))
     assert np.abs(run.extras["motor_velocity"]).max() > 0.0
 
 
