@@ -191,7 +191,7 @@ CEILINGS = {
     "_design": 1284,
     "_export": 425,
     "_files": 558,
-    "_identify": 2299,
+    "_identify": 2298,
     "_law": 939,
     "_reading": 875,
     "_simulate": 1161,

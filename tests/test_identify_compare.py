@@ -219,9 +219,19 @@ def test_a_formula_and_what_is_held_choose_among_structures() -> None:
     )
 
 
-def test_orders_that_no_structure_has_together_are_refused() -> None:
+@pytest.mark.parametrize(
+    ("structure", "fixed"),
+    [
+        (None, {"damping_order": 0.8, "order": 1.9}),
+        ("D-FOM", {"order": 1.9}),
+        ("UD-FOM", {"damping_order": 0.8}),
+    ],
+)
+def test_a_fixed_order_that_would_be_ignored_is_refused(
+    structure: str | None, fixed: dict[str, float]
+) -> None:
     with pytest.raises(FieldError, match="identify_structure") as refused:
-        identify(made_log(noise=0.05), fixed={"damping_order": 0.8, "order": 1.9})
+        identify(made_log(noise=0.05), structure, fixed=fixed)
     assert refused.value.field == "fixed"
 
 

@@ -184,17 +184,6 @@ def identify(
     >>> fit.structure, round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
     ('UD-FOM', 1.92, 10.02, 1.56)
     """
-    # A structure without the fixed parameter, such as λ, would ignore the given value.
-    fixed_names = {"order", "damping_order"} & set(fixed or {})
-    names = [row.name for row in STRUCTURES.values() if fixed_names <= set(row.free)]
-    if not names:
-        raise FieldError(
-            "fixed",
-            sorted(fixed_names),
-            "no structure has both",
-            "order or damping_order",
-            "fix one of them, or fit a formula with identify_structure(log, formula)",
-        )
     if structure is not None and structure not in STRUCTURES and "/" in structure:
         raise FieldError(
             "structure",
@@ -203,8 +192,18 @@ def identify(
             ", ".join(STRUCTURES),
             "identify_structure(log, formula) fits any other",
         )
-    if structure is not None:
-        names = [structure_row(structure).name]
+    rows = STRUCTURES.values() if structure is None else [structure_row(structure)]
+    # A structure without the fixed parameter, such as λ, would ignore the given value.
+    fixed_names = {"order", "damping_order"} & set(fixed or {})
+    names = [row.name for row in rows if fixed_names <= set(row.free)]
+    if not names:
+        raise FieldError(
+            "fixed",
+            sorted(fixed_names),
+            f"not free in {structure or 'any one structure'}",
+            "order for UD-FOM, damping_order for D-FOM",
+            "fix one of them, or fit a formula with identify_structure(log, formula)",
+        )
     search = make_search(
         log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold
     )
